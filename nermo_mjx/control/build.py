@@ -1,0 +1,113 @@
+"""Building controller parameters: names, ranges, and strides that the legs can reach are checked here, and only here."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.control import trajectory
+from nermo_mjx.control.parameters import ControlParameters, Stance, choice, published_values
+from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.robot.quantity import ParameterError, check_quantities, quantities, replace_quantities
+
+#: Points of each half-cycle at which the nominal foot path is checked, and steps of the search for the longest stride.
+_PATH_POINTS, _STRIDE_STEPS = 9, 41
+
+
+def control_parameters(
+    gait: str = "trt", *, steering: str = "leg", profile: str = "exact", routing: str = "type3", **values: Any
+) -> ControlParameters:
+    """Checked parameters of a published gait with some values changed.
+
+    Args:
+        gait: "trt", "trt1" or "lat". Give duty, offsets and gait_factor in `values` for a gait of your own.
+        steering: "leg", "spine" or "mix".
+        profile: "exact" or "as_published".
+        routing: knee tendon routing, for the check of the workspace.
+        values: parameters by name, as `quantities(ControlParameters)` lists them; a name with a dot is given as
+            `**{"spine.amplitude": 0.3}`. Numbers or arrays; arrays with leading batch axes give batched leaves.
+
+    Raises:
+        ParameterError: an unknown name, a number out of range, or a stride past the legs' workspace.
+    """
+    named: dict[str, Any] = {**published_values(gait, steering=steering, profile=profile)}
+    known = {name: about for name, about in quantities(ControlParameters)}
+    for name, value in values.items():
+        known[choice("parameter", name, known)].check(name, value)
+        named[name] = value
+    dtype = jnp.zeros(()).dtype
+    params = replace_quantities(ControlParameters(), {name: np.asarray(v, dtype) for name, v in named.items()})
+    check(params, routing=routing)
+    return params
+
+
+def check(params: ControlParameters, *, routing: str = "type3") -> None:
+    """Refuse parameters that are not finite, out of range, or step past the legs' workspace.
+
+    Args:
+        params: concrete (not traced) parameters; leaves may carry leading batch axes.
+        routing: knee tendon routing.
+
+    Raises:
+        ParameterError: with the field's name, its value and what is allowed.
+    """
+    check_quantities(params)
+    gait, stance = params.gait, params.stance
+    stride = np.asarray(gait.stride, float) * np.asarray(stance.max_stride, float)
+    stance, stride = _distinct(stance, stride)
+    reached = np.asarray(_reachable(stance, stride, routing))
+    if reached.all():
+        return
+    row, limb = np.argwhere(~reached)[0]
+    one = Stance(**{field.name: getattr(stance, field.name)[row] for field in dataclasses.fields(Stance)})
+    raise ParameterError(_sentence(one, float(stride[row]), params, int(limb), routing))
+
+
+def _distinct(stance: Stance, stride: np.ndarray) -> tuple[Stance, np.ndarray]:
+    """The distinct combinations of a batch: usually one, because most sweeps vary other things."""
+    names = [field.name for field in dataclasses.fields(Stance)]
+    leaves = np.broadcast_arrays(*(np.asarray(getattr(stance, name), float) for name in names), stride)
+    *columns, stride = np.unique(np.stack([leaf.reshape(-1) for leaf in leaves]), axis=1)
+    return Stance(**dict(zip(names, columns, strict=True))), stride
+
+
+@partial(jax.jit, static_argnames="routing")
+def _reachable(stance: Stance, stride: Float[Array, " batch"], routing: str) -> Bool[Array, "batch 4"]:
+    """Whether each limb's nominal stance and swing paths lie in its workspace."""
+    progress = jnp.linspace(0.0, 1.0, _PATH_POINTS)[:, None, None]
+    each = jnp.broadcast_to(stride[:, None], (stride.size, len(LIMBS)))
+    down = jnp.asarray([True, False])[:, None, None]
+    points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *each.shape)), each)
+    path = trajectory.position(points[:, None], progress)
+    return jnp.all(inverse(four_legs(), path, routing).reachable, axis=(0, 1))
+
+
+def _sentence(stance: Stance, stride: float, params: ControlParameters, limb: int, routing: str) -> str:
+    axle = LIMBS[limb].split("_")[0]
+    height = float(getattr(stance, f"{axle}_z"))
+    strides = np.linspace(0.0, stride, _STRIDE_STEPS)
+    batch = Stance(**{f.name: np.full(_STRIDE_STEPS, getattr(stance, f.name)) for f in dataclasses.fields(Stance)})
+    reached = np.asarray(_reachable(batch, strides, routing))[:, limb]
+    if not reached[0]:
+        return (
+            f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {float(getattr(stance, f'{axle}_y')):g} m, raised by "
+            f"{float(stance.swing_amplitude):g} m and lowered by {float(stance.stance_amplitude):g} m, the {axle} foot leaves "
+            "its leg's workspace even without a stride."
+        )
+    longest = strides[np.argmin(reached) - 1]
+    scale = float(stance.max_stride)
+    varied = np.any(np.asarray(params.gait.stride) != 1.0) and scale > 0.0
+    name, value, most, unit = (
+        ("stride", stride / scale, longest / scale, "") if varied else ("stance.max_stride", stride, longest, " m")
+    )
+    return (
+        f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of {longest:.3f} m, "
+        f"so allowed is [0, {most:.3f}]{unit}."
+    )

@@ -1,0 +1,63 @@
+"""Gait clock, the leg state machine: which feet are planned on the ground, and how far each is in its half-cycle."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.control.parameters import Gait
+
+#: Shortest share of the cycle a half-cycle may take inside a traced program; `Gait.duty` is checked where it is built.
+SHORTEST_HALF = 1e-3
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class LimbStates:
+    """State of the four limbs at one phase.
+
+    Attributes:
+        stance: planned contact; False is swing.
+        progress: time within the half-cycle (stance or swing), normalised to [0, 1].
+    """
+
+    stance: Bool[Array, "*batch 4"]
+    progress: Float[Array, "*batch 4"]
+
+
+def wrap(phase: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The phase within its cycle, in [0, 1)."""
+    wrapped = phase - jnp.floor(phase)
+    # In floating point, -1e-9 - floor(-1e-9) rounds to 1.
+    return jnp.where(wrapped < 1.0, wrapped, 0.0)
+
+
+def advance(
+    phase: Float[Array, "*batch"], frequency: Float[Array, "*batch"], duration: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Integrate the phase over `duration` seconds of the controller's clock; the frequency may change on the fly."""
+    return wrap(phase + frequency * duration)
+
+
+def limb_states(gait: Gait, phase: Float[Array, "*batch"]) -> LimbStates:
+    """A leg is in stance while (phase - offset) mod 1 < duty (Tables A.2, A.6).
+
+    Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance.
+
+    Args:
+        gait: `offset` of shape (..., 4), `duty` of shape (...).
+        phase: of the gait cycle, in [0, 1).
+    """
+    duty = jnp.clip(jnp.asarray(gait.duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)[..., None]
+    local = wrap(jnp.asarray(phase)[..., None] - gait.offset)
+    stance = local < duty
+    progress = jnp.where(stance, local / duty, (local - duty) / (1.0 - duty))
+    return LimbStates(stance, jnp.clip(progress, 0.0, 1.0))
+
+
+def switches(now: Bool[Array, "*batch 4"], before: Bool[Array, "*batch 4"]) -> Bool[Array, "*batch 4"]:
+    """The switch flag: the leg has just begun a half-cycle and needs new control points."""
+    return now != before

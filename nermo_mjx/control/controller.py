@@ -1,0 +1,264 @@
+"""The controller: pilot, gait clock, foot trajectories, spine and leg kinematics joined into `init` and `update`.
+
+    command ── pilot ──► gait clock ──► foot trajectories ──► leg kinematics ──► 8 leg servos
+                 │                          ▲ rear feet's shift
+                 └────► spine controller ───┴──────────────────────────────────► spine servo
+
+Two pytrees go through it: `ControlParameters` (what a sweep varies) and `ControllerState` (what time changes). What is
+chosen by name is a field of `Controller` and fixed before tracing. Values are unbatched; engines vmap.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from nermo_mjx.control import clock, fusion, pilot, trajectory, turning
+from nermo_mjx.control.parameters import ControlParameters, choice
+from nermo_mjx.control.pilot import Command
+from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.robot.interface import SERVOS, Sensors, ServoAngles
+from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.parameters import ROUTINGS
+from nermo_mjx.robot.quantity import ParameterError
+
+NO_MODE: Final = "none"
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ControllerState:
+    """What the controller remembers between two ticks, and what metrics may read.
+
+    Attributes:
+        tick: control ticks since the start.
+        time: simulated time since the start [s].
+        phase: of the gait cycle, in [0, 1).
+        stance: planned contact of the limbs.
+        points: control points (start, mid, end) of each limb's half-cycle, without `shift` [m].
+        foot: commanded foot positions (y, z) in the leg's frame, after lag and compensation [m].
+        shift: part of `foot` that is offset compensation [m].
+        speed: commanded speed [m/s of the controller's clock].
+        turn_rate: held between two pilot ticks, in [-1, 1], positive left.
+        spine: commanded spine servo angle, positive left [rad].
+        cross_track: error at the last pilot tick, positive to the left of the path [m].
+    """
+
+    tick: Int[Array, ""]
+    time: Float[Array, ""]
+    phase: Float[Array, ""]
+    stance: Bool[Array, " 4"]
+    points: Float[Array, "4 3 2"]
+    foot: Float[Array, "4 2"]
+    shift: Float[Array, "4 2"]
+    speed: Float[Array, ""]
+    turn_rate: Float[Array, ""]
+    spine: Float[Array, ""]
+    cross_track: Float[Array, ""]
+
+
+@dataclasses.dataclass(frozen=True)
+class Controller:
+    """Static choices of the controller; hashable by value, so it can be closed over or a static argument of `jit`.
+
+    Attributes:
+        spine: auxiliary modes, "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names).
+        pilot: "open_loop" holds `pilot.turn_rate`, "straight" and "arc" follow a path, "external" asks `command`. All but
+            the last command `gait.speed`.
+        command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
+        trajectory: form of the foot path, "cubic", "linear" or "parabolic".
+        routing: knee tendon routing of the legs.
+        control_rate, pilot_rate: ticks per simulated second [Hz]; their ratio is an integer.
+        masses: two-mass model of the assembled robot, for the mode "balance". Kept as plain numbers.
+        n_servos: number of actuators of the model.
+
+    Raises:
+        ParameterError: at construction, for an unknown name or choices that do not fit together.
+    """
+
+    spine: str | tuple[str, ...] = NO_MODE
+    pilot: str = "straight"
+    command: Command | None = None
+    trajectory: str = "cubic"
+    routing: str = "type3"
+    control_rate: float = 100.0
+    pilot_rate: float = 50.0
+    masses: MassModel | None = None
+    n_servos: int = len(SERVOS) - 1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "spine", _mode_names(self.spine))
+        choice("pilot", self.pilot, pilot.PILOTS)
+        choice("trajectory", self.trajectory, trajectory.FORMS)
+        choice("routing", self.routing, ROUTINGS)
+        _check_rates(self.control_rate, self.pilot_rate)
+        if (self.pilot == "external") != (self.command is not None):
+            state = "missing" if self.command is None else "given"
+            raise ParameterError(f"command is {state}: the pilot 'external', and no other, takes one (pilot is {self.pilot!r}).")
+        if "balance" in self.modes and self.masses is None:
+            raise ParameterError(f"masses is None: the spine mode {self.spine!r} needs the robot's mass model.")
+        if self.masses is not None:
+            object.__setattr__(self, "masses", _plain(self.masses))
+        if not len(SERVOS) - 2 <= self.n_servos <= len(SERVOS):
+            raise ParameterError(f"n_servos is {self.n_servos}: allowed is [{len(SERVOS) - 2}, {len(SERVOS)}].")
+
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """The auxiliary modes that are on."""
+        return tuple(name for name in fusion.MODES if name in str(self.spine).split("+"))
+
+    @property
+    def dt(self) -> float:
+        """Simulated seconds of a control tick."""
+        return 1.0 / self.control_rate
+
+    @property
+    def ticks_per_pilot_tick(self) -> int:
+        """Control ticks for which the pilot's output is held."""
+        return round(self.control_rate / self.pilot_rate)
+
+    def init(
+        self, params: ControlParameters, sensors: Sensors, phase: Float[Array, ""] | float = 0.0
+    ) -> ControllerState:
+        """State at the start: every leg on its nominal path at `phase`, so that the robot starts in its gait's posture.
+
+        Args:
+            params: unbatched parameters.
+            sensors: readings at the start.
+            phase: of the gait cycle; taken modulo 1.
+        """
+        state = self._start(params, phase)
+        error = pilot.cross_track_error(self.pilot, params.pilot, sensors.position)
+        return _like(dataclasses.replace(state, cross_track=error), state)
+
+    def initial_servo(self, params: ControlParameters, phase: Float[Array, ""] | float = 0.0) -> ServoAngles:
+        """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
+        return self.servo_angles(self._start(params, phase))
+
+    def update(
+        self, params: ControlParameters, state: ControllerState, sensors: Sensors
+    ) -> tuple[ControllerState, ServoAngles]:
+        """One control tick: the state and the servo angles `dt` later."""
+        speed, turn_rate, error = self._command(params, state, sensors)
+        phase = clock.advance(state.phase, params.gait.frequency, self.dt / params.tracking.clock_ratio)
+        limbs = clock.limb_states(params.gait, phase)
+
+        stride = self._strides(params, speed, turn_rate)
+        planned = trajectory.plan(params.stance, state.foot - state.shift, limbs.stance, stride)
+        switched = clock.switches(limbs.stance, state.stance)
+        points = jnp.where(switched[:, None, None], planned, state.points)
+        path = trajectory.position(points, limbs.progress, self.trajectory)
+
+        spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
+        shift = fusion.compensation(params.spine, spine)
+        closed = trajectory.share_closed(params.tracking, self.dt)
+        foot = state.foot + closed * (path + shift - state.foot)
+
+        tick = state.tick + 1
+        after = ControllerState(
+            tick=tick, time=tick * self.dt, phase=phase, stance=limbs.stance, points=points, foot=foot, shift=shift,
+            speed=speed, turn_rate=turn_rate, spine=spine, cross_track=error,
+        )  # fmt: skip
+        after = _like(after, state)
+        return after, self.servo_angles(after)
+
+    def servo_angles(self, state: ControllerState) -> ServoAngles:
+        """Servo angles for the commanded feet and spine; neck and tail look straight ahead and back."""
+        servo = inverse(four_legs(), state.foot, self.routing).servo
+        rest = jnp.zeros_like(state.spine)
+        return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=state.spine, neck=rest, tail=rest)
+
+    def _start(self, params: ControlParameters, phase: Float[Array, ""] | float) -> ControllerState:
+        phase = clock.wrap(jnp.asarray(phase, dtype=float))
+        limbs = clock.limb_states(params.gait, phase)
+        speed, turn_rate = self._given_command(params, jnp.zeros(()))
+        points = trajectory.nominal_points(params.stance, limbs.stance, self._strides(params, speed, turn_rate))
+        path = trajectory.position(points, limbs.progress, self.trajectory)
+        spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
+        shift = fusion.compensation(params.spine, spine)
+        zero = jnp.zeros(())
+        state = ControllerState(
+            tick=jnp.zeros((), dtype=jnp.int32), time=zero, phase=phase, stance=limbs.stance, points=points,
+            foot=path + shift, shift=shift, speed=speed, turn_rate=turn_rate, spine=spine, cross_track=zero,
+        )  # fmt: skip
+        return jax.tree.map(lambda leaf: leaf.astype(jax.dtypes.canonicalize_dtype(_kind(leaf))), state)
+
+    def _given_command(self, params: ControlParameters, time: Float[Array, ""]) -> tuple[Array, Array]:
+        """Speed and turn rate as far as they do not depend on the sensors."""
+        speed, turn_rate = params.gait.speed, jnp.zeros(())
+        if self.pilot == "open_loop":
+            turn_rate = params.pilot.turn_rate
+        elif self.command is not None:
+            speed, turn_rate = self.command(time)
+        return jnp.maximum(jnp.asarray(speed), 0.0), jnp.clip(jnp.asarray(turn_rate), -1.0, 1.0)
+
+    def _command(
+        self, params: ControlParameters, state: ControllerState, sensors: Sensors
+    ) -> tuple[Array, Array, Array]:
+        """(speed, turn rate, cross-track error), new at a pilot tick and held between two of them."""
+        speed, turn_rate = self._given_command(params, state.time)
+        error = pilot.cross_track_error(self.pilot, params.pilot, sensors.position)
+        if self.pilot in pilot.PATHS:
+            published_ticks = pilot.PUBLISHED_PILOT_RATE / (self.pilot_rate * params.tracking.clock_ratio)
+            turn_rate = pilot.steer(params.pilot, error, (error - state.cross_track) / published_ticks)
+        due = state.tick % self.ticks_per_pilot_tick == 0
+        return (
+            jnp.where(due, speed, state.speed),
+            jnp.where(due, turn_rate, state.turn_rate),
+            jnp.where(due, error, state.cross_track),
+        )
+
+    @staticmethod
+    def _strides(params: ControlParameters, speed: Array, turn_rate: Array) -> Float[Array, " 4"]:
+        stride = turning.stride_length(params.gait, params.stance, speed)
+        return stride * turning.stride_shares(params.turning, turn_rate)
+
+    def _spine_servo(
+        self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array
+    ) -> Float[Array, ""]:
+        """Commanded spine servo angle: steering fused with the sum of the auxiliary modes."""
+        auxiliary = jnp.zeros_like(phase)
+        if "stride_extension" in self.modes:
+            auxiliary += fusion.stride_extension(params.spine, phase)
+        if "balance" in self.modes:
+            assert self.masses is not None
+            masses = jax.tree.map(jnp.asarray, self.masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
+            auxiliary += fusion.balance(params.spine, masses, feet, stance)
+        return fusion.fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
+
+
+def _mode_names(spine: str | tuple[str, ...]) -> str:
+    names = tuple(spine.split("+")) if isinstance(spine, str) else tuple(spine)
+    chosen = {choice("spine", name.strip(), (NO_MODE, *fusion.MODES)) for name in names} - {NO_MODE}
+    return "+".join(name for name in fusion.MODES if name in chosen) or NO_MODE
+
+
+def _check_rates(control_rate: float, pilot_rate: float) -> None:
+    for name, rate in (("control_rate", control_rate), ("pilot_rate", pilot_rate)):
+        if not (math.isfinite(rate) and rate > 0.0):
+            raise ParameterError(f"{name} is {rate:g}: allowed is (0, inf) Hz.")
+    ratio = control_rate / pilot_rate
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
+        raise ParameterError(f"pilot_rate is {pilot_rate:g}: allowed is {control_rate:g} Hz divided by a whole number.")
+
+
+def _plain(masses: MassModel) -> MassModel:
+    """The same numbers without arrays: hashable, and equal when they are equal."""
+    return MassModel(
+        front_mass=float(masses.front_mass), rear_mass=float(masses.rear_mass),
+        front_com=tuple(map(float, masses.front_com)), rear_com=tuple(map(float, masses.rear_com)),
+    )  # fmt: skip
+
+
+def _kind(leaf: Array) -> Any:
+    return float if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
+
+
+def _like(state: ControllerState, reference: ControllerState) -> ControllerState:
+    """The state with the dtypes of `reference`, so that a scan can carry it."""
+    return jax.tree.map(lambda new, old: jnp.asarray(new).astype(old.dtype), state, reference)

@@ -1,0 +1,72 @@
+"""The spine's controller: auxiliary modes, their fusion with steering, and offset compensation.
+
+Positive spine servo and joint angles turn left (`robot/parameters.py`). (5.33)'s stride extension is therefore
++A cos(2 pi phase + psi) here, with the published stance offsets, without another sign.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.control.parameters import Spine
+from nermo_mjx.control.power import signed_power
+from nermo_mjx.kinematics.balance import balance_angle
+from nermo_mjx.kinematics.body import hip_height_offset
+from nermo_mjx.kinematics.spine import joint_angle, servo_angle
+from nermo_mjx.robot.mass_model import MassModel
+
+#: Auxiliary modes; several may be on together, and their sum is clipped.
+MODES = ("stride_extension", "balance")
+
+#: Share left over by steering below which its power law is made linear (see `signed_power`).
+_FADE_LINEAR_BELOW = 1e-3
+
+
+def stride_extension(spine: Spine, phase: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Servo angle A cos(2 pi phase + psi) [rad]: compresses the swinging pair, extends the standing one (5.32, 5.33)."""
+    return spine.amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.phase)
+
+
+def balance(
+    spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]
+) -> Float[Array, ""]:
+    """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
+
+    Zero while all four feet are on the ground: there is nothing to balance.
+
+    Args:
+        spine: `balance_lift` [m].
+        masses: two-mass model of the assembled robot.
+        feet: commanded feet (y, z) in their leg's frame [m].
+        stance: planned contact.
+    """
+    angle = servo_angle(balance_angle(masses, feet, stance, spine.balance_lift))
+    return jnp.where(jnp.all(stance, axis=-1), 0.0, angle)
+
+
+def fuse(
+    spine: Spine, steering: Float[Array, "*batch"], auxiliary: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """q_sp = q_max (alpha_tr + (1 - |alpha_tr|)^s f_sp), in [-q_max, q_max] (5.45, 5.46) [rad].
+
+    Erratum: (5.46) is printed without the absolute value, with which a left turn would amplify the other mode.
+
+    Args:
+        spine: q_max and s.
+        steering: alpha_tr in [-1, 1], positive left.
+        auxiliary: servo angle wanted by the auxiliary modes [rad]; f_sp = auxiliary / q_max, clipped to [-1, 1].
+    """
+    wanted = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
+    left_over = signed_power(1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW)
+    return spine.max_servo_angle * jnp.clip(steering + left_over * wanted, -1.0, 1.0)
+
+
+def compensation(spine: Spine, servo: Float[Array, ""]) -> Float[Array, "4 2"]:
+    """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
+
+    Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise.
+    """
+    rise = spine.offset_compensation * hip_height_offset(joint_angle(servo))
+    lowered = jnp.concatenate([jnp.zeros_like(rise), -rise], axis=-1)
+    return jnp.stack([jnp.zeros_like(lowered), lowered], axis=-1)

@@ -1,0 +1,145 @@
+"""The controller's parameters: arrays a sweep varies and a gradient tunes. What time changes is in `ControllerState`."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from nermo_mjx.robot.parameters import GAIT_PATTERNS, LIMBS
+from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
+
+#: Control rate of the published foot tracking lag [Hz], and what it closed of the foot error per tick.
+PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
+PUBLISHED_CLOCK_RATIO = 0.4
+
+
+@parameter_tree
+class Gait:
+    """When the feet are on the ground, and how far they step (5.21, 5.22, Tables A.2, A.6)."""
+
+    frequency: Any = quantity(0.67, unit="Hz", low=0.0, open_low=True, high=5.0, doc="gait cycles per second")
+    stride: Any = quantity(1.0, unit="1", low=0.0, high=1.2, doc="stride length, as a share of the maximum")
+    duty: Any = quantity(
+        0.5, unit="1", low=0.0, open_low=True, high=1.0, open_high=True, doc="stance share of the gait cycle"
+    )
+    gait_factor: Any = quantity(2.0, unit="1", low=0.5, high=4.0, doc="strides of body travel per cycle (5.21)")
+    speed: Any = quantity(
+        1.0, unit="m/s", low=0.0, high=10.0, doc="commanded speed on the controller's clock; the stride saturates"
+    )
+    offset: Any = quantity(
+        (0.5, 0.0, 0.0, 0.5), unit="1", low=0.0, high=1.0, labels=LIMBS, doc="cycle share at which the limb's stance starts"
+    )  # fmt: skip
+
+
+@parameter_tree
+class Stance:
+    """Where the feet stand and how they lift, in the leg's frame (Table A.7)."""
+
+    front_y: Any = quantity(-0.005, unit="m", low=-0.03, high=0.03, doc="neutral foot behind the shoulder axis")
+    front_z: Any = quantity(-0.045, unit="m", low=-0.062, high=-0.025, doc="neutral front foot height")
+    rear_y: Any = quantity(0.0, unit="m", low=-0.03, high=0.03, doc="neutral foot behind the hip axis")
+    rear_z: Any = quantity(-0.050, unit="m", low=-0.072, high=-0.030, doc="neutral rear foot height")
+    swing_amplitude: Any = quantity(0.010, unit="m", low=0.0, high=0.03, doc="foot lift at mid-swing")
+    stance_amplitude: Any = quantity(0.005, unit="m", low=0.0, high=0.02, doc="foot push-down at mid-stance")
+    max_stride: Any = quantity(0.060, unit="m", low=0.0, high=0.08, doc="stride length at stride = 1")
+
+
+@parameter_tree
+class Spine:
+    """What the spine does besides steering (5.31-5.35, 5.45, 5.46)."""
+
+    amplitude: Any = quantity(0.4, unit="rad", low=0.0, high=0.6, doc="servo amplitude of the stride extension")
+    phase: Any = quantity(
+        0.0, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="psi of q_sp = A cos(2 pi phase + psi), the stride extension"
+    )  # fmt: skip
+    max_servo_angle: Any = quantity(0.4, unit="rad", low=0.01, high=0.6, doc="q_max, servo limit of the fusion (5.45)")
+    fusion_exponent: Any = quantity(1.0, unit="1", low=0.1, high=10.0, doc="s, how turning fades the other mode (5.46)")
+    offset_compensation: Any = quantity(0.0, unit="1", low=0.0, high=1.0, doc="share of the hip's rise taken by the rear legs (5.31)")  # fmt: skip
+    balance_lift: Any = quantity(0.009, unit="m", low=0.0, high=0.03, doc="d_lift, wanted distance of the COM inside the triangle")  # fmt: skip
+
+
+@parameter_tree
+class Turning:
+    """How a turn rate is shared between legs and spine (5.38, 5.39). lb = (1, 0), sb = (0, 1), mb = (1, 1)."""
+
+    exponent: Any = quantity(
+        5.0, unit="1", low=0.0, high=20.0, doc="t of c(a) = sign(a)|a|^t; 0 turns leg modulation off"
+    )
+    leg: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate given to the legs")
+    spine: Any = quantity(0.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate given to the spine")
+
+
+@parameter_tree
+class Pilot:
+    """The high-level controller: a PD on the cross-track error, and the path it follows."""
+
+    error_gain: Any = quantity(40.0, unit="1/m", low=0.0, high=1000.0, doc="turn rate per metre of cross-track error")
+    change_gain: Any = quantity(300.0, unit="1/m", low=0.0, high=10000.0, doc="turn rate per metre of its change per 1/50 s of the controller's clock")  # fmt: skip
+    output_limit: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="largest turn rate")
+    turn_rate: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="turn rate held by the pilot 'open_loop'")
+    radius: Any = quantity(1.0, unit="m", low=0.05, high=1000.0, doc="radius of the pilot 'arc'")
+    direction: Any = quantity(1.0, unit="1", low=-1.0, high=1.0, doc="side of the pilot 'arc': +1 left, -1 right")
+
+
+@parameter_tree
+class Tracking:
+    """How the published controller differs from the exact one."""
+
+    foot_gain: Any = quantity(
+        1.0, unit="1", low=0.0, open_low=True, high=1.0, doc="share of the foot error closed per tick of 1/80 s; 1 is exact"
+    )  # fmt: skip
+    clock_ratio: Any = quantity(
+        1.0, unit="1", low=0.05, high=2.0, doc="simulated seconds per second of the controller's clock"
+    )
+
+
+@parameter_tree
+class ControlParameters:
+    """All parameters of the controller; every leaf may carry leading batch axes."""
+
+    gait: Gait = flat(Gait)
+    stance: Stance = group(Stance)
+    spine: Spine = group(Spine)
+    turning: Turning = group(Turning)
+    pilot: Pilot = group(Pilot)
+    tracking: Tracking = group(Tracking)
+
+
+#: Weights (leg, spine) of the three published turning strategies.
+STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
+PROFILES: tuple[str, ...] = ("exact", "as_published")
+
+
+def published_values(gait: str, *, steering: str = "leg", profile: str = "exact") -> dict[str, float]:
+    """Named parameter values of a published gait, turning strategy and profile (`exact` or `as_published`).
+
+    The values are keyed as `quantities(ControlParameters)` names them, for `replace_quantities`.
+
+    Raises:
+        ParameterError: an unknown gait, steering or profile.
+    """
+    pattern = GAIT_PATTERNS[choice("gait", gait, GAIT_PATTERNS)]
+    leg, spine = STEERING[choice("steering", steering, STEERING)]
+    choice("profile", profile, PROFILES)
+    values = {"duty": pattern.duty, "gait_factor": pattern.gait_factor, "turning.leg": leg, "turning.spine": spine}
+    values |= {f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)}
+    if profile == "as_published":
+        values |= {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO}
+    return values
+
+
+def choice(field: str, name: str, options: Iterable[str]) -> str:
+    """`name` if it is one of `options`.
+
+    Raises:
+        ParameterError: it is not; the message names the field, the value, the nearest option and all of them.
+    """
+    names = list(options)
+    if name in names:
+        return name
+    near = difflib.get_close_matches(str(name), names, n=1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {', '.join(names)}.")

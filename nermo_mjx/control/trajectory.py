@@ -1,0 +1,128 @@
+"""Foot trajectories: three control points for each half-cycle, joined by two cubics in closed form.
+
+A half-cycle is normalised to p in [0, 1] with knots at 0, 1/2 and 1. Every form is linear in its control points
+P0, P1, P2, so it is held as three weights for each coordinate. The cubic form:
+
+* y is a clamped spline (zero end velocity). Continuity of the acceleration at the mid point gives the slope there,
+  m1 = 3/2 (P2 - P0).
+* z is a natural spline (zero end acceleration). Continuity of the velocity gives the second derivative there,
+  M1 = 6 (P0 - 2 P1 + P2).
+
+Both are symmetric in time; so they are written once, in u = 0 at the nearer end to u = 1 at the mid point.
+Points have the shape (..., 4, 3, 2): limb, knot, (y, z) in the leg's frame [m].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.control.parameters import PUBLISHED_TRACKING, Stance, Tracking
+from nermo_mjx.control.power import signed_power
+
+#: Weights of (nearer end, mid point, farther end) at u, for one coordinate.
+_Weights = tuple[Array, Array, Array]
+
+#: Share of the foot error left over below which the lag's power law is made linear, for a finite derivative at 1.
+_LAG_LINEAR_BELOW: Final = 1e-6
+
+
+def _clamped(u: Array) -> _Weights:
+    rise, bow = u * u * (3.0 - 2.0 * u), 0.75 * u * u * (u - 1.0)
+    return 1.0 - rise - bow, rise, bow
+
+
+def _natural(u: Array) -> _Weights:
+    bow = 0.25 * u * (u * u - 1.0)
+    return 1.0 - u + bow, u - 2.0 * bow, bow
+
+
+def _linear(u: Array) -> _Weights:
+    return 1.0 - u, u, jnp.zeros_like(u)
+
+
+def _parabolic(u: Array) -> _Weights:
+    return (1.0 - 0.5 * u) * (1.0 - u), u * (2.0 - u), 0.5 * u * (u - 1.0)
+
+
+#: Trajectory forms: the weight functions of y and z. `cubic` is the published one, the others are for comparison.
+FORMS: Final[dict[str, tuple[Callable[[Array], _Weights], Callable[[Array], _Weights]]]] = {
+    "cubic": (_clamped, _natural),
+    "linear": (_linear, _linear),
+    "parabolic": (_parabolic, _parabolic),
+}
+
+
+def weights(progress: Float[Array, "*batch"], form: str = "cubic") -> Float[Array, "*batch 3 2"]:
+    """Weights of the three control points in y and z at `progress` in [0, 1]; they sum to 1."""
+    first = progress < 0.5
+    u = jnp.where(first, 2.0 * progress, 2.0 - 2.0 * progress)
+
+    def knots(coordinate: Callable[[Array], _Weights]) -> Array:
+        near, mid, far = coordinate(u)
+        return jnp.stack([jnp.where(first, near, far), mid, jnp.where(first, far, near)], axis=-1)
+
+    return jnp.stack([knots(coordinate) for coordinate in FORMS[form]], axis=-1)
+
+
+def position(
+    points: Float[Array, "*batch 3 2"], progress: Float[Array, "*batch"], form: str = "cubic"
+) -> Float[Array, "*batch 2"]:
+    """Foot position (y, z) on the path through `points` at `progress` [m]."""
+    return jnp.sum(weights(progress, form) * points, axis=-2)
+
+
+def neutral_feet(stance: Stance) -> Float[Array, "*batch 4 2"]:
+    """Neutral positions of the feet in their leg's frame (Table A.7) [m]."""
+    front = jnp.stack(jnp.broadcast_arrays(stance.front_y, stance.front_z), axis=-1)
+    rear = jnp.stack(jnp.broadcast_arrays(stance.rear_y, stance.rear_z), axis=-1)
+    return jnp.stack([front, front, rear, rear], axis=-2)
+
+
+def plan(
+    stance: Stance, start: Float[Array, "*batch 4 2"], down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
+) -> Float[Array, "*batch 4 3 2"]:
+    """Control points of the half-cycle that begins now.
+
+    Args:
+        stance: neutral feet and amplitudes.
+        start: where the feet are now [m].
+        down: planned contact. In stance the foot moves backward (+y) and is pressed down at its mid point, in swing it
+            moves forward and is raised.
+        stride: length of each leg's stride [m].
+    """
+    neutral = neutral_feet(stance)
+    mid_height = jnp.where(
+        down, -jnp.asarray(stance.stance_amplitude)[..., None], jnp.asarray(stance.swing_amplitude)[..., None]
+    )
+    mid = neutral + _column(mid_height, axis=1)
+    return jnp.stack([start, mid, _end(neutral, down, stride)], axis=-2)
+
+
+def nominal_points(
+    stance: Stance, down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
+) -> Float[Array, "*batch 4 3 2"]:
+    """Control points of a half-cycle in a steady gait: each starts where the opposite half-cycle ends."""
+    return plan(stance, _end(neutral_feet(stance), ~down, stride), down, stride)
+
+
+def _end(neutral: Array, down: Array, stride: Array) -> Array:
+    return neutral + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
+
+
+def _column(value: Array, axis: int) -> Array:
+    """(..., 4) as the y (axis 0) or z (axis 1) component of (..., 4, 2)."""
+    return value[..., None] * jnp.asarray([1.0, 0.0] if axis == 0 else [0.0, 1.0], dtype=value.dtype)
+
+
+def share_closed(tracking: Tracking, dt: float) -> Float[Array, "*batch"]:
+    """Share of the foot error closed in one control tick; exactly 1 for `foot_gain` 1 (see `Tracking`).
+
+    The published controller's velocity-space inverse kinematics closes `foot_gain` of the error per tick of 1/80 s of
+    its own clock. In a tick of `dt` simulated seconds it has made 80 dt / clock_ratio such ticks.
+    """
+    ticks = dt * PUBLISHED_TRACKING["rate"] / tracking.clock_ratio
+    return 1.0 - signed_power(jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LAG_LINEAR_BELOW)

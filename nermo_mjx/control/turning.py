@@ -1,0 +1,127 @@
+"""Speed and turning: stride from the commanded speed, its share for each leg from the turn rate, and radii of theory.
+
+A positive turn rate turns left, so it shortens the left legs' strides.
+"""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from nermo_mjx.control.parameters import Gait, Stance, Turning
+from nermo_mjx.control.power import signed_power
+from nermo_mjx.kinematics.spine import transform
+from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
+
+#: Turn rate below which the turning curve is a straight line (see `signed_power`).
+CURVE_LINEAR_BELOW = 1e-3
+
+_SIDE = tuple(1.0 if limb.endswith("left") else -1.0 for limb in LIMBS)
+
+
+def body_speed(gait: Gait, stride: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Speed without slip, v = f * gait factor * stride (5.21, 5.22) [m/s of the controller's clock]."""
+    return gait.frequency * gait.gait_factor * stride
+
+
+def stride_length(gait: Gait, stance: Stance, speed: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Stride for a commanded speed: (5.22) solved for the stride, saturated, times the normalised stride [m].
+
+    Args:
+        gait: frequency, gait factor and normalised stride.
+        stance: the saturating stride `max_stride` [m].
+        speed: commanded [m/s of the controller's clock].
+    """
+    per_stride = jnp.maximum(gait.frequency * gait.gait_factor, 1e-6)
+    return jnp.clip(speed / per_stride, 0.0, stance.max_stride) * gait.stride
+
+
+def turning_curve(turn_rate: Float[Array, "*batch"], exponent: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """c(a) = sign(a)|a|^t of (5.38, 5.39). Errata: the sign is kept, and t = 0 means leg modulation off."""
+    on = exponent > 0.0
+    return jnp.where(on, signed_power(turn_rate, jnp.where(on, exponent, 1.0), CURVE_LINEAR_BELOW), 0.0)
+
+
+def stride_shares(turning: Turning, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch 4"]:
+    """alpha_left = min(1 - c, 1) and alpha_right = min(1 + c, 1) for the four legs (5.38, 5.39).
+
+    Full input stops the inner legs' stride. Everywhere in [0, 1].
+    """
+    curve = turning_curve(jnp.clip(turn_rate * turning.leg, -1.0, 1.0), jnp.asarray(turning.exponent))
+    return jnp.minimum(1.0 - jnp.asarray(_SIDE, dtype=curve.dtype) * curve[..., None], 1.0)
+
+
+def spine_share(turning: Turning, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """alpha_tr of (5.45), the part of the turn rate that the spine takes, in [-1, 1]."""
+    return jnp.clip(turn_rate * turning.spine, -1.0, 1.0)
+
+
+def leg_radius(
+    stride: Float[Array, "*batch"], share_difference: Float[Array, "*batch"], diagonal: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    """Radius of leg-based turning without slip (5.40-5.42) [m]; infinite when both sides step alike.
+
+    r = l_s sin((pi - th)/2) / sin(th) with th = l_s |alpha_left - alpha_right| / d_diag. With th small at a given
+    curve this is d_diag / |alpha_left - alpha_right|; it equals l_s / (2 sin(th/2)), the form used here.
+
+    Args:
+        stride: l_s [m].
+        share_difference: |alpha_left - alpha_right|, in [0, 1].
+        diagonal: d_diag, the distance between the feet of the alternating diagonal pair [m], from `foot_diagonals`.
+    """
+    turn = stride * jnp.abs(share_difference) / diagonal
+    half = jnp.sin(0.5 * turn)
+    straight = half == 0.0
+    return jnp.where(straight, jnp.inf, 0.5 * stride / jnp.where(straight, 1.0, half))
+
+
+def spine_radius(
+    theta_v: Float[Array, "*batch"], to_joint: Float[Array, "*batch"], from_joint: Float[Array, "*batch"]
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """Radii of spine-based turning without slip, from the shoulder axis (5.43) and the hip axis (5.44) [m].
+
+    r_shoulder = l_sp2/th + l_sp1/tan(th) and r_hip = l_sp2/th + l_sp1/sin(th), with th = 4 theta_v.
+
+    Args:
+        theta_v: angle of each lateral joint, not 0 [rad].
+        to_joint: l_sp1, shoulder axis to the first lateral joint [m].
+        from_joint: l_sp2, first lateral joint to the hip axis [m].
+    """
+    turn = 4.0 * jnp.abs(theta_v)
+    bend = from_joint / turn
+    return bend + to_joint / jnp.tan(turn), bend + to_joint / jnp.sin(turn)
+
+
+def foot_diagonals(stance: Stance, theta_v: Float[Array, ""]) -> Float[Array, " 2"]:
+    """d_diag(theta_v): horizontal distance between the neutral feet of the pairs FL-RR and FR-RL [m].
+
+    Measured between the feet, not between the axes of shoulder and hip: only the feet give the published radius.
+    """
+    front, rear = (jnp.asarray(axle) for axle in (BODY.shoulder, BODY.hip))
+    mirror = jnp.asarray([-1.0, 1.0, 1.0])
+    front = front + jnp.stack([jnp.zeros_like(stance.front_y), stance.front_y, stance.front_z])
+    rear = rear + jnp.stack([jnp.zeros_like(stance.rear_y), stance.rear_y, stance.rear_z])
+    hip = transform(theta_v)
+    rear_left, rear_right = (hip[:3, :3] @ foot + hip[:3, 3] for foot in (rear, mirror * rear))
+    pairs = jnp.stack([front - rear_right, mirror * front - rear_left])
+    return jnp.linalg.norm(pairs[:, :2], axis=-1)
+
+
+def smallest_radius(stride: Float[Array, ""], stance: Stance, theta_v: Float[Array, ""]) -> Float[Array, ""]:
+    """Radius of theory at full lock, leg-based at theta_v = 0 and mix-based otherwise (5.40-5.42) [m].
+
+    The mix-based robot turns about the pair that the bent spine has brought together, the shorter diagonal.
+    """
+    return leg_radius(stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v)))
+
+
+def spine_lengths() -> tuple[float, float]:
+    """(l_sp1, l_sp2): shoulder axis to the first lateral joint, and from there to the hip axis, along y [m]."""
+    base, link = SPINE.dh[SPINE.lateral_joints[0] - 1], SPINE.dh[SPINE.lateral_joints[0]]
+    joint = base[1] + link[1] * math.cos(base[2])
+    with jax.ensure_compile_time_eval():
+        hip = float(transform(jnp.zeros(()))[1, 3]) + BODY.hip[1]
+    return joint - BODY.shoulder[1], hip - joint

@@ -1,0 +1,1 @@
+"""Legs, spine and body as pure geometry: JAX functions that broadcast over leading axes and import only `robot`."""

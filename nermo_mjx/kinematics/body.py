@@ -1,0 +1,71 @@
+"""What the spine does to the body: where the hips go, the diagonals, and the centre of mass.
+
+Positions are relative to the spine base in the torso's frame [m]; theta_v is the angle of each lateral joint [rad], of
+any shape, positive to the left. Left comes before right.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from nermo_mjx.kinematics import spine
+from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.parameters import BODY
+
+_MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+_SHOULDERS = _MIRROR * BODY.shoulder
+_HIPS = _MIRROR * BODY.hip
+
+
+def shoulders() -> Float[Array, "2 3"]:
+    """Left and right shoulder axis; they do not move with the spine (Table A.5, with its erratum)."""
+    return jnp.asarray(_SHOULDERS)
+
+
+def hips(theta_v: ArrayLike) -> Float[Array, "*batch 2 3"]:
+    """Left and right hip axis."""
+    return from_hip_frame(theta_v, _HIPS)
+
+
+def from_hip_frame(theta_v: ArrayLike, points: ArrayLike) -> Float[Array, "*batch n 3"]:
+    """Points (..., n, 3) of the hip's frame, from the spine end, seen from the spine base."""
+    pose = spine.transform(theta_v)
+    points = jnp.asarray(points, pose.dtype)
+    return jnp.einsum("...ij,...nj->...ni", pose[..., :3, :3], points) + pose[..., None, :3, 3]
+
+
+def hip_height_offset(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
+    """How much higher each hip is than with a straight spine (5.31): added to the rear legs' neutral height."""
+    return hips(theta_v)[..., 2] - hips(0.0)[..., 2]
+
+
+def diagonals(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
+    """Distance from shoulder to opposite hip, front left to rear right and front right to rear left (5.32).
+
+    Monotonic over the usable range: bending left extends the first and compresses the second.
+    """
+    return jnp.linalg.norm(hips(theta_v)[..., ::-1, :] - shoulders(), axis=-1)
+
+
+def stride_gain(theta_v: ArrayLike) -> Float[Array, "*batch"]:
+    """What a spine swinging between -theta_v and theta_v adds to a stride of a symmetric gait (5.33): 0.015 m at 0.1 rad.
+
+    Seen from the heading, which bisects the bend, torso and hip yaw by half the bend, in opposite senses. While a
+    diagonal pair stands, the bend goes from one end to the other, and shoulder and hip of that pair are carried
+    backward by 2 x sin(bend / 2) each, x being half the distance from left to right. The step of the body is the mean
+    of the two. (5.33) maximises it; it is monotonic, so the maximum lies at the limit of theta_v (erratum 7).
+    """
+    hip = hips(theta_v)
+    across, along = jnp.moveaxis((hip[..., 0, :] - hip[..., 1, :])[..., :2] / 2, -1, 0)
+    bend = jnp.arctan2(-along, across)
+    return (BODY.shoulder[0] + jnp.hypot(across, along)) * jnp.sin(bend / 2)
+
+
+def centre_of_mass(masses: MassModel, theta_v: ArrayLike) -> Float[Array, "*batch 3"]:
+    """Centre of mass of front and rear, joined by a massless spine (5.34). Leaves of `masses` may be batched."""
+    front_mass, rear_mass = jnp.asarray(masses.front_mass)[..., None], jnp.asarray(masses.rear_mass)[..., None]
+    rear = from_hip_frame(theta_v, jnp.asarray(masses.rear_com)[..., None, :])[..., 0, :]
+    return (front_mass * masses.front_com + rear_mass * rear) / (front_mass + rear_mass)

@@ -1,0 +1,183 @@
+"""The one leg model: forward and inverse kinematics of front and rear legs, for the three tendon routings.
+
+With u(a) = (sin a, -cos a), in (y, z) from the hip or shoulder axis O, equations (5.1) and (5.20) are one form:
+
+    knee A = l1 u(q1)             b = q1 + s theta_1
+    B      = A + l2 u(b)          (tendon attachment)
+    foot H = A + l3 u(b) + l4 u(b - theta_3)
+
+Shin, ankle and foot are one rigid link of length L, so O-A-H is a planar two-link arm and its inverse is a cosine rule.
+(The publication integrates joint velocities instead, which drifts.) The elbow is always on the knee's own side, s.
+
+Every function broadcasts over leading axes: leaves of `Leg`, angles and (..., 2) points alike. Values and first
+derivatives are finite for every finite input: outside the workspace the result is the nearest pose, and says so.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.kinematics.root import bracketed_root
+from nermo_mjx.kinematics.tendon import arm_range, check_routing, knee_range, pull, shank
+from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, LegGeometry
+
+#: How far outside its range a foot or tendon may be and still count as reached: rounding in float32 [m].
+REACH_TOLERANCE: Final = 1e-6
+#: Angles saturate here, so that sums of them stay finite [rad].
+_LARGEST_ANGLE: Final = 1e6
+#: Feet farther out than this are drawn in along their direction; nearer to O than `_NEAREST` they have none [m].
+_FARTHEST, _NEAREST = 1.0, 1e-6
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Leg:
+    """A leg's numbers as array leaves, named and explained in `LegGeometry`; leaves of one leg have shape ().
+
+    The leaves may be batched or differentiated like any other array; `guide` has a trailing axis (y, z).
+    """
+
+    l1: Float[Array | np.ndarray, "*batch"]
+    l2: Float[Array | np.ndarray, "*batch"]
+    l3: Float[Array | np.ndarray, "*batch"]
+    l4: Float[Array | np.ndarray, "*batch"]
+    theta3: Float[Array | np.ndarray, "*batch"]
+    pulley_radius: Float[Array | np.ndarray, "*batch"]
+    pulley_height: Float[Array | np.ndarray, "*batch"]
+    tendon_length: Float[Array | np.ndarray, "*batch"]
+    knee_direction: Float[Array | np.ndarray, "*batch"]
+    servo_direction: Float[Array | np.ndarray, "*batch"]
+    guide: Float[Array | np.ndarray, "*batch 2"]
+
+
+class LegPoints(NamedTuple):
+    """Points of a leg, (y, z) from O [m]: knee A, tendon attachment B, ankle, foot H."""
+
+    knee: Float[Array, "*batch 2"]
+    attachment: Float[Array, "*batch 2"]
+    ankle: Float[Array, "*batch 2"]
+    foot: Float[Array, "*batch 2"]
+
+
+class LegPose(NamedTuple):
+    """Where servo angles put a leg: foot (y, z) [m], knee angle theta_1 [rad], whether the tendon allows it."""
+
+    foot: Float[Array, "*batch 2"]
+    knee_angle: Float[Array, "*batch"]
+    reachable: Bool[Array, "*batch"]
+
+
+class LegSolution(NamedTuple):
+    """How to reach a foot: servo (q1, q2) and knee angle [rad], the reachable foot nearest to it [m], and whether that
+    is the foot that was asked for."""
+
+    servo: Float[Array, "*batch 2"]
+    knee_angle: Float[Array, "*batch"]
+    foot: Float[Array, "*batch 2"]
+    reachable: Bool[Array, "*batch"]
+
+
+def leg_of(geometry: LegGeometry) -> Leg:
+    """The leg with these numbers, leaves of shape () (numpy float64, so that either precision can use them)."""
+    return Leg(**{field.name: np.asarray(getattr(geometry, field.name), float) for field in dataclasses.fields(Leg)})
+
+
+def four_legs() -> Leg:
+    """The robot's legs in limb order FL, FR, RL, RR: leaves of shape (4,), `guide` of shape (4, 2)."""
+    front, rear = leg_of(FRONT_LEG), leg_of(REAR_LEG)
+    return jax.tree.map(lambda *leaves: np.stack(leaves), front, front, rear, rear)
+
+
+def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.0) -> LegPoints:
+    """Points of the leg at hip angle q1 and knee angle theta_1 [rad] (5.1, 5.20).
+
+    `ankle` is the deflection [rad] of the compliant ankle, added to theta_3.
+    """
+    q1, knee_angle, ankle = (_angle(angle) for angle in (q1, knee_angle, ankle))
+    shin = q1 + leg.knee_direction * knee_angle
+    knee = _polar(leg.l1, q1)
+    ankle_point = knee + _polar(leg.l3, shin)
+    foot = ankle_point + _polar(leg.l4, shin - leg.theta3 - ankle)
+    return LegPoints(knee, knee + _polar(leg.l2, shin), ankle_point, foot)
+
+
+def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Float[Array, "*batch"]:
+    """Knee servo angle q2 [rad] whose taut tendon holds the knee at theta_1: l_t = l_t0 + r_p (theta_2 + k q2)."""
+    length = pull(leg, _angle(q1), _angle(knee_angle), routing)
+    return (length - leg.tendon_length) / (leg.servo_direction * leg.pulley_radius)
+
+
+def forward(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
+    """Foot of the leg at servo angles (q1, q2) [rad], shape (..., 2), with a taut tendon.
+
+    A tendon longer or shorter than `knee_range` allows leaves the knee at the end of its range, not reachable.
+    """
+    servo = jnp.asarray(servo)
+    q1, q2 = _angle(servo[..., 0]), servo[..., 1]
+    low, high, works = knee_range(leg, q1, routing)
+    wanted = leg.tendon_length + leg.pulley_radius * leg.servo_direction * q2
+    longest, shortest = pull(leg, q1, low, routing), pull(leg, q1, high, routing)
+    length = jnp.clip(wanted, shortest, longest)
+    if routing == "type3":
+        cosine = (length**2 - leg.l1**2 - leg.l2**2) / (2 * leg.l1 * leg.l2)
+        knee_angle = jnp.arccos(jnp.clip(cosine, jnp.cos(high), jnp.cos(low)))
+    else:
+        knee_angle = bracketed_root(lambda angle: pull(leg, q1, angle, routing) - length, low, high, slope_floor=1e-5)
+    reachable = works & (wanted >= shortest - REACH_TOLERANCE) & (wanted <= longest + REACH_TOLERANCE)
+    return LegPose(points(leg, q1, knee_angle).foot, knee_angle, reachable)
+
+
+def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
+    """Servo angles that put the foot at (y, z) from O [m], shape (..., 2): closed form for every routing.
+
+    The workspace is a ring around O, and a foot outside it is moved in along its radius (a foot at O itself hangs
+    straight down). With types 1 and 2 a knee that the tendon cannot flex at that hip angle, which happens far forward
+    or folded, goes to the nearest angle that it can hold.
+    """
+    check_routing(routing)
+    foot = jnp.asarray(foot)
+    # The result does not depend on the size of a foot that is out of reach, so its scale carries no derivative.
+    size = jnp.max(jnp.abs(foot), axis=-1, keepdims=True)
+    y, z = jnp.moveaxis(foot / jax.lax.stop_gradient(jnp.maximum(size / _FARTHEST, 1.0)), -1, 0)
+    undirected = y**2 + z**2 < _NEAREST**2
+    y, z = jnp.where(undirected, 0.0, y), jnp.where(undirected, -_NEAREST, z)
+
+    link, bend = shank(leg)
+    low, high = arm_range(leg)
+    cosine = (y**2 + z**2 - leg.l1**2 - link**2) / (2 * leg.l1 * link)
+    arm_low, arm_high = (end - leg.knee_direction * bend for end in (low, high))
+    arm = jnp.arccos(jnp.clip(cosine, jnp.cos(arm_high), jnp.cos(arm_low)))
+    knee_angle = arm + leg.knee_direction * bend
+    # Seen from O, the foot lies at q1 + atan2(across, along).
+    along, across = leg.l1 + link * jnp.cos(arm), leg.knee_direction * link * jnp.sin(arm)
+    q1 = jnp.arctan2(y * along + z * across, y * across - z * along)
+
+    tendon_low, tendon_high, works = knee_range(leg, q1, routing)
+    held = works & (knee_angle > tendon_low - 1e-5) & (knee_angle < tendon_high + 1e-5)
+    knee_angle = jnp.clip(knee_angle, tendon_low, tendon_high)
+    reached = points(leg, q1, knee_angle).foot
+    miss = jnp.max(jnp.abs(reached - jnp.stack([y, z], axis=-1)), axis=-1)
+    servo = jnp.stack([q1, knee_servo(leg, q1, knee_angle, routing)], axis=-1)
+    return LegSolution(servo, knee_angle, reached, held & (miss < REACH_TOLERANCE))
+
+
+def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2 2"]:
+    """d(y, z) / d(q1, q2) [m/rad] of the foot at servo angles of shape (..., 2); zero where the pose is saturated."""
+    servo = jnp.asarray(servo)
+    return jax.jacfwd(lambda change: forward(leg, servo + change, routing).foot)(jnp.zeros(2, servo.dtype))
+
+
+def _angle(angle: ArrayLike) -> Array:
+    return jnp.clip(jnp.asarray(angle), -_LARGEST_ANGLE, _LARGEST_ANGLE)
+
+
+def _polar(length: ArrayLike, angle: Array) -> Float[Array, "*batch 2"]:
+    """length u(angle), with u(a) = (sin a, -cos a)."""
+    return jnp.stack([length * jnp.sin(angle), -length * jnp.cos(angle)], axis=-1)

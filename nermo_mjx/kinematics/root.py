@@ -1,0 +1,57 @@
+"""Roots of monotonic scalar equations: a fixed number of safeguarded Newton steps, an implicit derivative."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+#: Newton needs about six steps here; the rest is room for bisection where it overshoots.
+STEPS: Final = 20
+
+
+def bracketed_root(
+    residual: Callable[[Array], Array], low: ArrayLike, high: ArrayLike, slope_floor: float
+) -> Float[Array, "*batch"]:
+    """The x in [low, high] with residual(x) = 0, element by element.
+
+    Args:
+        residual: elementwise and monotonic (rising or falling) in x, with values of opposite sign, or zero, at the ends.
+            It may close over traced arrays, and derivatives flow to them by the implicit function theorem.
+        low, high: ends of the bracket, of any shapes that broadcast with the residual's. The root's derivative does not
+            depend on them.
+        slope_floor: smallest slope of the residual that counts as one; keeps the derivative finite where it is flat.
+    """
+    shape = jnp.broadcast_shapes(jnp.shape(low), jnp.shape(high), jax.eval_shape(residual, jnp.asarray(low)).shape)
+    dtype = jnp.result_type(float, low, high, jax.eval_shape(residual, jnp.asarray(low)).dtype)
+    low, high = (jax.lax.stop_gradient(jnp.broadcast_to(jnp.asarray(end, dtype), shape)) for end in (low, high))
+    slack = 8 * jnp.finfo(dtype).eps
+
+    def divide(value: Array, slope: Array) -> Array:
+        return value / jnp.where(jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope)
+
+    def solve(f: Callable[[Array], Array], start: Array) -> Array:
+        rising = f(high) >= f(low)
+
+        def step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            a, b, x = state
+            value, slope = jax.jvp(f, (x,), (jnp.ones_like(x),))
+            above = jnp.where(rising, value, -value)
+            a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
+            newton = x - divide(value, slope)
+            inside = (newton >= a - slack) & (newton <= b + slack)
+            return a, b, jnp.where(inside, jnp.clip(newton, a, b), 0.5 * (a + b))
+
+        return jax.lax.fori_loop(0, STEPS, step, (low, high, start))[2]
+
+    def tangent_solve(linear: Callable[[Array], Array], value: Array) -> Array:
+        return divide(value, linear(jnp.ones_like(value)))
+
+    def broadcast_residual(x: Array) -> Array:
+        return jnp.broadcast_to(residual(x), shape).astype(dtype)
+
+    return jax.lax.custom_root(broadcast_residual, 0.5 * (low + high), solve, tangent_solve)

@@ -1,0 +1,14 @@
+"""The robot: its numbers, its assembled MuJoCo model, and the meaning of its indices."""
+
+from nermo_mjx.robot.assembly import RobotConfig, assemble, assemble_leg, assemble_spine
+from nermo_mjx.robot.interface import SERVOS, Sensors, ServoAngles
+from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.parameters import GAITS, LIMBS
+from nermo_mjx.robot.quantity import ParameterError, Quantity
+from nermo_mjx.robot.robot import JointIndex, Robot, load_robot
+
+__all__ = [
+    "GAITS", "LIMBS", "SERVOS", "JointIndex", "MassModel", "ModelParameters", "ParameterError", "Quantity", "Robot",
+    "RobotConfig", "Sensors", "ServoAngles", "assemble", "assemble_leg", "assemble_spine", "load_robot",
+]  # fmt: skip

@@ -1,0 +1,84 @@
+"""What passes between controller and robot: sensor readings in, servo angles out."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from nermo_mjx.robot.parameters import LIMBS
+
+#: Actuators of the robot in the order of `ctrl`; the tail servo exists only with the articulated tail.
+SERVOS: Final = (*(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail")
+
+#: Range of each servo [rad], by kind of servo. A knee's is what its tendon can follow: the wrap stays between 40 and 175
+#: degrees.
+SERVO_RANGE: Final = {
+    "hip": (-1.6, 1.6), "front_knee": (-1.25, 1.25), "rear_knee": (-0.8, 1.55), "spine": (-0.6, 0.6), "neck": (-1.0, 1.0),
+    "tail": (-1.0, 1.0),
+}  # fmt: skip
+
+
+def servo_range(servo: str) -> tuple[float, float]:
+    """The range of one of `SERVOS` [rad]; commands outside it saturate."""
+    kind = servo.replace("left_", "").replace("right_", "")
+    return SERVO_RANGE["hip" if kind.endswith("hip") else kind]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ServoAngles:
+    """Commanded servo angles [rad], in the published servo convention.
+
+    Attributes:
+        hip: q1 of each limb, 0 straight down, positive swings the leg backward.
+        knee: q2 of each limb, the angle of the pulley.
+        spine: positive turns left.
+        neck: positive looks left.
+        tail: positive bends the tail's tip to the left.
+    """
+
+    hip: Float[Array, "*batch 4"]
+    knee: Float[Array, "*batch 4"]
+    spine: Float[Array, "*batch"]
+    neck: Float[Array, "*batch"]
+    tail: Float[Array, "*batch"]
+
+    def vector(self, n_servos: int) -> Float[Array, "*batch n"]:
+        """The `ctrl` vector of a model with `n_servos` actuators, in the order of `SERVOS`."""
+        single = jnp.stack([self.spine, self.neck, self.tail], axis=-1)
+        return jnp.concatenate([self.hip, self.knee, single], axis=-1)[..., :n_servos]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Sensors:
+    """Readings of the robot's sensors, as the physics left them before its last substep.
+
+    Attributes:
+        position: IMU in the world [m].
+        orientation: IMU quaternion (w, x, y, z); the identity is upright, heading -y.
+        linear_velocity: of the IMU in the world [m/s].
+        gyro: angular velocity in the IMU's frame [rad/s].
+        accelerometer: in the IMU's frame [m/s^2].
+        servo_angle, servo_velocity, servo_torque: in the order of `SERVOS` [rad, rad/s, N m].
+        knee_angle: theta_1 of each limb, 0 stretched [rad].
+        foot_force: normal contact force of each foot [N].
+        foot_position, foot_velocity: of each foot H in the world [m, m/s] (for metrics, not for the controller).
+    """
+
+    position: Float[Array, "*batch 3"]
+    orientation: Float[Array, "*batch 4"]
+    linear_velocity: Float[Array, "*batch 3"]
+    gyro: Float[Array, "*batch 3"]
+    accelerometer: Float[Array, "*batch 3"]
+    servo_angle: Float[Array, "*batch n"]
+    servo_velocity: Float[Array, "*batch n"]
+    servo_torque: Float[Array, "*batch n"]
+    knee_angle: Float[Array, "*batch 4"]
+    foot_force: Float[Array, "*batch 4"]
+    foot_position: Float[Array, "*batch 4 3"]
+    foot_velocity: Float[Array, "*batch 4 3"]

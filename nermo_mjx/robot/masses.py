@@ -1,0 +1,90 @@
+"""Masses of Nermo-Lite, part by part: 270 g, shared 61/39 between front and rear.
+
+The thesis gives 225 g and 60 g beside a total of 270 g; with them the centre of mass lies on the crossing of the two
+stability diagonals, which contradicts the published balance results (erratum 9). The author's compiled model has
+61 % before the spine. The parts below have that share, and together the published centres of mass of front and rear
+(Table A.5): (0, -0.0317, -0.0270) from the spine base and (0, 0.0310, -0.0160) from the spine end.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Final
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One rigid part of the robot.
+
+    Attributes:
+        mass: [kg].
+        com: centre of mass in the part's frame [m] (see `PARTS`).
+        half_size: half the edges of the box of even density whose inertia the part has [m].
+        site: reference frame of `com` if it is not the body's own: a site of that body.
+    """
+
+    mass: float
+    com: tuple[float, float, float]
+    half_size: tuple[float, float, float]
+    site: str | None = None
+
+    @property
+    def inertia(self) -> tuple[float, float, float]:
+        """Principal moments of inertia of the box [kg m^2]."""
+        a, b, c = (edge**2 for edge in self.half_size)
+        return self.mass / 3 * (b + c), self.mass / 3 * (a + c), self.mass / 3 * (a + b)
+
+
+#: Parts before the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
+TORSO: Final = Part(0.13160, (0.0, -0.01938, -0.03179), (0.026, 0.036, 0.016))
+HEAD: Final = Part(0.02310, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
+
+#: Parts behind the spine. Hip: frame of the spine end; includes the servos of spine, tail and rear legs, and the tail's base.
+HIP: Final = Part(0.08230, (0.0, 0.02671, -0.02146), (0.030, 0.014, 0.012), site="end")
+TAIL_SEGMENT: Final = Part(0.00050, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
+TAIL_PULLEY: Final = Part(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))
+
+#: Skeleton of the spine: the first two vertebrae are counted to the front, the third to the rear.
+VERTEBRA: Final = Part(0.00100, (0.0070, 0.0, 0.0), (0.005, 0.007, 0.005))
+
+PULLEY: Final = Part(0.00200, (0.0, 0.0, 0.0), (0.0010, 0.0056, 0.0056))
+SPINE_PULLEY: Final = Part(0.00200, (0.0, 0.0, 0.0), (0.0046, 0.0046, 0.0015))
+FRONT_UPPER: Final = Part(0.00090, (0.0, 0.0, -0.0148), (0.002, 0.002, 0.0148))
+FRONT_LOWER: Final = Part(0.00070, (0.0, 0.0, -0.0112), (0.002, 0.002, 0.0112))
+FRONT_FOOT: Final = Part(0.00040, (0.0, 0.0, -0.0080), (0.002, 0.002, 0.0072))
+REAR_UPPER: Final = Part(0.00130, (0.0, 0.0, -0.0158), (0.002, 0.002, 0.0158))
+REAR_LOWER: Final = Part(0.00110, (0.0, 0.0, -0.0152), (0.002, 0.002, 0.0152))
+REAR_FOOT: Final = Part(0.00060, (0.0, 0.0, -0.0110), (0.002, 0.002, 0.0103))
+
+#: Part of every moving body, keyed by the body's name without its side and number.
+PARTS: Final[dict[str, Part]] = {
+    "torso": TORSO,
+    "head": HEAD,
+    "spine_vertebra": VERTEBRA,
+    "spine_hip": HIP,
+    "spine_pulley": SPINE_PULLEY,
+    "front_pulley": PULLEY,
+    "front_upper": FRONT_UPPER,
+    "front_lower": FRONT_LOWER,
+    "front_foot": FRONT_FOOT,
+    "rear_pulley": PULLEY,
+    "rear_upper": REAR_UPPER,
+    "rear_lower": REAR_LOWER,
+    "rear_foot": REAR_FOOT,
+    "tail_pulley": TAIL_PULLEY,
+    "tail_segment": TAIL_SEGMENT,
+}
+
+#: Bodies counted to the front mass; every other moving body is counted to the rear.
+FRONT_PARTS: Final = ("torso", "head", "front_", "spine_vertebra_1", "spine_vertebra_2")
+
+
+def part_of(body: str) -> Part:
+    """The part a body stands for, by the body's name (`front_left_upper` is the part `front_upper`)."""
+    key = body.replace("left_", "").replace("right_", "").rstrip("_0123456789")
+    return PARTS[key]
+
+
+def is_front(body: str) -> bool:
+    """Whether a body is counted to the front mass."""
+    return body.startswith(FRONT_PARTS)

@@ -1,0 +1,71 @@
+"""Parameters of the robot's body that a sweep may vary within one batch: servos, contact, stiffness, damping, mass.
+
+Defaults are those of the published robot, or of the prototype named in docs/model.md where the thesis is silent.
+`physics.variation` writes them into model fields.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nermo_mjx.robot.quantity import group, parameter_tree, quantity
+
+
+@parameter_tree
+class Servo:
+    """All position servos (Power HD-DSM44 at 6 V)."""
+
+    kp: Any = quantity(6.3, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain")
+    kv: Any = quantity(0.03, unit="N m s/rad", low=0.0, high=5.0, doc="velocity damping of the servo loop")
+    torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
+
+
+@parameter_tree
+class Contact:
+    """Rubber sole on a mat; the impedance grows from zero with depth (continuous onset)."""
+
+    friction: Any = quantity(1.0, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
+    time_constant: Any = quantity(0.006, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
+    damping_ratio: Any = quantity(1.0, unit="1", low=0.1, high=10.0, doc="solref damping ratio")
+    impedance: Any = quantity(0.95, unit="1", low=0.1, high=0.9999, doc="solimp at full depth")
+    width: Any = quantity(0.001, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
+
+
+@parameter_tree
+class Stiffness:
+    """Torsion springs of the compliant joints (Table A.1)."""
+
+    front_knee: Any = quantity(0.135, unit="N m/rad", low=0.01, high=2.0, doc="front knee spring")
+    rear_knee: Any = quantity(0.19, unit="N m/rad", low=0.01, high=2.0, doc="rear knee spring")
+    ankle: Any = quantity(0.1, unit="N m/rad", low=0.01, high=2.0, doc="ankle spring")
+    spine: Any = quantity(1.2, unit="N m/rad", low=0.1, high=20.0, doc="each lateral spine joint")
+
+
+@parameter_tree
+class Damping:
+    """Viscous damping of the joints."""
+
+    hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
+    knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    ankle: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
+    spine: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
+    pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of the knee and spine servos")
+
+
+@parameter_tree
+class Mass:
+    """Mass of everything before and behind the spine; parts keep their shares, inertias scale along."""
+
+    front: Any = quantity(0.1647, unit="kg", low=0.05, high=0.5, doc="torso, head, front legs and half the spine")
+    rear: Any = quantity(0.1053, unit="kg", low=0.03, high=0.5, doc="hip, rear legs, tail and half the spine")
+
+
+@parameter_tree
+class ModelParameters:
+    """All body parameters; every leaf may carry leading batch axes."""
+
+    servo: Servo = group(Servo)
+    contact: Contact = group(Contact)
+    stiffness: Stiffness = group(Stiffness)
+    damping: Damping = group(Damping)
+    mass: Mass = group(Mass)

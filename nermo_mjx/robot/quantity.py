@@ -1,0 +1,173 @@
+"""Physical quantities: array fields of a parameter tree, each with its unit, default, range and meaning.
+
+A parameter tree is a frozen dataclass registered as a JAX pytree whose leaves are declared with `quantity`. The
+declaration is the only place where a parameter's unit and range stand: validation, `--list-parameters` and the
+metadata of result tables read them from here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar, dataclass_transform
+
+import jax
+import numpy as np
+
+T = TypeVar("T")
+
+
+class ParameterError(ValueError):
+    """A parameter outside what is allowed; the message names the field, its value and the allowed range."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """What is known about one parameter.
+
+    Attributes:
+        default: value of the published robot, a float or a tuple (one number for each of `labels`).
+        unit: SI unit, "rad", or "1" for a pure number.
+        low, high: the allowed range; `open_low`/`open_high` exclude the bound itself.
+        doc: one line on what it means.
+        labels: names of the components of a vector quantity; empty for a scalar.
+    """
+
+    default: float | tuple[float, ...]
+    unit: str
+    low: float
+    high: float
+    doc: str
+    open_low: bool = False
+    open_high: bool = False
+    labels: tuple[str, ...] = ()
+
+    def allowed(self) -> str:
+        """The allowed range in words, for error messages and listings."""
+        left = "(" if self.open_low or math.isinf(self.low) else "["
+        right = ")" if self.open_high or math.isinf(self.high) else "]"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{left}{self.low:g}, {self.high:g}{right}{unit}"
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise `ParameterError` unless every number in `value` is finite and in range."""
+        try:
+            numbers = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            raise ParameterError(f"{name} is {value!r}: expected a number in {self.allowed()}.") from None
+        below = numbers <= self.low if self.open_low else numbers < self.low
+        above = numbers >= self.high if self.open_high else numbers > self.high
+        bad = ~np.isfinite(numbers) | below | above
+        if bad.any():
+            worst = numbers[bad].flat[0]
+            raise ParameterError(f"{name} is {worst:g}: allowed is {self.allowed()}.")
+
+
+def quantity(
+    default: float | tuple[float, ...],
+    *,
+    unit: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    doc: str,
+    open_low: bool = False,
+    open_high: bool = False,
+    labels: tuple[str, ...] = (),
+) -> Any:
+    """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments."""
+    about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
+    value = np.asarray(default, dtype=np.float64)
+    return dataclasses.field(default_factory=lambda: value, metadata={"quantity": about})
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(quantity, dataclasses.field))
+def parameter_tree(cls: type[T]) -> type[T]:
+    """Class decorator: a frozen, keyword-only dataclass that is a JAX pytree."""
+    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, kw_only=True)(cls))
+
+
+def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
+    """Yield (dotted name, quantity) of every scalar parameter of a tree (or tree class), in order.
+
+    A vector quantity yields one entry a component, `name.label`. A sub-tree contributes its field name as prefix.
+    """
+    for name, about, component in _walk(tree, prefix):
+        if component is None:
+            yield name, about
+        else:
+            assert isinstance(about.default, tuple)
+            yield name, dataclasses.replace(about, default=about.default[component], labels=())
+
+
+def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
+    """A copy of `tree` with the named quantities replaced (names as `quantities` yields them).
+
+    A value may be a number, a numpy array or a traced array, of any batch shape; a component of a vector quantity is
+    written into the last axis. Nothing is checked: see `check_quantities`.
+    """
+    unknown = set(values) - {name for name, _ in quantities(tree)}
+    if unknown:
+        raise ParameterError(f"{sorted(unknown)[0]} is not a parameter.")
+    return _replace(tree, values, "")
+
+
+def check_quantities(tree: Any, prefix: str = "") -> None:
+    """Raise `ParameterError` if any quantity of the tree is not finite or out of range."""
+    for field in dataclasses.fields(tree):
+        value, about = getattr(tree, field.name), field.metadata.get("quantity")
+        if about is not None:
+            about.check(prefix + field.name, value)
+        elif dataclasses.is_dataclass(value):
+            check_quantities(value, prefix + _prefix(field))
+
+
+def _prefix(field: dataclasses.Field[Any]) -> str:
+    # A sub-tree marked `flat` stands at the top of the name space: `frequency`, not `gait.frequency`.
+    return "" if field.metadata.get("flat") else field.name + "."
+
+
+def _walk(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, int | None]]:
+    for field in dataclasses.fields(tree):
+        about = field.metadata.get("quantity")
+        if about is None:
+            sub = getattr(tree, field.name, None) or field.default_factory  # type: ignore[misc]
+            yield from _walk(sub, prefix + _prefix(field))
+        elif about.labels:
+            for i, label in enumerate(about.labels):
+                yield f"{prefix}{field.name}.{label}", about, i
+        else:
+            yield prefix + field.name, about, None
+
+
+def _replace(tree: Any, values: Mapping[str, Any], prefix: str) -> Any:
+    changes: dict[str, Any] = {}
+    for field in dataclasses.fields(tree):
+        about, value = field.metadata.get("quantity"), getattr(tree, field.name)
+        if about is None:
+            changes[field.name] = _replace(value, values, prefix + _prefix(field))
+        elif about.labels:
+            changes[field.name] = _replace_components(value, about.labels, values, f"{prefix}{field.name}.")
+        elif prefix + field.name in values:
+            changes[field.name] = values[prefix + field.name]
+    return dataclasses.replace(tree, **changes)
+
+
+def _replace_components(value: Any, labels: tuple[str, ...], values: Mapping[str, Any], prefix: str) -> Any:
+    if not any(prefix + label in values for label in labels):
+        return value
+    parts = [values.get(prefix + label, value[..., i]) for i, label in enumerate(labels)]
+    traced = any(isinstance(part, jax.Array) for part in parts)
+    stack: Callable[..., Any] = jax.numpy.stack if traced else np.stack
+    broadcast: Callable[..., Any] = jax.numpy.broadcast_arrays if traced else np.broadcast_arrays
+    return stack(broadcast(*parts), axis=-1)
+
+
+def flat(sub: type[T]) -> Any:
+    """Declare a sub-tree whose quantities are named without the field's name (`frequency`, not `gait.frequency`)."""
+    return dataclasses.field(default_factory=sub, metadata={"flat": True})
+
+
+def group(sub: type[T]) -> Any:
+    """Declare a sub-tree whose quantities are named `field.quantity`."""
+    return dataclasses.field(default_factory=sub)

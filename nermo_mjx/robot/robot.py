@@ -1,0 +1,172 @@
+"""The assembled robot: its compiled model, and the ids behind the names, resolved once."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from nermo_mjx.robot.assembly import RobotConfig, assemble
+from nermo_mjx.robot.interface import Sensors
+from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot.parameters import LIMBS
+
+
+@dataclasses.dataclass(frozen=True)
+class JointIndex:
+    """Addresses in `qpos` of the robot's named groups of joints.
+
+    Attributes:
+        root: address of the root's position (3) and quaternion (4).
+        hip, knee, ankle, pulley: one for each limb.
+        spine: the four lateral joints, front to rear.
+        spine_pulley, neck: single joints.
+        tail: its joints, empty for the rigid tail; tail_pulley likewise.
+    """
+
+    root: int
+    hip: tuple[int, ...]
+    knee: tuple[int, ...]
+    ankle: tuple[int, ...]
+    pulley: tuple[int, ...]
+    spine: tuple[int, ...]
+    spine_pulley: int
+    neck: int
+    tail: tuple[int, ...]
+    tail_pulley: tuple[int, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot in a scene.
+
+    Attributes:
+        config: what was built.
+        spec: the editable specification it was compiled from.
+        model: the compiled model; treat it as read-only, variation is `physics.variation`'s.
+        joints: addresses in `qpos`.
+    """
+
+    config: RobotConfig
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    joints: JointIndex
+
+    @property
+    def n_servos(self) -> int:
+        """Number of servos, the length of `ctrl`."""
+        return self.model.nu
+
+    @functools.cached_property
+    def _sensor_slices(self) -> dict[str, slice]:
+        model, n = self.model, self.model.nu
+        start = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
+        servo = model.actuator(0).name
+        return {
+            "position": slice(start["position"], start["position"] + 3),
+            "orientation": slice(start["orientation"], start["orientation"] + 4),
+            "linear_velocity": slice(start["linear_velocity"], start["linear_velocity"] + 3),
+            "gyro": slice(start["gyro"], start["gyro"] + 3),
+            "accelerometer": slice(start["accelerometer"], start["accelerometer"] + 3),
+            "servo_angle": slice(start[f"{servo}_angle"], start[f"{servo}_angle"] + n),
+            "servo_velocity": slice(start[f"{servo}_velocity"], start[f"{servo}_velocity"] + n),
+            "servo_torque": slice(start[f"{servo}_torque"], start[f"{servo}_torque"] + n),
+            "knee_angle": slice(start["front_left_knee_angle"], start["front_left_knee_angle"] + 4),
+            "foot_force": slice(start["front_left_foot_force"], start["front_left_foot_force"] + 4),
+            "foot_position": slice(start["front_left_foot_position"], start["front_left_foot_position"] + 12),
+            "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
+        }
+
+    def sensors(self, sensordata: Float[Array, "*batch n"]) -> Sensors:
+        """Read MuJoCo's `sensordata` by meaning; leading axes are kept."""
+        data = jnp.asarray(sensordata)
+        parts = {name: data[..., span] for name, span in self._sensor_slices.items()}
+        for name in ("foot_position", "foot_velocity"):
+            parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
+        return Sensors(**parts)
+
+    @functools.cached_property
+    def mass_model(self) -> MassModel:
+        """Masses and centres of mass before and behind the spine, of the standing robot."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, data)
+        front = np.array([is_front(self.model.body(i).name) for i in range(1, self.model.nbody)])
+        mass, com = self.model.body_mass[1:], data.xipos[1:]
+        base, end = data.body("torso"), data.site("spine_end")
+
+        def share(chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
+            total = float(mass[chosen].sum())
+            return total, rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
+
+        front_mass, front_com = share(front, base.xpos, base.xmat)
+        rear_mass, rear_com = share(~front, end.xpos, end.xmat)
+        return MassModel(front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com)
+
+    def mass_table(self) -> list[dict[str, float | str]]:
+        """Mass of every body [kg], and whether it counts to the front or the rear."""
+        return [
+            {"body": body.name, "group": "front" if is_front(body.name) else "rear", "mass": float(body.mass[0])}
+            for body in (self.model.body(i) for i in range(1, self.model.nbody))
+        ]
+
+    def to_xml(self) -> str:
+        """One self-contained MJCF of the assembled robot and its scene."""
+        return self.spec.to_xml()
+
+    @functools.cached_property
+    def fingerprint(self) -> str:
+        """Hash of the compiled model, to recognise the model a recording was made with."""
+        buffer = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(buffer.tobytes()).hexdigest()[:16]
+
+
+@functools.lru_cache(maxsize=8)
+def _load(config: RobotConfig) -> Robot:
+    spec = assemble(config)
+    model = spec.compile()
+    return Robot(config, spec, model, _joint_index(model))
+
+
+def load_robot(
+    robot: str = "nermo_lite",
+    scene: str = "flat",
+    tail: str = "rigid",
+    routing: str = "type3",
+    cone: str = "elliptic",
+    timestep: float = 0.002,
+) -> Robot:
+    """Assemble and compile a robot in a scene; the same arguments give the same object.
+
+    Args: see `RobotConfig`.
+
+    Raises:
+        ParameterError: an unknown name.
+    """
+    return _load(RobotConfig(robot, scene, tail, routing, cone, timestep))
+
+
+def _joint_index(model: mujoco.MjModel) -> JointIndex:
+    address = {model.joint(i).name: int(model.jnt_qposadr[i]) for i in range(model.njnt)}
+
+    def limbs(joint: str) -> tuple[int, ...]:
+        return tuple(address[f"{limb}_{joint}"] for limb in LIMBS)
+
+    return JointIndex(
+        root=address["root"],
+        hip=limbs("hip"),
+        knee=limbs("knee"),
+        ankle=limbs("ankle"),
+        pulley=limbs("pulley"),
+        spine=tuple(address[f"spine_joint_{i}"] for i in range(1, 5)),
+        spine_pulley=address["spine_pulley"],
+        neck=address["neck"],
+        tail=tuple(at for name, at in address.items() if name.startswith("tail_joint")),
+        tail_pulley=tuple(at for name, at in address.items() if name == "tail_pulley"),
+    )

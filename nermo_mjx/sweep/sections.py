@@ -1,0 +1,176 @@
+"""The sections of a sweep file, one reader each: setup and pilot, run, sampler, fixed, varied and drawn parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from nermo_mjx.robot.quantity import ParameterError, Quantity
+from nermo_mjx.rollout import Run, Setup
+from nermo_mjx.sweep.axes import Axis, Draw, check_value, read_axis, read_draw, read_number
+from nermo_mjx.sweep.reading import Document, FieldPath, describe, nearest
+
+SETUP_FIELDS = ("robot", "scene", "tail", "gait", "spine", "steering", "profile", "trajectory")
+SAMPLERS = ("grid", "sobol", "latin_hypercube")
+#: Options of the pilots, and the parameter each one sets (None: the distance is an end of the run).
+PILOT_OPTIONS: dict[str, dict[str, str | None]] = {
+    "straight": {"distance": None},
+    "arc": {"radius": "pilot.radius", "direction": "pilot.direction"},
+    "open_loop": {"turn_rate": "pilot.turn_rate"},
+}
+
+
+def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
+    """The static choices, each one tried on its own so that a message names its line."""
+    choices: dict[str, str] = {}
+    for field in (*SETUP_FIELDS, "pilot"):
+        if field not in doc.data:
+            continue
+        value, path = doc.data[field], (field,)
+        if field == "pilot" and isinstance(value, dict) and len(value) == 1:
+            value, path = next(iter(value)), (field, next(iter(value)))
+        if not isinstance(value, str):
+            expected = "a name or {name: {option: value}}" if field == "pilot" else "a name"
+            doc.fail(path, f"is {describe(value)}: expected {expected}.", field)
+        choices[field] = value
+        try:
+            Setup(**{field: value})
+        except ParameterError as error:
+            message = str(error).removeprefix(f"{field} ")
+            allowed = message.rpartition("one of ")[2].rstrip(".").split(", ")
+            doc.fail(path, message.rstrip(".") + nearest(value, allowed), field)
+    try:
+        setup = Setup(**choices)  # type: ignore[arg-type]
+    except ParameterError as error:
+        doc.fail((), str(error))
+    return setup, _read_pilot_options(doc, setup.pilot)
+
+
+def _read_pilot_options(doc: Document, pilot: str) -> dict[str, float]:
+    given = doc.data.get("pilot")
+    options = given[pilot] if isinstance(given, dict) else None
+    if options is None:
+        return {}
+    path, allowed = ("pilot", pilot), PILOT_OPTIONS.get(pilot, {})
+    if not isinstance(options, dict):
+        doc.fail(path, f"is {describe(options)}: expected a mapping of {', '.join(allowed) or 'nothing'}.")
+    for key in options:
+        if key not in allowed:
+            known = f"allowed are {', '.join(allowed)}" if allowed else "it has none"
+            doc.fail((*path, key), f"is not an option of the pilot '{pilot}'; {known}{nearest(key, allowed)}")
+    sides = {"left": 1.0, "right": -1.0}
+    values = {
+        key: sides[value] if key == "direction" and value in sides else read_number(doc, (*path, key), value)
+        for key, value in options.items()
+    }
+    if not 0 < values.get("distance", 1.0) < math.inf:
+        doc.fail((*path, "distance"), f"is {values['distance']:g}: it must be above 0 m and finite.")
+    return values
+
+
+def read_run(doc: Document, pilot: Mapping[str, float]) -> Run:
+    fields = {"cycles": "warmup_cycles", "duration": "warmup"}
+    names = (*fields, *fields.values())
+    given = _mapping(doc, "run")
+    for key in given:
+        if key not in names:
+            doc.fail(("run", key), f"is not a field of a run; allowed are {', '.join(names)}{nearest(key, names)}")
+    values = {key: read_number(doc, ("run", key), value) for key, value in given.items()}
+    for key, value in values.items():
+        if not math.isfinite(value) or value < 0 or (value == 0 and key in fields):
+            doc.fail(("run", key), f"is {value:g}: it must be {'above 0' if key in fields else '0 or more'} and finite.")
+    if {"cycles", "warmup_cycles"} & set(values) and {"duration", "warmup"} & set(values):
+        doc.fail(("run",), "counts both cycles and seconds: give cycles and warmup_cycles, or duration and warmup.")
+    if "warmup" in values and "duration" not in values:
+        doc.fail(("run", "warmup"), "needs a duration beside it.")
+    distance = {"distance": pilot["distance"]} if "distance" in pilot else {}
+    try:
+        run = Run(**values, **distance)  # type: ignore[arg-type]
+    except ParameterError as error:
+        doc.fail(("run",), f"is refused: {error}")
+    end, warmup = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
+    total, before = getattr(run, end), getattr(run, warmup)
+    if before >= total:
+        key = warmup if warmup in values else end
+        doc.fail(("run", key), f"leaves nothing to measure: {warmup} is {before:g} and {end} is {total:g}, which must "
+                               "be longer.")  # fmt: skip
+    return run
+
+
+def read_sampler(doc: Document) -> tuple[str, int]:
+    """The sampler, and its number of variants (0 for a grid)."""
+    value = doc.data.get("sample", "grid")
+    if value == "grid":
+        return "grid", 0
+    expected = "expected grid, {sobol: N} or {latin_hypercube: N}"
+    if not isinstance(value, dict) or len(value) != 1:
+        doc.fail(("sample",), f"is {describe(value)}: {expected}.")
+    name = next(iter(value))
+    if name not in SAMPLERS[1:]:
+        doc.fail(("sample", name), f"is not a sampler: {expected}{nearest(name, SAMPLERS[1:])}")
+    return name, read_whole(doc, ("sample", name), 1, 10_000_000)
+
+
+def read_fixed(doc: Document, parameters: Mapping[str, Quantity]) -> dict[str, float]:
+    """The parameters under `set`."""
+    values = {}
+    for name, value in _named(doc, "set", parameters):
+        values[name] = read_number(doc, ("set", name), value, name)
+        check_value(doc, ("set", name), name, parameters[name], values[name])
+    return values
+
+
+def read_axes(doc: Document, parameters: Mapping[str, Quantity], *, grid: bool) -> tuple[Axis, ...]:
+    """The parameters under `vary`, in the order of the file."""
+    return tuple(
+        read_axis(doc, name, value, parameters[name], grid=grid) for name, value in _named(doc, "vary", parameters)
+    )
+
+
+def read_draws(doc: Document, parameters: Mapping[str, Quantity]) -> tuple[int, tuple[Draw, ...]]:
+    """The number of repeats, and the parameters under `randomize`."""
+    given = _mapping(doc, "randomize")
+    repeats = read_whole(doc, ("randomize", "repeats"), 1, 100_000) if "repeats" in given else 1
+    named = _named(doc, "randomize", parameters, besides=("repeats",))
+    return repeats, tuple(read_draw(doc, name, value, parameters[name]) for name, value in named)
+
+
+def read_whole(doc: Document, path: FieldPath, low: int, high: int) -> int:
+    """A whole number within bounds."""
+    value: Any = doc.data
+    for key in path:
+        value = value[key]
+    number = read_number(doc, path, value)
+    if not low <= number <= high or number != int(number):
+        doc.fail(path, f"is {number:g}: expected a whole number from {low} to {high:,}.")
+    return int(number)
+
+
+def _named(
+    doc: Document, section: str, parameters: Mapping[str, Quantity], besides: tuple[str, ...] = ()
+) -> Iterator[tuple[str, Any]]:
+    """The entries of a section whose keys are parameter names."""
+    for name, value in _mapping(doc, section).items():
+        if name in besides:
+            continue
+        if name not in parameters:
+            doc.fail((section, name), f"is not a parameter; {_allowed(name, parameters)}{nearest(name, parameters)}", name)
+        yield name, value
+
+
+def _allowed(name: str, parameters: Mapping[str, Quantity]) -> str:
+    """The allowed names near an unknown one: those of its group, or of the top level and the groups."""
+    group = name.rpartition(".")[0]
+    mates = [other for other in parameters if group and other.startswith(f"{group}.")]
+    if not mates:
+        mates = [other for other in parameters if "." not in other]
+        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in parameters if "." in other)
+    return f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
+
+
+def _mapping(doc: Document, section: str) -> dict[str, Any]:
+    value = doc.data.get(section, {})
+    if not isinstance(value, dict):
+        doc.fail((section,), f"is {describe(value)}: expected a mapping.")
+    return value

@@ -1,0 +1,199 @@
+"""What a sweep is: the checked content of a sweep file. Everything wrong with it is said here, before work begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+from collections.abc import Mapping
+from typing import Any
+
+from nermo_mjx.robot.quantity import Quantity
+from nermo_mjx.rollout import Run, Setup, all_parameters
+from nermo_mjx.sweep import sections
+from nermo_mjx.sweep.axes import Axis, Draw, check_value
+from nermo_mjx.sweep.reading import Document, describe, dump, nearest, read_file, read_mapping, read_text
+from nermo_mjx.sweep.sections import PILOT_OPTIONS, SETUP_FIELDS
+
+#: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
+START_SPREAD = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
+LARGEST_SWEEP = 10_000_000
+
+_FIELDS = (*SETUP_FIELDS, "pilot", "run", "set", "vary", "sample", "randomize", "seed", "chunk", "plots")
+#: Parameters that nothing reads unless a choice of the setup turns them on.
+_NEEDS = {
+    "spine.amplitude": ("spine", "stride_extension"),
+    "spine.phase": ("spine", "stride_extension"),
+    "spine.balance_lift": ("spine", "balance"),
+    "pilot.turn_rate": ("pilot", "open_loop"),
+    "pilot.radius": ("pilot", "arc"),
+    "pilot.direction": ("pilot", "arc"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """A checked sweep. Build it with `from_file`, `from_text` or `from_dict`.
+
+    Attributes:
+        setup: the static choices: robot, scene, gait, spine mode, pilot.
+        run: how long each run lasts, and how much of it is warm-up.
+        fixed: parameters set to one value for all variants (`set`).
+        pilot: options of the pilot, as given.
+        axes: varied parameters in the order of the file.
+        sampler, samples: "grid", or a sampler and its number of variants.
+        draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
+        seed: makes samples and draws repeatable.
+        chunk: rows run and stored together; None lets the runner choose.
+        plots: whether figures are drawn when the table is complete.
+    """
+
+    setup: Setup
+    run: Run
+    fixed: Mapping[str, float]
+    pilot: Mapping[str, float]
+    axes: tuple[Axis, ...]
+    sampler: str
+    samples: int
+    draws: tuple[Draw, ...]
+    repeats: int
+    seed: int = 0
+    chunk: int | None = None
+    plots: bool = True
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Sweep:
+        """Read a YAML sweep file; raises `SpecError`."""
+        return _read(read_file(path))
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "sweep") -> Sweep:
+        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        return _read(read_text(text, source))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Sweep:
+        """Read a dict with the fields of a sweep file; raises `SpecError`."""
+        return _read(read_mapping(data))
+
+    @property
+    def variants(self) -> int:
+        """The number of variants, before repeats."""
+        return math.prod(len(axis.values()) for axis in self.axes) if self.sampler == "grid" else self.samples
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Every parameter with one value for all variants: `set` and the pilot's options."""
+        options = PILOT_OPTIONS.get(self.setup.pilot, {})
+        return dict(self.fixed) | {name: self.pilot[key] for key, name in options.items() if name and key in self.pilot}
+
+    @property
+    def parameters(self) -> dict[str, Quantity]:
+        """Every parameter that this setup has, by name."""
+        return all_parameters(self.setup)
+
+    def resolved(self) -> dict[str, Any]:
+        """The sweep with all defaults written out; it reads back as the same sweep."""
+        pilot = self.setup.pilot
+        data: dict[str, Any] = {field: getattr(self.setup, field) for field in SETUP_FIELDS}
+        data["pilot"] = {pilot: dict(self.pilot)} if self.pilot else pilot
+        data["run"] = _run_fields(self.run)
+        data["set"] = dict(self.fixed)
+        data["vary"] = {axis.name: axis.written() for axis in self.axes}
+        data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
+        data["randomize"] = {"repeats": self.repeats} | {draw.name: draw.written() for draw in self.draws}
+        data["seed"] = self.seed
+        if self.chunk is not None:
+            data["chunk"] = self.chunk
+        data["plots"] = self.plots
+        return data
+
+    def to_yaml(self) -> str:
+        """The resolved sweep as a sweep file."""
+        return dump(self.resolved())
+
+    def digest(self) -> str:
+        """A hash of all that decides the rows of the table: the sweep and the defaults of what it does not name.
+
+        How rows are cut into chunks, and whether figures are drawn, does not count.
+        """
+        rows = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots")}
+        defaults = {name: about.default for name, about in self.parameters.items()}
+        return hashlib.sha256(json.dumps([rows, defaults]).encode()).hexdigest()[:16]
+
+
+def _read(doc: Document) -> Sweep:
+    data = doc.data
+    setup, pilot = sections.read_setup(doc)
+    parameters = all_parameters(setup)
+    for key in data:
+        if key in parameters and key not in _FIELDS:
+            doc.fail((key,), "is a parameter, not a field of a sweep: put it under 'vary', 'set' or 'randomize'.")
+        if key not in _FIELDS:
+            doc.fail((key,), f"is not a field of a sweep; allowed are {', '.join(_FIELDS)}{nearest(key, _FIELDS)}")
+    sampler, samples = sections.read_sampler(doc)
+    repeats, draws = sections.read_draws(doc, parameters)
+    if not isinstance(data.get("plots", True), bool):
+        doc.fail(("plots",), f"is {describe(data['plots'])}: expected true or false.")
+    sweep = Sweep(
+        setup=setup,
+        run=sections.read_run(doc, pilot),
+        fixed=sections.read_fixed(doc, parameters),
+        pilot=pilot,
+        axes=sections.read_axes(doc, parameters, grid=sampler == "grid"),
+        sampler=sampler,
+        samples=samples,
+        draws=draws,
+        repeats=repeats,
+        seed=sections.read_whole(doc, ("seed",), 0, 2**53) if "seed" in data else 0,
+        chunk=sections.read_whole(doc, ("chunk",), 1, LARGEST_SWEEP) if "chunk" in data else None,
+        plots=data.get("plots", True),
+    )
+    _check_together(doc, sweep)
+    return sweep if repeats == 1 else dataclasses.replace(sweep, draws=(*draws, *_start_draws(sweep)))
+
+
+def _check_together(doc: Document, sweep: Sweep) -> None:
+    """What no field shows on its own: a parameter with two sources, or with no effect, and a sweep too large or empty."""
+    parameters, sources = sweep.parameters, {name: f"set by 'pilot.{sweep.setup.pilot}'" for name in sweep.constants}
+    sources |= dict.fromkeys(sweep.fixed, "fixed under 'set'")
+    for section, entries in (("vary", sweep.axes), ("randomize", sweep.draws)):
+        for name in (entry.name for entry in entries):
+            if name in sources:
+                doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
+            sources[name] = f"under '{section}'"
+            choice, wanted = _NEEDS.get(name, ("", ""))
+            if choice and wanted not in (chosen := getattr(sweep.setup, choice)).split("+"):
+                doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
+                                          f"{chosen}.", name)  # fmt: skip
+    for key, name in PILOT_OPTIONS.get(sweep.setup.pilot, {}).items():
+        if name and key in sweep.pilot:
+            if name in sweep.fixed:
+                doc.fail(("set", name), f"is under 'set' and also set by 'pilot.{sweep.setup.pilot}.{key}': give it "
+                                        "one source.", name)  # fmt: skip
+            check_value(doc, ("pilot", sweep.setup.pilot, key), name, parameters[name], sweep.pilot[key])
+    if not sweep.axes and not sweep.draws and sweep.repeats == 1:
+        doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
+    if not sweep.axes and sweep.sampler != "grid":
+        doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
+    rows = sweep.variants * sweep.repeats
+    if rows > LARGEST_SWEEP:
+        doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
+                            "as sample: {sobol: 4096}.")  # fmt: skip
+
+
+def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:
+    """The perturbation of the start that makes repeats differ, for what the file does not place itself."""
+    named = {*sweep.constants, *(axis.name for axis in sweep.axes), *(draw.name for draw in sweep.draws)}
+    return tuple(
+        Draw(name, "uniform", (-spread, spread), sweep.parameters[name].low, sweep.parameters[name].high)
+        for name, spread in START_SPREAD.items()
+        if name not in named
+    )
+
+
+def _run_fields(run: Run) -> dict[str, float]:
+    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
+    return {name: float(getattr(run, name)) for name in names}

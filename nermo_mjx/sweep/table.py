@@ -1,0 +1,81 @@
+"""The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
+
+Roles: `index` (row, variant, repeat, seed), `varied`, `randomized`, `metric`, `status`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.rollout import METRICS
+from nermo_mjx.sweep.sampling import Rows
+from nermo_mjx.sweep.spec import Sweep
+
+_INDEX = {
+    "row": "position of the run in the sweep",
+    "variant": "index of the variant",
+    "repeat": "index of the repeat within its variant",
+    "seed": "seed of the row's random draws",
+}
+
+
+def chunk_table(
+    sweep: Sweep,
+    rows: Rows,
+    index: np.ndarray,
+    metrics: Mapping[str, np.ndarray],
+    status: np.ndarray,
+    about: Mapping[str, Any],
+) -> pa.Table:
+    """The table of one chunk.
+
+    Args:
+        rows: the runs of the chunk, and `index` their positions in the sweep, (n,).
+        metrics: name -> (n,) results; status: (n,) texts, "ok" where a run went well.
+        about: what to note about the chunk in the schema's metadata (engine, steps, ...).
+    """
+    columns: dict[str, pa.Array] = {}
+    fields: list[pa.Field] = []
+
+    def add(name: str, values: np.ndarray, role: str, unit: str, description: str, **more: str) -> None:
+        columns[name] = pa.array(_plain(values))
+        metadata = {"unit": unit, "description": description, "role": role, **more}
+        fields.append(pa.field(name, columns[name].type, metadata=metadata))
+
+    parameters = sweep.parameters
+    forms = {entry.name: entry.form for entry in (*sweep.axes, *sweep.draws)}
+    varied = {axis.name for axis in sweep.axes}
+    for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
+        add(name, values, "index", "1", _INDEX[name])
+    for name, values in rows.values.items():
+        role, scale = "varied" if name in varied else "randomized", "log" if forms[name].startswith("log") else "linear"
+        add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)
+    for name, values in metrics.items():
+        add(name, values, "metric", METRICS[name].unit, METRICS[name].doc)
+    add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
+    metadata = {"sweep": sweep.digest(), "sampler": sweep.sampler, **{key: str(value) for key, value in about.items()}}
+    return pa.table(columns, schema=pa.schema(fields, metadata=metadata))
+
+
+def columns_of(table: pa.Table, *roles: str) -> list[str]:
+    """Names of the columns with one of the roles, in order."""
+    return [field.name for field in table.schema if meta(field)["role"] in roles]
+
+
+def meta(field: pa.Field) -> dict[str, str]:
+    """A column's metadata as text: unit, description, role."""
+    return {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
+
+
+def _plain(values: np.ndarray) -> Any:
+    """Floats as float64, whole numbers as int64, the rest (truth values, texts) as it is."""
+    values = np.asarray(values)
+    if np.issubdtype(values.dtype, np.floating):
+        return values.astype(np.float64)
+    if np.issubdtype(values.dtype, np.integer):
+        return values.astype(np.int64)
+    return values.tolist() if values.dtype.kind in "OU" else values

@@ -1,0 +1,159 @@
+"""A recording: what one simulated run did over time, in one NPZ file that any NumPy can read."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+#: Version of the file's layout; a reader refuses any other.
+LAYOUT: Final = 1
+_MARK: Final = "nermo_mjx recording"
+
+
+class RecordingError(ValueError):
+    """A file that is no recording, or one that does not fit the model; the message is one sentence."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """One run over time.
+
+    Attributes:
+        time: of each sample, increasing [s].
+        qpos: generalised positions [m, rad].
+        qvel: generalised velocities [m/s, rad/s].
+        ctrl: commanded servo angles [rad].
+        sensors: named sensor readings, each with the time axis first; units as in `robot.interface.Sensors`.
+        model_hash: `model_hash` of the model that ran; "" if unknown.
+        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`.
+    """
+
+    time: Float[np.ndarray, " T"]
+    qpos: Float[np.ndarray, "T nq"]
+    qvel: Float[np.ndarray, "T nv"]
+    ctrl: Float[np.ndarray, "T nu"]
+    sensors: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    model_hash: str = ""
+    metadata: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        arrays = {"qpos": self.qpos, "qvel": self.qvel, "ctrl": self.ctrl}
+        arrays |= {f"sensor {name}": values for name, values in self.sensors.items()}
+        if np.ndim(self.time) != 1 or len(self.time) == 0:
+            raise RecordingError(f"A recording needs at least one sample, but its time has shape {np.shape(self.time)}.")
+        for name, values in arrays.items():
+            if np.ndim(values) == 0 or len(values) != len(self.time):
+                raise RecordingError(f"{name} has shape {np.shape(values)}, but there are {len(self.time)} samples.")
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the NPZ file at once or not at all: a killed process leaves no half of it.
+
+        Raises:
+            RecordingError: the file cannot be written.
+        """
+        path = Path(path)
+        header = {"format": _MARK, "layout": LAYOUT, "model_hash": self.model_hash, "metadata": dict(self.metadata)}
+        arrays = {"header": np.array(json.dumps(header)), "time": self.time, "qpos": self.qpos, "qvel": self.qvel}
+        arrays |= {"ctrl": self.ctrl} | {f"sensor.{name}": values for name, values in self.sensors.items()}
+        temporary = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+                temporary = Path(file.name)
+                np.savez_compressed(file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()})
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(path)
+        except OSError as error:
+            raise RecordingError(f"{path}: the recording cannot be written ({error.strerror or error}).") from None
+        finally:
+            if temporary is not None:
+                temporary.unlink(missing_ok=True)
+        return path
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Recording:
+        """Read a file that `save` wrote.
+
+        Raises:
+            RecordingError: there is no such file, it is something else, or of another version.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                if not hasattr(file, "files") or "header" not in file.files:
+                    raise RecordingError(f"{path}: not a recording of nermo_mjx.")
+                header = json.loads(str(file["header"]))
+                if not isinstance(header, dict) or header.get("format") != _MARK:
+                    raise RecordingError(f"{path}: not a recording of nermo_mjx.")
+                if header.get("layout") != LAYOUT:
+                    raise RecordingError(
+                        f"{path}: a recording of layout {header.get('layout')}, but this version reads layout {LAYOUT}; "
+                        "record the run again."
+                    )
+                arrays = {key: file[key] for key in file.files if key != "header"}
+                sensors = {key.removeprefix("sensor."): arrays.pop(key) for key in list(arrays) if key[:7] == "sensor."}
+                return cls(**arrays, sensors=sensors, model_hash=header["model_hash"], metadata=header["metadata"])
+        except FileNotFoundError:
+            raise RecordingError(f"{path}: there is no such file.") from None
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read ({error.strerror or error}).") from None
+        except RecordingError:
+            raise
+        except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile):
+            raise RecordingError(f"{path}: not a recording of nermo_mjx, or a damaged one.") from None
+
+    def check_model(self, model: mujoco.MjModel) -> None:
+        """Raise `RecordingError` unless the recording was made with a model of the same structure."""
+        if self.qpos.shape[1] != model.nq:
+            raise RecordingError(f"The recording has {self.qpos.shape[1]} positions, but the model has {model.nq}.")
+        if self.model_hash and self.model_hash != model_hash(model):
+            raise RecordingError("The recording was made with another version of the robot's model; record the run again.")
+
+
+def model_hash(model: mujoco.MjModel) -> str:
+    """Names a model by its structure: bodies, joints, actuators and sensors, where they sit and in which order.
+
+    Masses, friction, gains and stiffnesses do not count, because a sweep varies them within one structure; colours
+    and light do not count, because they are looks.
+    """
+    digest = hashlib.sha256()
+    sizes = (model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ntendon, model.nsensor)
+    digest.update(repr(sizes).encode() + bytes(model.names))
+    for array in (model.body_parentid, model.jnt_type, model.jnt_bodyid, model.sensor_type, model.wrap_type):
+        digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
+    for array in (model.body_pos, model.body_quat, model.jnt_pos, model.jnt_axis):
+        # Rounded, so that another compiler's last digit makes no other robot; `+ 0.0` turns -0 into 0.
+        digest.update((np.round(array, 9) + 0.0).tobytes())
+    return digest.hexdigest()[:16]
+
+
+def recording_of(trace: Any, model: mujoco.MjModel, *, world: int = 0, metadata: Mapping[str, Any]) -> Recording:
+    """The recording of one world of a simulator's trace (time [T]; qpos, qvel, ctrl and each sensor [n, T, ...])."""
+
+    def pick(values: Any) -> np.ndarray:
+        return np.asarray(values)[world]
+
+    sensors = {name: pick(values) for name, values in trace.sensors.items()}
+    arrays = (np.asarray(trace.time), pick(trace.qpos), pick(trace.qvel), pick(trace.ctrl))
+    return Recording(*arrays, sensors=sensors, model_hash=model_hash(model), metadata=metadata)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,209 @@
+"""Videos of recordings, drawn off-screen by MuJoCo and encoded as MP4 (H.264) or GIF."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from nermo_mjx import runtime
+from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
+from nermo_mjx.view.recording import Recording, RecordingError
+
+Progress = Callable[[int, int], None]
+SUFFIXES: Final = (".mp4", ".gif")
+#: Without a graphics card a frame costs what its pixels, samples and shadow map cost; these keep a walk watchable.
+SHADOW_MAP: Final = 1024
+SAMPLES: Final = 4
+
+
+class VideoError(RuntimeError):
+    """A video that cannot be made; the message is one sentence, with the remedy where there is one."""
+
+
+def render(
+    recording: Recording,
+    model: mujoco.MjModel,
+    path: str | os.PathLike[str],
+    *,
+    fps: int = 50,
+    width: int = 640,
+    height: int = 480,
+    camera: str = "three_quarter",
+    speed: float = 1.0,
+    progress: Progress | None = None,
+) -> Path:
+    """Render a recording into a video file; the suffix chooses the format, `.mp4` or `.gif`.
+
+    Args:
+        recording: what to show; it is cut where its state is no longer finite.
+        model: the model that ran.
+        path: the file; it appears only when it is whole.
+        fps: frames per second of the video.
+        width, height: its size in pixels; even numbers for MP4.
+        camera: a following view of `CAMERAS`, or the name of a camera of the model.
+        speed: 1 is real time, 0.25 a quarter of it.
+        progress: called with (frames done, frames in all).
+
+    Raises:
+        VideoError: what is asked for cannot be drawn or encoded here.
+        RecordingError: the recording does not fit the model.
+    """
+    path = Path(path)
+    _check(model, path, fps, width, height, camera, speed)
+    recording.check_model(model)
+    samples = frame_samples(recording, fps, speed)
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _writer(partial, fps, width, height) as write:
+            for done, frame in enumerate(draw(recording, model, samples, width, height, camera, speed / fps), start=1):
+                write(frame)
+                if progress is not None:
+                    progress(done, len(samples))
+        partial.replace(path)
+    except OSError as error:
+        raise VideoError(f"{path}: the video cannot be written ({error.strerror or error}).") from None
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def frame_samples(recording: Recording, fps: float, speed: float) -> Int[np.ndarray, " F"]:
+    """Which sample of the recording each frame shows: the nearest in time."""
+    finite = np.isfinite(recording.qpos).all(axis=1)
+    count = len(finite) if finite.all() else int(np.argmin(finite))
+    if count == 0:
+        raise RecordingError("The recording has no finite state to show.")
+    time = recording.time[:count] - recording.time[0]
+    wanted = np.arange(0.0, time[-1] + 1e-9, speed / fps)
+    after = np.clip(np.searchsorted(time, wanted), 0, count - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(wanted - time[before] < time[after] - wanted, before, after)
+
+
+def draw(
+    recording: Recording,
+    model: mujoco.MjModel,
+    samples: Int[np.ndarray, " F"],
+    width: int,
+    height: int,
+    camera: str,
+    interval: float,
+) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+    """Yield the picture of each sample; `interval` is the simulated time between two of them [s]."""
+    model = copy.copy(model)
+    model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
+    model.vis.global_.offheight = max(model.vis.global_.offheight, height)
+    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, SHADOW_MAP)
+    model.vis.quality.offsamples = min(model.vis.quality.offsamples, SAMPLES)
+    data = mujoco.MjData(model)
+    view: Any = camera
+    path = np.zeros((len(samples), 3))
+    if camera in CAMERAS:
+        view, path = _track(recording, model, data, samples, width / height, camera, interval)
+    with _renderer(model, width, height) as renderer:
+        for sample, point in zip(samples, path, strict=True):
+            _pose(model, data, recording.qpos[sample])
+            mujoco.mj_camlight(model, data)
+            mujoco.mj_tendon(model, data)
+            if camera in CAMERAS:
+                view.lookat[:] = point
+            renderer.update_scene(data, view)
+            yield renderer.render()
+
+
+def _track(
+    recording: Recording,
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    samples: Int[np.ndarray, " F"],
+    aspect: float,
+    camera: str,
+    interval: float,
+) -> tuple[mujoco.MjvCamera, Float[np.ndarray, "F 3"]]:
+    """The camera, and where it looks in each frame: at the middle of the body, as the torso carries it along."""
+    root = root_body(model)
+    _pose(model, data, recording.qpos[samples[0]])
+    centre, radius = body_radius(model, data, root)
+    offset = centre - data.xpos[root]
+    positions = np.empty((len(samples), 3))
+    for i, sample in enumerate(samples):
+        _pose(model, data, recording.qpos[sample])
+        positions[i] = data.xpos[root]
+    fovy = float(model.vis.global_.fovy)
+    return following_camera(camera, radius, fovy, aspect), smooth_path(positions, interval) + offset
+
+
+def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"]) -> None:
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+
+
+def _check(
+    model: mujoco.MjModel, path: Path, fps: int, width: int, height: int, camera: str, speed: float
+) -> None:
+    if path.suffix.lower() not in SUFFIXES:
+        raise VideoError(f"{path}: a video ends in {' or '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}.")
+    if not (1 <= fps <= 240 and speed > 0 and 16 <= width <= 7680 and 16 <= height <= 4320):
+        raise VideoError(
+            f"A video of {width} x {height} pixels, {fps} frames/s and speed {speed:g} cannot be made: allowed are "
+            "16 x 16 to 7680 x 4320 pixels, 1 to 240 frames/s, and a speed above 0."
+        )
+    if path.suffix.lower() == ".mp4" and (width % 2 or height % 2):
+        raise VideoError(f"An MP4 video needs an even width and height, not {width} x {height}.")
+    own = [model.camera(i).name for i in range(model.ncam)]
+    if camera not in CAMERAS and camera not in own:
+        raise VideoError(f"camera is {camera!r}: allowed is one of {', '.join([*CAMERAS, *filter(None, own)])}.")
+
+
+@contextlib.contextmanager
+def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
+    try:
+        runtime.require_gl()
+        renderer = mujoco.Renderer(model, height, width)
+    except runtime.RenderingUnavailable as error:
+        raise VideoError(str(error)) from None
+    except Exception as error:  # every GL library fails in its own way
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise VideoError(
+            f"MuJoCo cannot draw on this machine ({reason}): install libosmesa6 (`apt-get install libosmesa6`) and set "
+            "MUJOCO_GL=osmesa."
+        ) from error
+    try:
+        yield renderer
+    finally:
+        renderer.close()
+
+
+@contextlib.contextmanager
+def _writer(path: Path, fps: int, width: int, height: int) -> Iterator[Callable[[np.ndarray], object]]:
+    if path.suffix == ".gif":
+        import imageio.v2 as imageio
+
+        with imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0) as writer:  # type: ignore[arg-type]
+            yield writer.append_data
+        return
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
+    encoder = imageio_ffmpeg.write_frames(
+        str(path), (width, height), fps=fps, codec="libx264", pix_fmt_out="yuv420p", quality=8, macro_block_size=2,
+        ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
+    )  # fmt: skip
+    encoder.send(None)
+    try:
+        yield lambda frame: encoder.send(np.ascontiguousarray(frame))
+    finally:
+        encoder.close()

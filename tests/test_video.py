@@ -1,0 +1,162 @@
+"""Videos: right size, right length, something moves in them, and every failure is one sentence."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio.v2 as imageio
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx import runtime
+from nermo_mjx.view import Recording, RecordingError, VideoError, render
+from nermo_mjx.view.camera import smooth_path
+from nermo_mjx.view.video import frame_samples
+
+SCENE = """
+<mujoco>
+  <asset><texture name='c' type='2d' builtin='checker' width='64' height='64' rgb1='1 1 1' rgb2='.2 .2 .2'/>
+  <material name='c' texture='c' texrepeat='4 4' texuniform='true'/></asset>
+  <worldbody>
+    <light pos='0 0 2'/><geom type='plane' size='0 0 .1' material='c'/><camera name='own' pos='0 -1 .5' xyaxes='1 0 0 0 .4 1'/>
+    <body name='torso' pos='0 0 .1'><freejoint/><geom type='box' size='.05 .1 .03' rgba='1 0 0 1'/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(SCENE)
+
+
+def walk(model: mujoco.MjModel, seconds: float = 0.3, rate: float = 100.0, speed: float = 0.5) -> Recording:
+    """A box that glides to -y at `speed` m/s."""
+    time = np.arange(round(seconds * rate) + 1) / rate
+    qpos = np.tile(model.qpos0, (len(time), 1))
+    qpos[:, 1] = -speed * time
+    return Recording(time, qpos, np.zeros((len(time), model.nv)), np.zeros((len(time), 0)))
+
+
+def test_an_mp4_has_the_size_and_length_asked_for_and_moves(model: mujoco.MjModel, tmp_path: Path) -> None:
+    calls: list[tuple[int, int]] = []
+    path = render(
+        walk(model), model, tmp_path / "a" / "walk.mp4", fps=20, width=128, height=96,
+        progress=lambda done, total: calls.append((done, total)),
+    )  # fmt: skip
+    frames = [np.asarray(frame) for frame in imageio.get_reader(path)]
+    assert len(frames) == 7, "0.3 s at 20 frames/s, both ends included"
+    assert frames[0].shape == (96, 128, 3)
+    assert np.abs(frames[0].astype(int) - frames[-1]).mean() > 1.0, "the floor passes under the robot"
+    assert calls == [(i, 7) for i in range(1, 8)]
+    assert [file.name for file in path.parent.iterdir()] == ["walk.mp4"]
+
+
+def test_players_can_play_the_mp4(model: mujoco.MjModel, tmp_path: Path) -> None:
+    path = render(walk(model), model, tmp_path / "walk.mp4", fps=20, width=128, height=96)
+    with imageio.get_reader(path) as reader:
+        meta = reader.get_meta_data()
+    assert meta["codec"] == "h264"
+    assert meta["pix_fmt"].startswith("yuv420p")
+    assert meta["fps"] == 20
+
+
+def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path) -> None:
+    path = render(walk(model), model, tmp_path / "walk.gif", fps=20, width=63, height=49, speed=0.5, camera="side")
+    frames = imageio.mimread(path)
+    assert len(frames) == 13
+    assert frames[0].shape[:2] == (49, 63)
+
+
+@pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "front", "rear"])
+def test_every_following_view_keeps_the_robot_in_the_middle(
+    model: mujoco.MjModel, tmp_path: Path, camera: str
+) -> None:
+    path = render(walk(model, seconds=4.0), model, tmp_path / "w.gif", fps=1, width=64, height=48, camera=camera)
+    for frame in imageio.mimread(path):
+        colour = np.asarray(frame)[..., :3].astype(int)
+        red = (colour[..., 0] > 1.5 * colour[..., 1]) & (colour[..., 0] > 60)
+        rows, columns = np.nonzero(red)
+        assert 0.02 < red.mean() < 0.7
+        assert abs(columns.mean() - 32) < 10
+        assert abs(rows.mean() - 24) < 10
+
+
+def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Path) -> None:
+    assert render(walk(model), model, tmp_path / "w.gif", fps=5, width=64, height=48, camera="own").exists()
+    with pytest.raises(VideoError, match=r"camera is 'nose': allowed is one of three_quarter, .*own"):
+        render(walk(model), model, tmp_path / "v.gif", camera="nose")
+
+
+@pytest.mark.parametrize(
+    ("file", "options", "sentence"),
+    [
+        ("walk.avi", {}, "ends in .mp4 or .gif"),
+        ("walk", {}, "ends in .mp4 or .gif"),
+        ("walk.mp4", {"width": 63}, "even width"),
+        ("walk.mp4", {"fps": 0}, "1 to 240 frames/s"),
+        ("walk.mp4", {"speed": -1.0}, "speed above 0"),
+    ],
+)
+def test_what_cannot_be_made_is_said_in_one_sentence(
+    model: mujoco.MjModel, tmp_path: Path, file: str, options: dict, sentence: str
+) -> None:
+    with pytest.raises(VideoError, match=sentence):
+        render(walk(model), model, tmp_path / file, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_diverged_run_is_shown_up_to_where_it_diverged(model: mujoco.MjModel) -> None:
+    recording = walk(model, seconds=1.0)
+    recording.qpos[50:] = np.nan
+    assert frame_samples(recording, fps=50, speed=1.0).max() == 49 - 1
+    recording.qpos[:] = np.nan
+    with pytest.raises(RecordingError, match="no finite state"):
+        frame_samples(recording, fps=50, speed=1.0)
+
+
+def test_frames_show_the_nearest_sample(model: mujoco.MjModel) -> None:
+    np.testing.assert_array_equal(frame_samples(walk(model, 1.0, rate=100), 25, 1.0), np.arange(0, 101, 4))
+    slow = frame_samples(walk(model, 1.0, rate=10), 50, 1.0)
+    np.testing.assert_array_equal(slow, np.round(np.arange(51) / 5 + 1e-9).astype(int))
+
+
+def test_the_camera_follows_a_steady_walk_without_lag_and_without_shaking() -> None:
+    time = np.arange(200) / 50
+    steady = np.stack([0.1 * time, -0.2 * time, 0 * time], axis=1)
+    np.testing.assert_allclose(smooth_path(steady, 1 / 50), steady, atol=1e-9)
+    shaken = steady + 0.01 * np.sin(2 * np.pi * 2.0 * time)[:, None]
+    assert np.abs(smooth_path(shaken, 1 / 50) - steady)[25:-25].max() < 0.001
+
+
+def test_a_machine_without_gl_gets_the_remedy(
+    model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runtime, "_gl_problem", "No library to draw with was found: `apt-get install libosmesa6`.")
+    with pytest.raises(VideoError, match="apt-get install libosmesa6"):
+        render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_machine_without_ffmpeg_gets_the_remedy(
+    model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(VideoError, match=r"pip install imageio-ffmpeg"):
+        render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
+
+
+def test_mujoco_imported_first_on_a_machine_without_display_says_what_to_do() -> None:
+    script = (
+        "import mujoco\nfrom nermo_mjx import runtime\nruntime.configure()\n"
+        "try:\n    runtime.require_gl()\nexcept runtime.RenderingUnavailable as error:\n    print(error)\n"
+    )
+    hidden = {"MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"}
+    environment = {key: value for key, value in os.environ.items() if key not in hidden}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
+    if sys.platform == "linux":
+        assert "import nermo_mjx first" in done.stdout
