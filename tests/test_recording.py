@@ -12,7 +12,9 @@ import pytest
 
 from nermo_mjx.view import Recording, RecordingError, model_hash, recording_of
 
-BALL = "<mujoco><worldbody><body name='torso'><freejoint/><geom size='0.1' mass='{mass}'/>{more}</body></worldbody></mujoco>"
+BALL = """
+<mujoco><worldbody><body name="torso"><freejoint/><geom size="0.1" mass="{mass}"/>{more}</body></worldbody></mujoco>
+"""
 
 
 def ball(mass: float = 1.0, more: str = "") -> mujoco.MjModel:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx import runtime
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, render
 from nermo_mjx.view.camera import smooth_path
 from nermo_mjx.view.video import frame_samples
@@ -22,7 +23,8 @@ SCENE = """
   <asset><texture name='c' type='2d' builtin='checker' width='64' height='64' rgb1='1 1 1' rgb2='.2 .2 .2'/>
   <material name='c' texture='c' texrepeat='4 4' texuniform='true'/></asset>
   <worldbody>
-    <light pos='0 0 2'/><geom type='plane' size='0 0 .1' material='c'/><camera name='own' pos='0 -1 .5' xyaxes='1 0 0 0 .4 1'/>
+    <light pos='0 0 2'/><geom type='plane' size='0 0 .1' material='c'/>
+    <camera name='own' pos='0 -1 .5' xyaxes='1 0 0 0 .4 1'/>
     <body name='torso' pos='0 0 .1'><freejoint/><geom type='box' size='.05 .1 .03' rgba='1 0 0 1'/></body>
   </worldbody>
 </mujoco>
@@ -73,9 +75,7 @@ def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path
 
 
 @pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "front", "rear"])
-def test_every_following_view_keeps_the_robot_in_the_middle(
-    model: mujoco.MjModel, tmp_path: Path, camera: str
-) -> None:
+def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjModel, tmp_path: Path, camera: str) -> None:
     path = render(walk(model, seconds=4.0), model, tmp_path / "w.gif", fps=1, width=64, height=48, camera=camera)
     for frame in imageio.mimread(path):
         colour = np.asarray(frame)[..., :3].astype(int)
@@ -88,7 +88,7 @@ def test_every_following_view_keeps_the_robot_in_the_middle(
 
 def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Path) -> None:
     assert render(walk(model), model, tmp_path / "w.gif", fps=5, width=64, height=48, camera="own").exists()
-    with pytest.raises(VideoError, match=r"camera is 'nose': allowed is one of three_quarter, .*own"):
+    with pytest.raises(ParameterError, match=r"camera is 'nose': allowed is one of three_quarter, .*own"):
         render(walk(model), model, tmp_path / "v.gif", camera="nose")
 
 
@@ -105,7 +105,7 @@ def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Pat
 def test_what_cannot_be_made_is_said_in_one_sentence(
     model: mujoco.MjModel, tmp_path: Path, file: str, options: dict, sentence: str
 ) -> None:
-    with pytest.raises(VideoError, match=sentence):
+    with pytest.raises(ParameterError, match=sentence):
         render(walk(model), model, tmp_path / file, **options)
     assert not list(tmp_path.iterdir())
 
@@ -152,11 +152,10 @@ def test_a_machine_without_ffmpeg_gets_the_remedy(
 
 def test_mujoco_imported_first_on_a_machine_without_display_says_what_to_do() -> None:
     script = (
-        "import mujoco\nfrom nermo_mjx import runtime\nruntime.configure()\n"
+        "import sys, mujoco\nsys.platform = 'linux'\nfrom nermo_mjx import runtime\nruntime.configure()\n"
         "try:\n    runtime.require_gl()\nexcept runtime.RenderingUnavailable as error:\n    print(error)\n"
     )
     hidden = {"MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"}
     environment = {key: value for key, value in os.environ.items() if key not in hidden}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True)
-    if sys.platform == "linux":
-        assert "import nermo_mjx first" in done.stdout
+    assert "import nermo_mjx first" in done.stdout

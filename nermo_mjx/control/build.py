@@ -38,13 +38,13 @@ def control_parameters(
         ParameterError: an unknown name, a number out of range, or a stride past the legs' workspace.
     """
     named: dict[str, Any] = {**published_values(gait, steering=steering, profile=profile)}
-    known = {name: about for name, about in quantities(ControlParameters)}
+    known = dict(quantities(ControlParameters))
     for name, value in values.items():
         known[choice("parameter", name, known)].check(name, value)
         named[name] = value
     dtype = jnp.zeros(()).dtype
     params = replace_quantities(ControlParameters(), {name: np.asarray(v, dtype) for name, v in named.items()})
-    check(params, routing=routing)
+    check_workspace(params, routing=routing)
     return params
 
 
@@ -59,6 +59,11 @@ def check(params: ControlParameters, *, routing: str = "type3") -> None:
         ParameterError: with the field's name, its value and what is allowed.
     """
     check_quantities(params)
+    check_workspace(params, routing=routing)
+
+
+def check_workspace(params: ControlParameters, *, routing: str = "type3") -> None:
+    """Refuse strides, heights and amplitudes whose nominal foot path leaves a leg's workspace; see `check`."""
     gait, stance = params.gait, params.stance
     stride = np.asarray(gait.stride, float) * np.asarray(stance.max_stride, float)
     stance, stride = _distinct(stance, stride)

@@ -33,7 +33,7 @@ def balance(
 ) -> Float[Array, ""]:
     """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
 
-    Zero while all four feet are on the ground: there is nothing to balance.
+    Zero while all four feet are on the ground, where there is nothing to balance.
 
     Args:
         spine: `balance_lift` [m].
@@ -41,8 +41,7 @@ def balance(
         feet: commanded feet (y, z) in their leg's frame [m].
         stance: planned contact.
     """
-    angle = servo_angle(balance_angle(masses, feet, stance, spine.balance_lift))
-    return jnp.where(jnp.all(stance, axis=-1), 0.0, angle)
+    return servo_angle(balance_angle(masses, feet, stance, spine.balance_lift))
 
 
 def fuse(

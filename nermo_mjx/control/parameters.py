@@ -142,4 +142,5 @@ def choice(field: str, name: str, options: Iterable[str]) -> str:
         return name
     near = difflib.get_close_matches(str(name), names, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
-    raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {', '.join(names)}.")
+    allowed = ", ".join(names) if len(names) <= 12 else f"{', '.join(names[:4])}, ... ({len(names)} names)"
+    raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {allowed}.")

@@ -6,6 +6,7 @@ any shape, positive to the left. Left comes before right.
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -34,7 +35,17 @@ def from_hip_frame(theta_v: ArrayLike, points: ArrayLike) -> Float[Array, "*batc
     """Points (..., n, 3) of the hip's frame, from the spine end, seen from the spine base."""
     pose = spine.transform(theta_v)
     points = jnp.asarray(points, pose.dtype)
-    return jnp.einsum("...ij,...nj->...ni", pose[..., :3, :3], points) + pose[..., None, :3, 3]
+    turned = jnp.einsum("...ij,...nj->...ni", pose[..., :3, :3], points, precision=jax.lax.Precision.HIGHEST)
+    return turned + pose[..., None, :3, 3]
+
+
+def feet_positions(theta_v: ArrayLike, feet: ArrayLike) -> Float[Array, "*batch 4 3"]:
+    """The feet, given as (y, z) from their own axis, shape (..., 4, 2); rear feet turn with the hip's frame."""
+    feet = jnp.asarray(feet)
+    placed = jnp.stack([jnp.zeros_like(feet[..., 0]), feet[..., 0], feet[..., 1]], axis=-1)
+    rear = from_hip_frame(theta_v, _HIPS + placed[..., 2:, :])
+    front = jnp.broadcast_to(shoulders() + placed[..., :2, :], rear.shape)
+    return jnp.concatenate([front, rear], axis=-2)
 
 
 def hip_height_offset(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
@@ -51,12 +62,13 @@ def diagonals(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
 
 
 def stride_gain(theta_v: ArrayLike) -> Float[Array, "*batch"]:
-    """What a spine swinging between -theta_v and theta_v adds to a stride of a symmetric gait (5.33): 0.015 m at 0.1 rad.
+    """What swinging the spine between -theta_v and theta_v adds to a stride [m] (5.33): 0.015 m at 0.1 rad a joint.
 
     Seen from the heading, which bisects the bend, torso and hip yaw by half the bend, in opposite senses. While a
     diagonal pair stands, the bend goes from one end to the other, and shoulder and hip of that pair are carried
-    backward by 2 x sin(bend / 2) each, x being half the distance from left to right. The step of the body is the mean
-    of the two. (5.33) maximises it; it is monotonic, so the maximum lies at the limit of theta_v (erratum 7).
+    backward by 2 x sin(bend / 2) each, x being half the distance from left to right; the body gains the mean of the
+    two. Negative where theta_v compresses the standing pair. The gain is monotonic, so that the maximum of (5.33) lies
+    at the limit of theta_v (erratum 7).
     """
     hip = hips(theta_v)
     across, along = jnp.moveaxis((hip[..., 0, :] - hip[..., 1, :])[..., :2] / 2, -1, 0)

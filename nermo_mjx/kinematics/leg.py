@@ -178,6 +178,6 @@ def _angle(angle: ArrayLike) -> Array:
     return jnp.clip(jnp.asarray(angle), -_LARGEST_ANGLE, _LARGEST_ANGLE)
 
 
-def _polar(length: ArrayLike, angle: Array) -> Float[Array, "*batch 2"]:
+def _polar(length: Array | np.ndarray, angle: Array) -> Float[Array, "*batch 2"]:
     """length u(angle), with u(a) = (sin a, -cos a)."""
     return jnp.stack([length * jnp.sin(angle), -length * jnp.cos(angle)], axis=-1)

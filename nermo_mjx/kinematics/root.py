@@ -20,8 +20,8 @@ def bracketed_root(
     """The x in [low, high] with residual(x) = 0, element by element.
 
     Args:
-        residual: elementwise and monotonic (rising or falling) in x, with values of opposite sign, or zero, at the ends.
-            It may close over traced arrays, and derivatives flow to them by the implicit function theorem.
+        residual: elementwise and monotonic (rising or falling) in x, of opposite signs (or zero) at the ends. It may
+            close over traced arrays; derivatives flow to them by the implicit function theorem.
         low, high: ends of the bracket, of any shapes that broadcast with the residual's. The root's derivative does not
             depend on them.
         slope_floor: smallest slope of the residual that counts as one; keeps the derivative finite where it is flat.

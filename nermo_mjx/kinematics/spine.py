@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -34,7 +35,7 @@ def transform(
     """
     theta_v = jnp.asarray(theta_v)
     dtype = jnp.result_type(float, theta_v.dtype)
-    angles = {row: -theta_v for row in spine.lateral_joints}
+    angles = dict.fromkeys(spine.lateral_joints, -theta_v)
     if vertical is not None:
         vertical = jnp.asarray(vertical)
         dtype = jnp.promote_types(dtype, vertical.dtype)
@@ -46,11 +47,11 @@ def transform(
     for row, link in enumerate(spine.dh):
         fixed = fixed @ _link(*link)
         if row in angles:
-            moved = jnp.asarray(fixed, dtype) @ _about_z(angles[row].astype(dtype))
-            pose = moved if pose is None else pose @ moved
+            moved = _matmul(jnp.asarray(fixed, dtype), _about_z(angles[row].astype(dtype)))
+            pose = moved if pose is None else _matmul(pose, moved)
             fixed = np.eye(4)
     assert pose is not None
-    return pose @ jnp.asarray(fixed, dtype)
+    return _matmul(pose, jnp.asarray(fixed, dtype))
 
 
 def max_joint_angle(spine: SpineGeometry = SPINE) -> float:
@@ -125,6 +126,11 @@ def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
         [sin * sin_a, cos * sin_a, cos_a, cos_a * d],
         [0.0, 0.0, 0.0, 1.0],
     ])  # fmt: skip
+
+
+def _matmul(left: Array, right: Array) -> Array:
+    """Product in full precision, which is not the default on accelerators."""
+    return jnp.matmul(left, right, precision=jax.lax.Precision.HIGHEST)
 
 
 def _about_z(angle: Array) -> Float[Array, "*batch 4 4"]:

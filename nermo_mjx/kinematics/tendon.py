@@ -1,7 +1,7 @@
 """The three ways to lead the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
 
-All three obey one law, l_t = l_t0 + r_p (theta_2 + k q2). Here `pull` is its left side less the wrap, l_t - r_p theta_2,
-a function of hip and knee angle alone; the servo angle is then (pull - l_t0) / (k r_p).
+All three obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
+depends on hip and knee angle alone; the servo angle is then (pull - l_t0) / (k r_p).
 
 Lengths are worked out in a frame whose y is multiplied by the knee direction s: in it every knee bends towards +y, the
 tendon leaves the pulley on the +y side, and front and rear leg are one.

@@ -43,7 +43,10 @@ class Axis:
         if self.form == "values":
             return np.asarray(self.numbers, dtype=float)
         space = np.linspace if self.form == "linspace" else np.geomspace
-        return np.asarray(space(self.numbers[0], self.numbers[1], int(self.numbers[2])), dtype=float)
+        steps = space(self.numbers[0], self.numbers[1], int(self.numbers[2]))
+        # 0.88 and not 0.8799999999999999: a table is searched by such values. The ends stay as they were given.
+        steps[1:-1] = [float(f"{step:.12g}") for step in steps[1:-1]]
+        return np.asarray(steps, dtype=float)
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """Values for shares in [0, 1) of the axis, as the samplers draw them; listed values are drawn alike often."""

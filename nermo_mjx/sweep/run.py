@@ -113,7 +113,7 @@ def run_sweep(
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
     rows = sample(sweep)
     seconds = _simulated_seconds(sweep, rows)
-    size = chunk or sweep.chunk or getattr(simulator or Simulator, "chunk", DEFAULT_CHUNK)
+    size = chunk or sweep.chunk or int(getattr(simulator or Simulator, "chunk", DEFAULT_CHUNK))
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store):
         layout = _layout(seconds, store.sweep.chunk or size)
         work = _Work(store, rows, seconds, layout, progress)
@@ -124,7 +124,7 @@ def run_sweep(
         table = join(tables)
         summary = summarize(table, tables)
         store.write(store.out / "summary.json", to_json(summary))
-        plots = draw_plots(table, store.plots) if sweep.plots else []
+        plots = draw_plots(table, store.plots, write=store.write) if sweep.plots else []
         return SweepResult(store.out, table, summary, plots, complete=True, chunks_run=work.chunks_run)
 
 

@@ -11,7 +11,9 @@ from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.sweep.axes import Axis, Draw, check_value, read_axis, read_draw, read_number
 from nermo_mjx.sweep.reading import Document, FieldPath, describe, nearest
 
-SETUP_FIELDS = ("robot", "scene", "tail", "gait", "spine", "steering", "profile", "trajectory")
+SETUP_FIELDS = (
+    "robot", "scene", "tail", "routing", "cone", "timestep", "gait", "spine", "steering", "profile", "trajectory",
+)  # fmt: skip
 SAMPLERS = ("grid", "sobol", "latin_hypercube")
 #: Options of the pilots, and the parameter each one sets (None: the distance is an end of the run).
 PILOT_OPTIONS: dict[str, dict[str, str | None]] = {
@@ -27,7 +29,8 @@ def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
     for field in (*SETUP_FIELDS, "pilot"):
         if field not in doc.data:
             continue
-        value, path = doc.data[field], (field,)
+        value = doc.data[field]
+        path: FieldPath = (field,)
         if field == "pilot" and isinstance(value, dict) and len(value) == 1:
             value, path = next(iter(value)), (field, next(iter(value)))
         if not isinstance(value, str):
@@ -41,7 +44,7 @@ def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
             allowed = message.rpartition("one of ")[2].rstrip(".").split(", ")
             doc.fail(path, message.rstrip(".") + nearest(value, allowed), field)
     try:
-        setup = Setup(**choices)  # type: ignore[arg-type]
+        setup = Setup(**choices)
     except ParameterError as error:
         doc.fail((), str(error))
     return setup, _read_pilot_options(doc, setup.pilot)
@@ -79,14 +82,15 @@ def read_run(doc: Document, pilot: Mapping[str, float]) -> Run:
     values = {key: read_number(doc, ("run", key), value) for key, value in given.items()}
     for key, value in values.items():
         if not math.isfinite(value) or value < 0 or (value == 0 and key in fields):
-            doc.fail(("run", key), f"is {value:g}: it must be {'above 0' if key in fields else '0 or more'} and finite.")
+            bound = "above 0" if key in fields else "0 or more"
+            doc.fail(("run", key), f"is {value:g}: it must be {bound} and finite.")
     if {"cycles", "warmup_cycles"} & set(values) and {"duration", "warmup"} & set(values):
         doc.fail(("run",), "counts both cycles and seconds: give cycles and warmup_cycles, or duration and warmup.")
     if "warmup" in values and "duration" not in values:
         doc.fail(("run", "warmup"), "needs a duration beside it.")
     distance = {"distance": pilot["distance"]} if "distance" in pilot else {}
     try:
-        run = Run(**values, **distance)  # type: ignore[arg-type]
+        run = Run(**values, **distance)
     except ParameterError as error:
         doc.fail(("run",), f"is refused: {error}")
     end, warmup = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
@@ -155,7 +159,8 @@ def _named(
         if name in besides:
             continue
         if name not in parameters:
-            doc.fail((section, name), f"is not a parameter; {_allowed(name, parameters)}{nearest(name, parameters)}", name)
+            allowed = _allowed(name, parameters) + nearest(name, parameters)
+            doc.fail((section, name), f"is not a parameter; {allowed}", name)
         yield name, value
 
 

@@ -16,6 +16,7 @@ from nermo_mjx.sweep import sections
 from nermo_mjx.sweep.axes import Axis, Draw, check_value
 from nermo_mjx.sweep.reading import Document, describe, dump, nearest, read_file, read_mapping, read_text
 from nermo_mjx.sweep.sections import PILOT_OPTIONS, SETUP_FIELDS
+from nermo_mjx.sweep.workspace import check_workspace
 
 #: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
 START_SPREAD = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
@@ -156,8 +157,8 @@ def _read(doc: Document) -> Sweep:
 
 
 def _check_together(doc: Document, sweep: Sweep) -> None:
-    """What no field shows on its own: a parameter with two sources, or with no effect, and a sweep too large or empty."""
-    parameters, sources = sweep.parameters, {name: f"set by 'pilot.{sweep.setup.pilot}'" for name in sweep.constants}
+    """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
+    parameters, sources = sweep.parameters, dict.fromkeys(sweep.constants, f"set by 'pilot.{sweep.setup.pilot}'")
     sources |= dict.fromkeys(sweep.fixed, "fixed under 'set'")
     for section, entries in (("vary", sweep.axes), ("randomize", sweep.draws)):
         for name in (entry.name for entry in entries):
@@ -168,12 +169,12 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
             if choice and wanted not in (chosen := getattr(sweep.setup, choice)).split("+"):
                 doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
                                           f"{chosen}.", name)  # fmt: skip
-    for key, name in PILOT_OPTIONS.get(sweep.setup.pilot, {}).items():
-        if name and key in sweep.pilot:
-            if name in sweep.fixed:
-                doc.fail(("set", name), f"is under 'set' and also set by 'pilot.{sweep.setup.pilot}.{key}': give it "
-                                        "one source.", name)  # fmt: skip
-            check_value(doc, ("pilot", sweep.setup.pilot, key), name, parameters[name], sweep.pilot[key])
+    for key, option in PILOT_OPTIONS.get(sweep.setup.pilot, {}).items():
+        if option and key in sweep.pilot:
+            if option in sweep.fixed:
+                doc.fail(("set", option), f"is under 'set' and also set by 'pilot.{sweep.setup.pilot}.{key}': give it "
+                                          "one source.", option)  # fmt: skip
+            check_value(doc, ("pilot", sweep.setup.pilot, key), option, parameters[option], sweep.pilot[key])
     if not sweep.axes and not sweep.draws and sweep.repeats == 1:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler != "grid":
@@ -182,6 +183,8 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
     if rows > LARGEST_SWEEP:
         doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
                             "as sample: {sobol: 4096}.")  # fmt: skip
+    choices = (sweep.setup.gait, sweep.setup.steering, sweep.setup.profile)
+    check_workspace(doc, choices, dict(sweep.fixed), (*sweep.axes, *sweep.draws), grid=sweep.sampler == "grid")
 
 
 def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:

@@ -1,9 +1,9 @@
 """A sweep's directory: chunks of the result table, what they belong to, and who may write them.
 
-    DIR/sweep.yaml                    the resolved sweep
-    DIR/run.json                      versions, machine and command of each session that worked on it
-    DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
-    DIR/summary.json, DIR/plots/      made from the table when it is complete
+DIR/sweep.yaml                    the resolved sweep
+DIR/run.json                      versions, machine and command of each session that worked on it
+DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
+DIR/summary.json, DIR/plots/      made from the table when it is complete
 """
 
 from __future__ import annotations
@@ -124,14 +124,17 @@ class Store:
             try:
                 begun = Sweep.from_file(path)
             except SpecError as error:
-                raise StoreError(f"{self.out} holds a sweep that cannot be read ({error}); choose another directory.") from None  # fmt: skip
+                raise self._foreign(f"a sweep that cannot be read ({error})") from None
             if begun.digest() != self.sweep.digest():
-                raise StoreError(f"{self.out} holds the results of another sweep (see {path}); choose another directory.")
+                raise self._foreign(f"the results of another sweep (see {path})")
             self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
         elif any(self.results.glob("*.parquet")):
-            raise StoreError(f"{self.out} holds results of an unknown sweep (it has no sweep.yaml); choose another directory.")  # fmt: skip
+            raise self._foreign("results of an unknown sweep (it has no sweep.yaml)")
         else:
             self.write(path, self.sweep.to_yaml().encode())
+
+    def _foreign(self, content: str) -> StoreError:
+        return StoreError(f"{self.out} holds {content}; choose another directory.")
 
     def _lock(self) -> None:
         """An exclusive lock; shards share the first one and hold a second one of their own."""
@@ -145,7 +148,8 @@ class Store:
             try:
                 fcntl.flock(self._locks[-1], kind | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise StoreError(f"another process works in {self.out}; wait for it, or choose another directory.") from None  # fmt: skip
+                message = f"another process works in {self.out}; wait for it, or choose another directory."
+                raise StoreError(message) from None
             except OSError as error:  # a network file system without locks
                 if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
                     raise

@@ -47,7 +47,7 @@ def chunk_table(
         fields.append(pa.field(name, columns[name].type, metadata=metadata))
 
     parameters = sweep.parameters
-    forms = {entry.name: entry.form for entry in (*sweep.axes, *sweep.draws)}
+    forms = {axis.name: axis.form for axis in sweep.axes} | {draw.name: draw.form for draw in sweep.draws}
     varied = {axis.name for axis in sweep.axes}
     for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
         add(name, values, "index", "1", _INDEX[name])

@@ -1,6 +1,6 @@
 """What users see of a run: recordings and videos."""
 
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
-from nermo_mjx.view.video import CAMERAS, VideoError, render
+from nermo_mjx.view.video import CAMERAS, VideoError, check_video, render
 
-__all__ = ["CAMERAS", "Recording", "RecordingError", "VideoError", "model_hash", "recording_of", "render"]
+__all__ = ["CAMERAS", "Recording", "RecordingError", "VideoError", "check_video", "model_hash", "recording_of", "render"]

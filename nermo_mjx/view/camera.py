@@ -72,7 +72,7 @@ def body_radius(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[
 
 
 def following_camera(name: str, radius: float, fovy: float, aspect: float) -> mujoco.MjvCamera:
-    """The free camera of a named view, as far away as a body of this radius needs; fovy in degrees, aspect width/height."""
+    """The free camera of a named view, as far away as a body of this radius needs; fovy in degrees."""
     camera = mujoco.MjvCamera()
     mujoco.mjv_defaultCamera(camera)
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE

@@ -51,7 +51,9 @@ class Recording:
         arrays = {"qpos": self.qpos, "qvel": self.qvel, "ctrl": self.ctrl}
         arrays |= {f"sensor {name}": values for name, values in self.sensors.items()}
         if np.ndim(self.time) != 1 or len(self.time) == 0:
-            raise RecordingError(f"A recording needs at least one sample, but its time has shape {np.shape(self.time)}.")
+            raise RecordingError(
+                f"A recording needs at least one sample, but its time has shape {np.shape(self.time)}."
+            )
         for name, values in arrays.items():
             if np.ndim(values) == 0 or len(values) != len(self.time):
                 raise RecordingError(f"{name} has shape {np.shape(values)}, but there are {len(self.time)} samples.")
@@ -102,8 +104,8 @@ class Recording:
                     raise RecordingError(f"{path}: not a recording of nermo_mjx.")
                 if header.get("layout") != LAYOUT:
                     raise RecordingError(
-                        f"{path}: a recording of layout {header.get('layout')}, but this version reads layout {LAYOUT}; "
-                        "record the run again."
+                        f"{path}: a recording of layout {header.get('layout')}, but this version reads layout "
+                        f"{LAYOUT}; record the run again."
                     )
                 arrays = {key: file[key] for key in file.files if key != "header"}
                 sensors = {key.removeprefix("sensor."): arrays.pop(key) for key in list(arrays) if key[:7] == "sensor."}
@@ -122,7 +124,9 @@ class Recording:
         if self.qpos.shape[1] != model.nq:
             raise RecordingError(f"The recording has {self.qpos.shape[1]} positions, but the model has {model.nq}.")
         if self.model_hash and self.model_hash != model_hash(model):
-            raise RecordingError("The recording was made with another version of the robot's model; record the run again.")
+            raise RecordingError(
+                "The recording was made with another version of the robot's model; record the run again."
+            )
 
 
 def model_hash(model: mujoco.MjModel) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from nermo_mjx import runtime
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
 from nermo_mjx.view.recording import Recording, RecordingError
 
@@ -57,7 +58,7 @@ def render(
         RecordingError: the recording does not fit the model.
     """
     path = Path(path)
-    _check(model, path, fps, width, height, camera, speed)
+    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed)
     recording.check_model(model)
     samples = frame_samples(recording, fps, speed)
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
@@ -74,6 +75,44 @@ def render(
     finally:
         partial.unlink(missing_ok=True)
     return path
+
+
+def check_video(
+    model: mujoco.MjModel,
+    path: str | os.PathLike[str],
+    *,
+    fps: int = 50,
+    width: int = 640,
+    height: int = 480,
+    camera: str = "three_quarter",
+    speed: float = 1.0,
+) -> None:
+    """Refuse a video that cannot be made, before a long run is made for it; arguments as for `render`.
+
+    Raises:
+        ParameterError: something is asked for that cannot be.
+        VideoError: this machine cannot draw or encode.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise ParameterError(f"{path}: a video ends in {' or '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}.")
+    if not (1 <= fps <= 240 and speed > 0 and 16 <= width <= 7680 and 16 <= height <= 4320):
+        raise ParameterError(
+            f"A video of {width} x {height} pixels, {fps} frames/s and speed {speed:g} cannot be made: allowed are "
+            "16 x 16 to 7680 x 4320 pixels, 1 to 240 frames/s, and a speed above 0."
+        )
+    if suffix == ".mp4" and (width % 2 or height % 2):
+        raise ParameterError(f"An MP4 video needs an even width and height, not {width} x {height}.")
+    own = [model.camera(i).name for i in range(model.ncam)]
+    if camera not in CAMERAS and camera not in own:
+        raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join([*CAMERAS, *filter(None, own)])}.")
+    if suffix == ".mp4":
+        _encoder()
+    try:
+        runtime.require_gl()
+    except runtime.RenderingUnavailable as error:
+        raise VideoError(str(error)) from None
 
 
 def frame_samples(recording: Recording, fps: float, speed: float) -> Int[np.ndarray, " F"]:
@@ -148,30 +187,10 @@ def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " 
     mujoco.mj_comPos(model, data)
 
 
-def _check(
-    model: mujoco.MjModel, path: Path, fps: int, width: int, height: int, camera: str, speed: float
-) -> None:
-    if path.suffix.lower() not in SUFFIXES:
-        raise VideoError(f"{path}: a video ends in {' or '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}.")
-    if not (1 <= fps <= 240 and speed > 0 and 16 <= width <= 7680 and 16 <= height <= 4320):
-        raise VideoError(
-            f"A video of {width} x {height} pixels, {fps} frames/s and speed {speed:g} cannot be made: allowed are "
-            "16 x 16 to 7680 x 4320 pixels, 1 to 240 frames/s, and a speed above 0."
-        )
-    if path.suffix.lower() == ".mp4" and (width % 2 or height % 2):
-        raise VideoError(f"An MP4 video needs an even width and height, not {width} x {height}.")
-    own = [model.camera(i).name for i in range(model.ncam)]
-    if camera not in CAMERAS and camera not in own:
-        raise VideoError(f"camera is {camera!r}: allowed is one of {', '.join([*CAMERAS, *filter(None, own)])}.")
-
-
 @contextlib.contextmanager
 def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
     try:
-        runtime.require_gl()
         renderer = mujoco.Renderer(model, height, width)
-    except runtime.RenderingUnavailable as error:
-        raise VideoError(str(error)) from None
     except Exception as error:  # every GL library fails in its own way
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise VideoError(
@@ -189,16 +208,11 @@ def _writer(path: Path, fps: int, width: int, height: int) -> Iterator[Callable[
     if path.suffix == ".gif":
         import imageio.v2 as imageio
 
-        with imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0) as writer:  # type: ignore[arg-type]
+        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)  # type: ignore[arg-type]
+        with writer:
             yield writer.append_data
         return
-    try:
-        import imageio_ffmpeg
-
-        imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError):
-        raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
-    encoder = imageio_ffmpeg.write_frames(
+    encoder = _encoder().write_frames(
         str(path), (width, height), fps=fps, codec="libx264", pix_fmt_out="yuv420p", quality=8, macro_block_size=2,
         ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
     )  # fmt: skip
@@ -207,3 +221,14 @@ def _writer(path: Path, fps: int, width: int, height: int) -> Iterator[Callable[
         yield lambda frame: encoder.send(np.ascontiguousarray(frame))
     finally:
         encoder.close()
+
+
+def _encoder() -> Any:
+    """The module that runs ffmpeg, which it brings along."""
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
+    return imageio_ffmpeg

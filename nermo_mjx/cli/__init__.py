@@ -1,0 +1,29 @@
+"""The command line `nermo-mjx`. Commands import what is heavy only when they run, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import click
+
+from nermo_mjx.cli import bench, model, render, sweep, walk
+from nermo_mjx.cli.group import CommandGroup
+from nermo_mjx.version import __version__
+
+EPILOG = """\b
+First steps:
+  nermo-mjx walk --video walk.mp4
+  nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+"""
+
+
+@click.group(cls=CommandGroup, epilog=EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, package_name="nermo-mjx", message="nermo-mjx %(version)s")
+def main() -> None:
+    """Digital twin of Nermo, the tendon-driven robotic mouse.
+
+    Exit codes: 0 done, 1 the work failed, 2 wrong use. All numbers are in SI
+    units and radians; summaries for people show millimetres and degrees.
+    """
+
+
+for module in (sweep, walk, render, model, bench):
+    main.add_command(module.command)

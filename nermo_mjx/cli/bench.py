@@ -1,0 +1,64 @@
+"""`nermo-mjx bench`: how fast this machine is, against plain physics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import ENGINES
+from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.progress import Progress
+
+EPILOG = """\b
+Examples:
+  nermo-mjx bench
+  nermo-mjx bench --engine mjx --worlds 64 --worlds 1024 --json
+"""
+
+
+@click.command("bench", epilog=EPILOG)
+@options.choice("--engine", ENGINES[1:], "Repeatable; all by default.", default=None, multiple=True)
+@options.number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
+@options.report
+def command(engine: tuple[str, ...], worlds: tuple[int, ...], as_json: bool, quiet: bool) -> None:
+    """Measure throughput, compile time and memory of each engine.
+
+    Each case runs the robot with its controller, and the same physics
+    without; the ratio of both is the price of the controller.
+    """
+    with stdout_reserved():
+        from nermo_mjx.bench import run_bench
+
+        with Progress("bench", "cases", quiet=quiet, compiles=True) as progress:
+            result = run_bench(engines=engine or None, worlds=worlds or None, progress=progress.count)
+    if as_json:
+        print_json(result)
+    elif not quiet:
+        _print(result)
+
+
+def _print(result: dict[str, Any]) -> None:
+    hardware = result["hardware"]
+    text = ", ".join(f"{key} {value}" for key, value in hardware.items()) if isinstance(hardware, dict) else hardware
+    click.echo(f"hardware: {text}")
+    columns = [
+        ("engine", "left", "engine", "{}", 1.0),
+        ("worlds", "right", "worlds", "{:,}", 1),
+        ("steps/s", "right", "steps_per_second", "{:,.0f}", 1.0),
+        ("plain steps/s", "right", "plain_steps_per_second", "{:,.0f}", 1.0),
+        ("ratio", "right", "ratio", "{:.2f}", 1.0),
+        ("trace [s]", "right", "trace_s", "{:.1f}", 1.0),
+        ("compile [s]", "right", "compile_s", "{:.1f}", 1.0),
+        ("plain [s]", "right", "plain_compile_s", "{:.1f}", 1.0),
+        ("peak [MB]", "right", "peak_bytes", "{:,.0f}", 1e-6),
+    ]
+    rows = [[_cell(case.get(key), shape, scale) for _, _, key, shape, scale in columns] for case in result["cases"]]
+    print_table("Physics steps of all worlds together", [(heading, side) for heading, side, *_ in columns], rows)
+
+
+def _cell(value: Any, shape: str, scale: float) -> str:
+    if value is None:
+        return "-"
+    return shape.format(value if isinstance(value, str) or scale == 1 else value * scale)

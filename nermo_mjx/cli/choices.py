@@ -1,0 +1,13 @@
+"""Names that options allow, written out so that `--help` needs no import; a test holds them equal to their sources."""
+
+from __future__ import annotations
+
+ENGINES = ("auto", "c", "mjx")
+ROBOTS = ("nermo_lite",)
+TAILS = ("rigid", "articulated")
+GAITS = ("trt", "trt1", "lat")
+SPINE_MODES = ("none", "stride_extension", "balance")
+STEERINGS = ("leg", "spine", "mix")
+PROFILES = ("exact", "as_published")
+PILOTS = ("straight", "arc", "open_loop")
+VIEWS = ("three_quarter", "side", "top", "front", "rear")

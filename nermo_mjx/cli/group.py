@@ -1,0 +1,86 @@
+"""How every command ends: 0 done, 1 the work failed, 2 wrong use, and one sentence instead of a traceback."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import IO, Any, NoReturn
+
+import click
+
+
+class Failure(click.ClickException):
+    """The work failed; the message is one sentence for the user."""
+
+    exit_code = 1
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        click.echo(f"nermo-mjx: {self.format_message()}", file=file or sys.stderr)
+
+
+class WrongUse(Failure):
+    """The command was asked for something that cannot be."""
+
+    exit_code = 2
+
+
+class CommandGroup(click.Group):
+    """A group that turns the package's own errors into exit codes, and an interruption into a sentence."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with _terminate_as_interrupt():
+            try:
+                return super().invoke(ctx)
+            except KeyboardInterrupt as error:
+                # A sweep says itself how to go on; what holds no state simply stops.
+                raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
+            except (click.ClickException, click.Abort, click.exceptions.Exit):
+                raise
+            except Exception as error:
+                _translate(error)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """As click does it, with the nearest command's name."""
+        import difflib
+
+        name = args[0]
+        if not name.startswith("-") and name not in self.commands:
+            near = difflib.get_close_matches(name, self.commands, n=1)
+            hint = f" Did you mean {near[0]!r}?" if near else f" There are: {', '.join(self.commands)}."
+            raise click.UsageError(f"No such command {name!r}.{hint}", ctx)
+        return super().resolve_command(ctx, args)
+
+
+def _translate(error: Exception) -> NoReturn:
+    """Raise the user's view of an error of ours; anything else is a bug and keeps its traceback."""
+    from nermo_mjx.robot.quantity import ParameterError
+
+    if isinstance(error, ParameterError):
+        raise WrongUse(str(error)) from None
+    # Errors of the package carry a sentence for the user; those of rooms that were never imported cannot occur.
+    ours = type(error).__module__.partition(".")[0] == "nermo_mjx"
+    if ours and isinstance(error, (ValueError, RuntimeError, OSError)):
+        raise Failure(str(error)) from None
+    if isinstance(error, OSError) and error.filename is not None:
+        raise Failure(f"{error.filename}: {error.strerror}.") from None
+    raise error
+
+
+@contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """SIGTERM, as batch systems send it, ends a command as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,131 @@
+"""Progress on standard error: a bar on a terminal, elsewhere a line now and then, nothing when quiet."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from types import TracebackType
+from typing import IO, Any
+
+COMPILING = "compiling, once per machine"
+#: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
+PATIENCE = 1.5
+
+
+class Progress:
+    """Shows how far a piece of work is; a context manager.
+
+    Args:
+        what: names the work, "sweep".
+        unit: what is counted, "runs".
+        quiet: show nothing.
+        compiles: name compilation if nothing moves at first.
+        every: seconds between two lines where there is no terminal.
+        stream: where to write; standard error by default.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        unit: str = "",
+        *,
+        quiet: bool = False,
+        compiles: bool = False,
+        every: float = 10.0,
+        stream: IO[str] | None = None,
+    ) -> None:
+        self._what, self._unit, self._quiet, self._every = what, unit, quiet, every
+        self._stream = stream or sys.stderr
+        self._bar: Any = None
+        self._timer = threading.Timer(PATIENCE, self.note, [COMPILING]) if compiles and not quiet else None
+        self._start: tuple[float, float] | None = None
+        self._last_line = time.monotonic()
+
+    def __enter__(self) -> Progress:
+        if not self._quiet and self._stream.isatty():
+            self._bar = _bar(self._stream)
+            self._bar.start()
+            self._task = self._bar.add_task(self._what, total=1.0, note="")
+        if self._timer is not None:
+            self._timer.daemon = True
+            self._timer.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop_waiting()
+        if self._bar is not None:
+            self._bar.stop()
+
+    def count(self, done: int, total: int) -> None:
+        """So many of all are done."""
+        self.share(done / total if total else 1.0, done, total)
+
+    def share(self, fraction: float, done: int | None = None, total: int | None = None) -> None:
+        """A share of the work is done, and so many of all; the first call may start above 0 where work is resumed."""
+        now = time.monotonic()
+        if self._start is None:
+            self._start = (now, fraction)
+        if fraction > self._start[1]:
+            self._stop_waiting()
+        if self._quiet:
+            return
+        text = f"{fraction:.0%}" if done is None or total is None else f"{done:,} of {total:,} {self._unit}"
+        pace = self._pace(now, fraction, total)
+        if self._bar is not None:
+            self._bar.update(self._task, completed=fraction, note=text + pace)
+        elif now - self._last_line >= self._every or fraction >= 1.0 > self._start[1]:
+            self._last_line = now
+            self._line(text + pace)
+
+    def note(self, text: str) -> None:
+        """Say what is going on besides counting."""
+        if self._quiet:
+            return
+        if self._bar is not None:
+            self._bar.update(self._task, note=text)
+        else:
+            self._line(text)
+
+    def _stop_waiting(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _line(self, text: str) -> None:
+        self._stream.write(f"{self._what}: {text}\n")
+        self._stream.flush()
+
+    def _pace(self, now: float, fraction: float, total: int | None) -> str:
+        """Rate and time left, from what this process did."""
+        assert self._start is not None
+        seconds, share = now - self._start[0], fraction - self._start[1]
+        if seconds <= 0 or share <= 0:
+            return ""
+        rate = f", {total * share / seconds:.3g} {self._unit}/s" if total else ""
+        return rate + (f", {duration((1 - fraction) * seconds / share)} left" if fraction < 1 else "")
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: 8 s, 3 min 20 s, 2 h 5 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def _bar(stream: IO[str]) -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn
+    from rich.progress import Progress as RichProgress
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.fields[note]}"),
+    )
+    return RichProgress(*columns, console=Console(file=stream), transient=True)

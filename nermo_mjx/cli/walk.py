@@ -1,0 +1,126 @@
+"""`nermo-mjx walk`: one run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import GAITS, PILOTS, PROFILES, ROBOTS, SPINE_MODES, STEERINGS, TAILS, VIEWS
+from nermo_mjx.cli.output import plain, print_json, stdout_reserved
+from nermo_mjx.cli.progress import Progress
+from nermo_mjx.cli.render import render_video
+from nermo_mjx.cli.walk_plan import Plan, plan
+from nermo_mjx.cli.walk_report import print_walk
+
+if TYPE_CHECKING:
+    from nermo_mjx.robot import Robot
+
+EPILOG = """\b
+Examples:
+  nermo-mjx walk
+  nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
+  nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
+  nermo-mjx walk --set contact.friction=0.6 --json
+"""
+
+
+@click.command("walk", epilog=EPILOG)
+@options.choice("--gait", GAITS, "Trot, walking trot, lateral walk.")
+@options.number("--frequency", "Gait cycles per second [Hz].")
+@options.number("--stride", "Stride length, as a share of the maximum.")
+@options.choice("--spine", SPINE_MODES, "What the spine adds.")
+@options.number("--spine-amplitude", "Servo amplitude of the stride extension [rad].")
+@options.number("--spine-phase", "Phase of the stride extension [rad].")
+@options.number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left.")
+@options.choice("--steering", STEERINGS, "What turns the robot.")
+@options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
+@options.number(
+    "--offset-compensation",
+    "Rear legs take up the hip's rise; a share, or all if no number is given.",
+    is_flag=False,
+    flag_value=1.0,
+    metavar="[X]",
+)
+@options.choice("--profile", PROFILES, "Controller as described, or as published.")
+@options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)
+@options.number("--duration", "Length in seconds, instead of --cycles.", options.POSITIVE)
+@options.number("--warmup", "Part that is not measured, in the same unit; by default 2.", click.FloatRange(0))
+@options.choice("--robot", ROBOTS)
+@options.scene
+@options.choice("--tail", TAILS)
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=X",
+    help="Any parameter that `sweep --list-parameters` prints; repeatable.",
+)
+@options.number("--seed", "Shift the start a little, as the repeats of a sweep.", click.IntRange(0))
+@options.engine
+@options.file("--record", ".npz", "Save the whole run.")
+@options.file("--video", ".mp4", "Render it; MP4 or GIF.")
+@click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
+@options.report
+def command(
+    engine: str, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool, **chosen: Any
+) -> None:
+    """Let the robot walk once, and sum up how it went."""
+    with stdout_reserved():
+        wanted = plan(**chosen)
+        if video is not None:
+            _check_video(wanted, video, camera)
+        report, trace = _run(wanted, engine, bool(record or video), quiet)
+        if trace is not None:
+            _save(trace, wanted, report, record, video, camera, quiet)
+    if as_json:
+        print_json(report)
+    elif not quiet:
+        print_walk(report, wanted.theory, [path for path in (record, video) if path is not None])
+
+
+def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> tuple[dict[str, Any], Any]:
+    """The report of the run, and its trace if it is recorded."""
+    from nermo_mjx.rollout import Simulator
+    from nermo_mjx.sweep import versions
+
+    with Progress("walk", quiet=quiet, compiles=True) as progress:
+        simulator = Simulator(wanted.setup, engine=engine)
+        result = simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
+    metrics = {name: values[0].item() for name, values in result.metrics.items()}
+    report = {
+        "metrics": {**metrics, "status": str(result.status[0])},
+        "parameters": dict(wanted.parameters),
+        "setup": wanted.setup_fields,
+        "run": wanted.run_fields,
+        "engine": result.engine,
+        "versions": versions(),
+    }
+    return report, result.trace
+
+
+def _check_video(wanted: Plan, video: Path, camera: str) -> None:
+    """Refuse a video that cannot be made before the robot walks."""
+    from nermo_mjx.view import check_video
+
+    check_video(_robot(wanted).model, video, camera=camera)
+
+
+def _save(
+    trace: Any, wanted: Plan, report: dict[str, Any], record: Path | None, video: Path | None, camera: str, quiet: bool
+) -> None:
+    from nermo_mjx.view import recording_of
+
+    recording = recording_of(trace, _robot(wanted).model, metadata=plain(report))
+    if record is not None:
+        recording.save(record)
+    if video is not None:
+        render_video(recording, video, quiet, camera=camera)
+
+
+def _robot(wanted: Plan) -> Robot:
+    from nermo_mjx.robot import load_robot
+
+    return load_robot(robot=wanted.setup.robot, scene=wanted.setup.scene, tail=wanted.setup.tail)

@@ -1,0 +1,124 @@
+"""From the options of `walk` to a setup, a run and named parameters, each checked before anything compiles."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from nermo_mjx.cli.group import WrongUse
+
+if TYPE_CHECKING:
+    from nermo_mjx.robot import Quantity
+    from nermo_mjx.rollout import Run, Setup
+
+#: Options that set one parameter, and what the setup must be for the parameter to matter.
+PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
+    "frequency": ("frequency", None),
+    "stride": ("stride", None),
+    "spine_amplitude": ("spine.amplitude", ("spine", "stride_extension")),
+    "spine_phase": ("spine.phase", ("spine", "stride_extension")),
+    "turn_rate": ("pilot.turn_rate", ("pilot", "open_loop")),
+    "offset_compensation": ("spine.offset_compensation", None),
+}
+SETUP_OPTIONS = ("robot", "scene", "tail", "gait", "spine", "steering", "profile")
+DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """One run: its static choices, its length, the values the user gave, and all parameters with their defaults."""
+
+    setup: Setup
+    run: Run
+    values: Mapping[str, float]
+    parameters: Mapping[str, float]
+
+    @property
+    def setup_fields(self) -> dict[str, Any]:
+        return dataclasses.asdict(self.setup)
+
+    @property
+    def run_fields(self) -> dict[str, Any]:
+        return dataclasses.asdict(self.run)
+
+    @property
+    def theory(self) -> float:
+        """Speed of feet that neither slip nor lag (5.21) [m/s of simulated time]."""
+        p = self.parameters
+        stride = p["stride"] * p["stance.max_stride"]
+        return p["gait_factor"] * stride * p["frequency"] / p["tracking.clock_ratio"]
+
+
+def plan(
+    *,
+    pilot: str | None,
+    assignments: tuple[str, ...],
+    seed: int | None,
+    cycles: float | None,
+    duration: float | None,
+    warmup: float | None,
+    **options: Any,
+) -> Plan:
+    """Join and check the options; raises `WrongUse` or `ParameterError`."""
+    from nermo_mjx.rollout import Setup, all_parameters
+
+    pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
+    setup = Setup(pilot=pilot, **{name: options[name] for name in SETUP_OPTIONS})
+    known = all_parameters(setup)
+    values: dict[str, float] = {} if seed is None else _shifted_start(seed)
+    for option, (name, needs) in PARAMETER_OPTIONS.items():
+        if options[option] is None:
+            continue
+        if needs is not None and getattr(setup, needs[0]) != needs[1]:
+            flag = f"--{option.replace('_', '-')}"
+            raise WrongUse(
+                f"{flag} does nothing with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
+            )
+        values[name] = options[option]
+    values |= dict(_assignment(text, known) for text in assignments)
+    for name, value in values.items():
+        known[name].check(name, value)
+    parameters = {name: _scalar(about.default) for name, about in known.items()} | values
+    return Plan(setup, _length(cycles, duration, warmup), values, parameters)
+
+
+def _length(cycles: float | None, duration: float | None, warmup: float | None) -> Run:
+    from nermo_mjx.rollout import Run
+
+    if cycles is not None and duration is not None:
+        raise WrongUse("Give --cycles or --duration, not both.")
+    total = duration if duration is not None else cycles if cycles is not None else DEFAULT_CYCLES
+    before = min(DEFAULT_WARMUP, total / 4) if warmup is None else warmup
+    if before >= total:
+        raise WrongUse(f"--warmup is {before:g}: it must be shorter than the run, {total:g}.")
+    return Run(cycles=total, warmup_cycles=before) if duration is None else Run(duration=total, warmup=before)
+
+
+def _assignment(text: str, known: Mapping[str, Quantity]) -> tuple[str, float]:
+    name, equals, number = text.partition("=")
+    name = name.strip()
+    if not equals:
+        raise WrongUse(f"--set {text}: expected NAME=VALUE, such as frequency=0.8.")
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1) or [n for n in known if n.rpartition(".")[2] == name]
+        hint = f"did you mean {near[0]}?" if near else "`nermo-mjx sweep --list-parameters` prints all."
+        raise WrongUse(f"--set {text}: {name} is not a parameter; {hint}")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {known[name].allowed()}.") from None
+
+
+def _shifted_start(seed: int) -> dict[str, float]:
+    import numpy as np
+
+    from nermo_mjx.sweep.spec import START_SPREAD
+
+    random = np.random.default_rng(seed)
+    return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
+
+
+def _scalar(default: Any) -> float:
+    return float(default)

@@ -1,0 +1,99 @@
+"""The protocol of the physics engines, and the choice of one.
+
+An engine advances a batch of worlds by control ticks. In each tick the *loop* (controller and metrics, pure functions
+that know nothing of engines) reads the sensors of the tick before and sets the servos; then the physics runs
+`steps_per_tick` steps. The loop is the same code in every engine: traced into the scan (`mjx`), or jitted and called
+between ticks (`c`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import jax
+import numpy as np
+
+from nermo_mjx.robot import ParameterError, Robot
+
+ENGINES = ("auto", "c", "mjx")
+
+
+class Loop(Protocol):
+    """What runs between two ticks of physics, in one world; pure, jittable functions over pytrees."""
+
+    steps_per_tick: int
+
+    def init(self, params: Any, sensordata: Any) -> Any:
+        """First state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
+
+    def step(self, params: Any, state: Any, sensordata: Any) -> tuple[Any, Any]:
+        """New state and `ctrl` (n_servos,) from the sensors of the last tick's steps, (steps_per_tick, n_sensordata)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Trace:
+    """What a recorded run leaves, world first, one entry a tick.
+
+    Attributes:
+        qpos, qvel: state at the end of each tick, (n, ticks, nq) and (n, ticks, nv).
+        ctrl: servo targets during the tick, (n, ticks, n_servos).
+        sensordata: of the tick's last step, (n, ticks, n_sensordata).
+    """
+
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    sensordata: np.ndarray
+
+
+class Session(Protocol):
+    """A batch of worlds in motion."""
+
+    @property
+    def loop_state(self) -> Any:
+        """State of the loop, leaves with a leading world axis."""
+
+    def advance(self, ticks: int) -> None:
+        """Run all worlds for `ticks` control ticks."""
+
+    def record(self, ticks: int) -> Trace:
+        """Like `advance`, and return what happened."""
+
+
+class Engine(Protocol):
+    """Opens sessions for one robot and one loop; programs compiled for it are shared by its sessions."""
+
+    name: str
+
+    def open(self, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Session:
+        """Start a batch at rest.
+
+        Args:
+            params: parameters of the loop, every leaf with a leading world axis (n, ...).
+            qpos: initial positions, (n, nq).
+            fields: model fields that differ between worlds, (n, ...) each (see `Variation`).
+        """
+
+
+def resolve_engine(name: str) -> str:
+    """The engine that `auto` stands for on this machine: `mjx` where there is an accelerator, `c` on a CPU.
+
+    Raises:
+        ParameterError: an unknown name.
+    """
+    if name not in ENGINES:
+        raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
+    if name != "auto":
+        return name
+    return "c" if jax.default_backend() == "cpu" else "mjx"
+
+
+def make_engine(name: str, robot: Robot, loop: Loop) -> Engine:
+    """Build an engine by name (`auto`, `c`, `mjx`)."""
+    from nermo_mjx.physics.c_engine import CEngine
+    from nermo_mjx.physics.mjx_engine import MjxEngine
+
+    engines: dict[str, Callable[[Robot, Loop], Engine]] = {"c": CEngine, "mjx": MjxEngine}
+    return engines[resolve_engine(name)](robot, loop)

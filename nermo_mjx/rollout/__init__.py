@@ -1,0 +1,7 @@
+"""Controller x physics x metrics in one loop: from named parameters to named metrics."""
+
+from nermo_mjx.rollout.metrics import METRICS, Metric
+from nermo_mjx.rollout.setup import Run, Setup, all_parameters
+from nermo_mjx.rollout.simulator import Recording, RunResult, Simulator
+
+__all__ = ["METRICS", "Metric", "Recording", "Run", "RunResult", "Setup", "Simulator", "all_parameters"]

@@ -1,0 +1,30 @@
+"""Attitude of the torso as three angles.
+
+Roll, pitch and yaw are right-handed rotations about the robot's own axes: roll about y (back; positive leans left),
+pitch about x (left; positive is nose down), yaw about z (positive turns left), with R = Rz(yaw) Rx(pitch) Ry(roll).
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def attitude(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3"]:
+    """(roll, pitch, yaw) of a unit quaternion (w, x, y, z) [rad]; finite derivatives everywhere but upside down."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
+    r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    level = jnp.sqrt(r20**2 + r22**2 + 1e-12)
+    return jnp.stack([jnp.arctan2(-r20, r22), jnp.arctan2(r21, level), jnp.arctan2(-r01, r11)], axis=-1)
+
+
+def heading(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 2"]:
+    """Horizontal direction (x, y) in which the head points; its length is the cosine of the torso's slope."""
+    w, x, y, z = (quaternion[..., i] for i in range(4))
+    return -jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z)], axis=-1)
+
+
+def uprightness(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch"]:
+    """Cosine of the torso's tilt: 1 upright, 0 on its side."""
+    return 1 - 2 * (quaternion[..., 1] ** 2 + quaternion[..., 2] ** 2)

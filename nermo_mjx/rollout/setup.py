@@ -1,0 +1,129 @@
+"""What is chosen by name before anything compiles: robot, scene, gait, modes; and how long a run is measured."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+
+from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.parameters import published_values
+from nermo_mjx.control.pilot import Command
+from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.rollout.parameters import WorldParameters
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """Static choices of a simulation; every name is checked at construction.
+
+    Attributes:
+        robot, scene, tail, routing, cone, timestep: see `RobotConfig`.
+        gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
+        spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
+        steering: `leg`, `spine` or `mix`.
+        profile: `exact` or `as_published`.
+        pilot: `straight`, `arc`, `open_loop`, or `external` with `command`.
+        command: for the pilot `external`, see `control.pilot.tabulated`.
+        trajectory: `cubic`, `linear` or `parabolic` foot paths.
+
+    Raises:
+        ParameterError: an unknown name; the message says what is allowed.
+    """
+
+    robot: str = "nermo_lite"
+    scene: str = "flat"
+    tail: str = "rigid"
+    routing: str = "type3"
+    cone: str = "elliptic"
+    timestep: float = 0.002
+    gait: str = "trt"
+    spine: str = "none"
+    steering: str = "leg"
+    profile: str = "exact"
+    pilot: str = "straight"
+    command: Command | None = None
+    trajectory: str = "cubic"
+
+    def __post_init__(self) -> None:
+        RobotConfig(self.robot, self.scene, self.tail, self.routing, self.cone, self.timestep)
+        published_values(self.gait, steering=self.steering, profile=self.profile)
+        self.controller()
+        ratio = 1.0 / (self.controller().control_rate * self.timestep)
+        if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
+            raise ParameterError(f"timestep is {self.timestep}: allowed is the control period 0.01 s divided by a whole number.")
+
+    def load(self) -> Robot:
+        """The assembled robot in its scene."""
+        return load_robot(self.robot, self.scene, self.tail, self.routing, self.cone, self.timestep)
+
+    def controller(self) -> Controller:
+        """The controller with these choices."""
+        robot = self.load()
+        return Controller(
+            spine=self.spine, pilot=self.pilot, command=self.command, trajectory=self.trajectory, routing=self.routing,
+            masses=robot.mass_model, n_servos=robot.n_servos,
+        )  # fmt: skip
+
+    def defaults(self) -> dict[str, float]:
+        """Value of every parameter before a user names any."""
+        values = {name: float(about.default) for name, about in quantities(WorldParameters)}  # type: ignore[arg-type]
+        return values | published_values(self.gait, steering=self.steering, profile=self.profile)
+
+
+def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
+    """Every parameter a sweep may name, with the defaults of `setup`."""
+    defaults = (setup or Setup()).defaults()
+    return {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(WorldParameters)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """How long a run lasts and what part of it is measured: gait cycles, or seconds.
+
+    Attributes:
+        cycles, warmup_cycles: length of the run, and of its unmeasured start, in gait cycles.
+        duration, warmup: the same in simulated seconds; `duration` excludes `cycles`.
+        distance: measuring stops once the robot has walked this far [m].
+
+    Raises:
+        ParameterError: neither or both lengths, a warm-up as long as the run, a value that is not finite.
+    """
+
+    cycles: float | None = None
+    warmup_cycles: float | None = None
+    duration: float | None = None
+    warmup: float | None = None
+    distance: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("cycles", "warmup_cycles", "duration", "warmup", "distance"):
+            value, zero_ok = getattr(self, name), name.startswith("warmup")
+            if value is not None and not (math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
+                raise ParameterError(f"run.{name} is {value!r}: allowed is {'[' if zero_ok else '('}0, inf).")
+        if self.duration is not None and (self.cycles is not None or self.warmup_cycles is not None):
+            raise ParameterError("run.duration is given beside run.cycles: give either seconds or gait cycles.")
+        if self.duration is None and self.warmup is not None:
+            raise ParameterError("run.warmup is given without run.duration: with cycles, give run.warmup_cycles.")
+        length, warmup = self._lengths()
+        if warmup >= length:
+            name = "warmup_cycles" if self.duration is None else "warmup"
+            raise ParameterError(f"run.{name} is {warmup:g}: allowed is less than the run's length, {length:g}.")
+
+    def _lengths(self) -> tuple[float, float]:
+        if self.duration is not None:
+            return self.duration, self.warmup or 0.0
+        cycles = 8.0 if self.cycles is None else self.cycles
+        default = 2.0 if cycles > 2.0 else 0.0
+        return cycles, default if self.warmup_cycles is None else self.warmup_cycles
+
+    def seconds(self, frequency: Any, clock_ratio: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """(end of the warm-up, end of the run) in simulated seconds, shaped as `frequency`."""
+        length, warmup = self._lengths()
+        period = np.asarray(clock_ratio, float) / np.asarray(frequency, float)
+        if self.duration is not None:
+            period = np.ones_like(period)
+        return warmup * period, length * period

@@ -1,0 +1,205 @@
+"""A batch of worlds from named parameters to named metrics, on any engine."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from nermo_mjx.control.build import check
+from nermo_mjx.physics import Trace, Variation, make_engine
+from nermo_mjx.robot import Sensors
+from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
+from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
+from nermo_mjx.rollout.parameters import Window, WorldParameters
+from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.start import StartPose
+
+#: Ticks between two reports of progress.
+BLOCK = 25
+
+
+@dataclasses.dataclass(frozen=True)
+class Recording:
+    """What happened in every world, one entry a control tick.
+
+    Attributes:
+        time: end of each tick (ticks,) [s].
+        qpos, qvel: positions and velocities (n, ticks, nq), (n, ticks, nv).
+        ctrl: servo targets (n, ticks, n_servos) [rad].
+        sensors: readings by name, (n, ticks, ...).
+    """
+
+    time: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    sensors: dict[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class RunResult:
+    """What a batch of n worlds gave.
+
+    Attributes:
+        metrics: name -> (n,), as described in `METRICS`.
+        status: (n,) of `ok`, `fell`, `diverged`.
+        engine: which engine ran.
+        steps: physics steps of one world.
+        wall_seconds: time spent, compilation included; compile_seconds: the first tick's share of it.
+        trace: the recording, if one was asked for.
+    """
+
+    metrics: dict[str, np.ndarray]
+    status: np.ndarray
+    engine: str
+    steps: int
+    wall_seconds: float
+    compile_seconds: float
+    trace: Recording | None = None
+
+
+class Simulator:
+    """Runs batches of one setup; compiled programs are shared by all its runs."""
+
+    def __init__(self, setup: Setup | None = None, engine: str = "auto") -> None:
+        """
+        Args:
+            setup: what is chosen by name.
+            engine: `auto`, `c` or `mjx`.
+
+        Raises:
+            ParameterError: an unknown engine.
+        """
+        self.setup = setup or Setup()
+        self.robot = self.setup.load()
+        self.controller = self.setup.controller()
+        self.loop = ClosedLoop(self.robot, self.controller)
+        self.engine = make_engine(engine, self.robot, self.loop)
+        self.variation = Variation(self.robot)
+        self.start = StartPose(self.robot, self.controller)
+        self._results = jax.jit(jax.vmap(metrics.result))
+
+    @functools.cached_property
+    def _defaults(self) -> WorldParameters:
+        return replace_quantities(WorldParameters(), self.setup.defaults())
+
+    def parameters(self, values: Mapping[str, Any]) -> WorldParameters:
+        """Checked parameters of a batch: the setup's defaults, with the named values replaced.
+
+        Args:
+            values: name -> number or (n,) array.
+
+        Raises:
+            ParameterError: unknown name, value out of range, or a stride past the legs' workspace.
+        """
+        params = replace_quantities(self._defaults, {name: np.asarray(value, float) for name, value in values.items()})
+        check_quantities(params)
+        check(params.control, routing=self.setup.routing)
+        return params
+
+    def run(
+        self,
+        values: Mapping[str, Any],
+        run: Run | None = None,
+        record: bool = False,
+        progress: Callable[[float], None] | None = None,
+        notify: Callable[[str], None] | None = None,
+    ) -> RunResult:
+        """Simulate one batch.
+
+        Args:
+            values: parameter name -> number or (n,) array; what is not named has the setup's default.
+            run: length and warm-up; eight gait cycles, two of them warm-up, by default.
+            record: keep every tick of every world (memory: about 1.5 kB a tick and world).
+            progress: called with the share done, in [0, 1].
+            notify: called with a sentence when a program is compiled.
+
+        Raises:
+            ParameterError: see `parameters`.
+        """
+        began = time.perf_counter()
+        params, worlds = _batched(self.parameters(values), values)
+        window = _window(run or Run(), params)
+        loop_params = LoopParameters(params.control, params.start, window)
+        ticks = int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1
+
+        qpos = self.start.batch(params.control, params.start)
+        fields = self.variation.batch(params.model, worlds)
+        if notify:
+            notify(f"compiling the {self.engine.name} program, once per machine")
+        session = self.engine.open(_single(loop_params), qpos, fields)
+        traces: list[Trace] = []
+        compiled = None
+        for done, size in _blocks(ticks):
+            if record:
+                traces.append(session.record(size))
+            else:
+                session.advance(size)
+            if compiled is None:
+                jax.block_until_ready(session.loop_state)
+                compiled = time.perf_counter() - began
+            if progress:
+                progress((done + size) / ticks)
+
+        mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
+        measured = self._results(session.loop_state.metrics, mass)
+        table = {name: np.asarray(column, float) for name, column in measured.items()}
+        status = np.where(table["diverged"] > 0, "diverged", np.where(table["fell"] > 0, "fell", "ok"))
+        return RunResult(
+            metrics=table,
+            status=status,
+            engine=self.engine.name,
+            steps=ticks * self.loop.steps_per_tick,
+            wall_seconds=time.perf_counter() - began,
+            compile_seconds=compiled or 0.0,
+            trace=self._recording(traces) if record else None,
+        )
+
+    def _recording(self, traces: list[Trace]) -> Recording:
+        qpos, qvel, ctrl, sensordata = (
+            np.concatenate([getattr(trace, name) for trace in traces], axis=1)
+            for name in ("qpos", "qvel", "ctrl", "sensordata")
+        )
+        sensors: Sensors = self.robot.sensors(sensordata)
+        named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
+        time_axis = (1 + np.arange(qpos.shape[1])) * self.controller.dt
+        return Recording(time_axis, qpos, qvel, ctrl, named)
+
+
+def _blocks(ticks: int) -> list[tuple[int, int]]:
+    return [(start, min(BLOCK, ticks - start)) for start in range(0, ticks, BLOCK)]
+
+
+def _batched(params: WorldParameters, values: Mapping[str, Any]) -> tuple[WorldParameters, int]:
+    """All leaves with a leading world axis, and the number of worlds."""
+    sizes = {np.shape(value)[0]: name for name, value in values.items() if np.ndim(value)}
+    if len(sizes) > 1:
+        (a, first), (b, second) = sorted(sizes.items())[:2]
+        raise ParameterError(f"{second} has {b} values and {first} has {a}: all arrays must have one length.")
+    worlds = next(iter(sizes), 1)
+    vectors = jax.tree.map(np.ndim, WorldParameters())
+
+    def spread(leaf: Any, dims: int) -> np.ndarray:
+        leaf = np.asarray(leaf, float)
+        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - dims :]))
+
+    return jax.tree.map(spread, params, vectors), worlds
+
+
+def _window(run: Run, params: WorldParameters) -> Window:
+    begin, end = run.seconds(params.control.gait.frequency, params.control.tracking.clock_ratio)
+    distance = np.full(begin.shape, 1e6 if run.distance is None else run.distance)
+    return Window(begin=begin, end=end, distance=distance)
+
+
+def _single(tree: Any) -> Any:
+    """Leaves in JAX's default precision."""
+    real = jax.dtypes.canonicalize_dtype(float)
+    return jax.tree.map(lambda leaf: np.asarray(leaf, real), tree)

@@ -1,0 +1,47 @@
+"""The pose in which a world starts: in the posture of its gait, at rest, its lowest foot on the ground."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.kinematics import spine
+from nermo_mjx.kinematics.body import hips, shoulders
+from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.rollout.parameters import Start
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StartPose:
+    """Maps parameters to `qpos`."""
+
+    robot: Robot
+    controller: Controller
+
+    def qpos(self, control: ControlParameters, start: Start) -> Float[Array, " nq"]:
+        """Positions of one world (leaves of shape ()); torso level, heading `start.yaw` from -y."""
+        servo = self.controller.initial_servo(control, start.phase)
+        pose = forward(four_legs(), jnp.stack([servo.hip, servo.knee], axis=-1), self.controller.routing)
+        bend = spine.joint_angle(servo.spine)
+        axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
+        sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
+        height = sole - jnp.min(axis_height + pose.foot[:, 1])
+
+        joints, half = self.robot.joints, jnp.asarray(start.yaw) / 2
+        zero = jnp.zeros_like(half)
+        root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])
+        qpos = jnp.asarray(self.robot.model.qpos0).at[joints.root : joints.root + 7].set(root)
+        qpos = qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
+        qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle)
+        return qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
+
+    def batch(self, control: ControlParameters, start: Start) -> np.ndarray:
+        """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
+        return np.asarray(jax.jit(jax.vmap(self.qpos))(control, start), float)

@@ -1,0 +1,27 @@
+"""Sweeps: read and check a sweep file, sample its variants, run them into a directory, sum up and draw."""
+
+from nermo_mjx.sweep.plots import draw_plots
+from nermo_mjx.sweep.provenance import machine, versions
+from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.sweep.run import Progress, SweepInterrupted, SweepResult, run_sweep
+from nermo_mjx.sweep.sampling import Rows, sample
+from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.store import StoreError, read_table
+from nermo_mjx.sweep.summary import summarize
+
+__all__ = [
+    "Progress",
+    "Rows",
+    "SpecError",
+    "StoreError",
+    "Sweep",
+    "SweepInterrupted",
+    "SweepResult",
+    "draw_plots",
+    "machine",
+    "read_table",
+    "run_sweep",
+    "sample",
+    "summarize",
+    "versions",
+]

@@ -1,0 +1,128 @@
+"""Which figures a sweep's table gives: heat maps over pairs of a grid, a line for one parameter, else scatters."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+from scipy import stats
+
+from nermo_mjx.sweep.figures import STYLE, Quantity, encode, heat_maps, line, pair_scatters, scatters, shown
+from nermo_mjx.sweep.table import columns_of, meta
+
+#: A figure has no more panels than this; more values are thinned evenly.
+MOST_PANELS = 12
+#: Pairs are drawn among this many parameters: the first of a grid, the most influential of a sample.
+MOST_PAIRED = 4
+
+
+def draw_plots(
+    table: pa.Table,
+    folder: Path,
+    *,
+    metrics: Sequence[str] = ("speed",),
+    write: Callable[[Path, bytes], None] | None = None,
+) -> list[Path]:
+    """Draw the figures of a result table as PNG and SVG.
+
+    Args:
+        table: as `read_table` returns it; only its columns and their metadata are read.
+        folder: where the files go.
+        metrics: the metrics to draw; one that the table lacks is left out.
+        write: how a file is written; `Path.write_bytes` if it is None.
+
+    Returns:
+        The files, in the order drawn.
+    """
+    files: list[Path] = []
+    folder.mkdir(parents=True, exist_ok=True)
+    with matplotlib.rc_context(STYLE):
+        for metric in metrics:
+            for name, figure in _figures(table, metric) if metric in table.column_names else []:
+                for form in ("png", "svg"):
+                    files.append(folder / f"{name}.{form}")
+                    (write or Path.write_bytes)(files[-1], encode(figure, form))
+    return files
+
+
+def _figures(table: pa.Table, metric: str) -> list[tuple[str, Figure]]:
+    """(file name, figure) of one metric; only runs that went well count."""
+    well = table.column("status").to_numpy(zero_copy_only=False) == "ok"
+    if not well.any():
+        return []
+    z = _quantity(table, metric)
+    z = Quantity(z.name, z.unit, np.where(well, z.values, np.nan))
+    varied = [_quantity(table, name) for name in columns_of(table, "varied")]
+    varied = [x for x in varied if len(np.unique(x.values)) > 1]
+    if (table.schema.metadata or {}).get(b"sampler") == b"grid" and varied:
+        repeats = int(np.max(table.column("repeat").to_numpy())) + 1
+        note = f"mean of {repeats} repeats; " if repeats > 1 else ""
+        if len(varied) == 1:
+            x = varied[0]
+            return [(f"{metric}-over-{x.name}", line(x, z, f"{_title(metric)} over {x.name}", note))]
+        return _heat_map_figures(varied, z, metric, note)
+    drawn = varied or [_quantity(table, name) for name in columns_of(table, "randomized")]
+    return _scatter_figures(drawn, z, metric)
+
+
+def _heat_map_figures(varied: list[Quantity], z: Quantity, metric: str, note: str) -> list[tuple[str, Figure]]:
+    """A heat map a pair; with a third parameter, one panel for each of its values."""
+    figures = []
+    for x, y in itertools.combinations(varied[:MOST_PAIRED], 2):
+        rest = [other for other in varied if other.name not in (x.name, y.name)]
+        panels, remark = [("", np.full(len(z.values), True))], note
+        if len(rest) == 1:
+            panels, left_out = _slices(rest[0])
+            remark += f"{left_out} more values of {rest[0].name} not shown; " if left_out else ""
+        elif rest:
+            remark += f"mean over {', '.join(other.name for other in rest)}; "
+        title = f"{_title(metric)} over {x.name} and {y.name}"
+        name = f"{metric}-over-{x.name}-and-{y.name}"
+        figures.append((name, heat_maps(x, y, z, panels, title, remark)))
+    return figures
+
+
+def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str) -> list[tuple[str, Figure]]:
+    """The metric against each parameter, and over the pairs of those that matter most."""
+    good = np.isfinite(z.values)
+    drawn = [Quantity(x.name, x.unit, x.values[good], x.log) for x in drawn if len(np.unique(x.values[good])) > 1]
+    z = Quantity(z.name, z.unit, z.values[good])
+    if not drawn:
+        return []
+    still = np.ptp(z.values) == 0
+    influence = [0.0 if still else float(stats.spearmanr(x.values, z.values).statistic) for x in drawn]
+    order = np.argsort(-np.abs(influence), kind="stable")
+    first = [drawn[i] for i in order[:MOST_PANELS]]
+    titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
+    note = f"{len(z.values)} runs; line: running mean"
+    if len(drawn) > MOST_PANELS:
+        note += f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most"
+    figures = [(f"{metric}-over-each", scatters(first, z, titles, f"{_title(metric)} over each parameter", note))]
+    if len(drawn) > 1:
+        pairs = list(itertools.combinations(first[:MOST_PAIRED], 2))
+        title = f"{_title(metric)} over pairs of the parameters that matter most"
+        figures.append((f"{metric}-over-pairs", pair_scatters(pairs, z, title, f"{len(z.values)} runs; ")))
+    return figures
+
+
+def _slices(third: Quantity) -> tuple[list[tuple[str, np.ndarray]], int]:
+    """A panel for each value of the third parameter, and how many values were left out."""
+    values = np.unique(third.values)
+    kept = values[np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_PANELS)).round().astype(int))]
+    panels = [(f"{third.name} = {third.shown(value)}", third.values == value) for value in kept]
+    return panels, len(values) - len(kept)
+
+
+def _quantity(table: pa.Table, name: str) -> Quantity:
+    about = meta(table.schema.field(name))
+    values = table.column(name).to_numpy(zero_copy_only=False)
+    return shown(name, about["unit"], values, log=about.get("scale") == "log")
+
+
+def _title(metric: str) -> str:
+    return metric.replace("_", " ").capitalize()

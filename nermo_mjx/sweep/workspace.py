@@ -1,0 +1,53 @@
+"""Strides and stances that the legs cannot reach are refused with the sweep file's line."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nermo_mjx.control import control_parameters
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.axes import Axis, Draw
+from nermo_mjx.sweep.reading import Document
+
+#: Values tried of a parameter that is sampled, and combinations tried in all.
+_TRIED, _MOST_TRIED = 5, 50_000
+
+
+def check_workspace(
+    doc: Document, setup: tuple[str, str, str], fixed: dict[str, float], entries: tuple[Axis | Draw, ...], *, grid: bool
+) -> None:
+    """Fail at the field whose values take a foot out of its leg's workspace.
+
+    Args:
+        setup: gait, steering and profile.
+        fixed: parameters with one value; `entries` the varied and randomized ones.
+        grid: whether the axes are a grid, of which every value is tried; else a few within the bounds.
+    """
+    sections = dict.fromkeys(fixed, "set") | {
+        entry.name: "vary" if isinstance(entry, Axis) else "randomize" for entry in entries
+    }
+    named = [name for name in sections if name == "stride" or name.startswith("stance.")]
+    if not named:
+        return
+    values = {name: np.array([fixed[name]]) for name in named if name in fixed}
+    for entry in entries:
+        if entry.name in named:
+            listed = isinstance(entry, Axis) and (grid or entry.form == "values")
+            # A normal draw has no largest value: all but one in a thousand on either side count.
+            bounds = np.linspace(0.001 if entry.form == "normal" else 0.0, 0.999, _TRIED)
+            values[entry.name] = entry.values() if isinstance(entry, Axis) and listed else entry.at(bounds)
+    while math.prod(map(len, values.values())) > _MOST_TRIED:
+        longest = max(values, key=lambda name: len(values[name]))
+        values[longest] = values[longest][
+            np.linspace(0, len(values[longest]) - 1, len(values[longest]) // 2).astype(int)
+        ]
+    mesh = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
+    gait, steering, profile = setup
+    try:
+        control_parameters(gait, steering=steering, profile=profile, **mesh)
+    except ParameterError as error:
+        subject, _, message = str(error).partition(" ")
+        name = subject if subject in named else named[0]
+        doc.fail((sections[name], name), message if subject == name else f"is refused: {error}", name)

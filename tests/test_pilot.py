@@ -1,0 +1,88 @@
+"""Paths, the PD pilot and commands given as tables."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nermo_mjx.control import pilot
+from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.robot.quantity import ParameterError
+
+metres = st.floats(-5, 5)
+
+
+def pilot_of(**values) -> Pilot:
+    return Pilot(**{name: jnp.float32(value) for name, value in values.items()})
+
+
+def test_a_robot_to_the_left_of_its_path_is_steered_to_the_right():
+    """x is to the left, and a negative turn rate turns right."""
+    error = pilot.cross_track_error("straight", Pilot(), jnp.asarray([0.01, -1.0, 0.05]))
+    assert error == pytest.approx(0.01)
+    assert pilot.steer(Pilot(), error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
+    assert pilot.steer(Pilot(), jnp.zeros(()), jnp.float32(1e-3)) == pytest.approx(-0.3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(metres, metres, st.floats(0.05, 1000.0, width=32), st.sampled_from([-1.0, 1.0]))
+def test_the_arcs_error_is_the_distance_to_the_circle_with_a_sign(x, y, radius, direction):
+    """The oracle is hypot in float64; left of a left arc is inside, left of a right arc is outside."""
+    x, y = float(np.float32(x)), float(np.float32(y))
+    expected = direction * (radius - np.hypot(x - direction * radius, y))
+    error = pilot.arc(pilot_of(radius=radius, direction=direction), jnp.asarray([x, y, 0.0]))
+    assert error == pytest.approx(expected, abs=5e-6, rel=1e-5)
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_a_point_on_the_arc_has_no_error(direction):
+    angle = np.linspace(0, np.pi / 2, 7)
+    place = np.stack([direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1)
+    error = pilot.arc(pilot_of(radius=0.5, direction=direction), jnp.asarray(place))
+    np.testing.assert_allclose(error, 0.0, atol=1e-7)
+
+
+def test_the_arc_has_a_finite_gradient_at_its_centre():
+    slope = jax.grad(lambda place: pilot.arc(pilot_of(radius=0.5), place))(jnp.asarray([0.5, 0.0, 0.0]))
+    assert np.isfinite(slope).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-1e30, 1e30), st.floats(-1e30, 1e30), st.sampled_from(pilot.PILOTS))
+def test_the_turn_rate_is_limited_for_any_position(x, y, name):
+    error = pilot.cross_track_error(name, Pilot(), jnp.asarray([x, y, 0.0], jnp.float32))
+    assert abs(pilot.steer(pilot_of(output_limit=0.5), error, error)) <= 0.5
+
+
+def test_a_table_is_interpolated_or_held():
+    line = pilot.tabulated([0.0, 1.0, 2.0], [0.0, 0.1, 0.1], [0.0, -1.0, 1.0])
+    speed, turn = line(jnp.float32(0.5))
+    assert (float(speed), float(turn)) == pytest.approx((0.05, -0.5))
+    steps = pilot.tabulated([0.0, 1.0, 2.0], 0.1, [0.0, -1.0, 1.0], hold=True)
+    turns = [float(steps(jnp.float32(time))[1]) for time in (-1.0, 0.0, 0.99, 1.0, 1.5, 2.0, 9.0)]
+    assert turns == [0.0, 0.0, 0.0, -1.0, -1.0, 1.0, 1.0]
+
+
+def test_a_table_is_compared_by_value():
+    """So that two equal controllers share a compiled program."""
+    assert hash(pilot.tabulated([0, 1], 0.1, 0.0)) == hash(pilot.tabulated(np.arange(2.0), 0.1, [0, 0]))
+    assert pilot.tabulated([0, 1], 0.1, 0.0) == pilot.tabulated(np.arange(2.0), 0.1, [0, 0])
+
+
+@pytest.mark.parametrize(
+    ("time", "speed", "turn", "message"),
+    [
+        ([0.0, 0.0], 0.1, 0.0, "command.time is not increasing at 0 s"),
+        ([], 0.1, 0.0, "command.time has shape"),
+        ([0.0, 1.0], [0.1], 0.0, r"command.speed has shape \(1,\): expected \(2,\)"),
+        ([0.0, 1.0], 0.1, [0.0, 1.5], r"command.turn_rate is 1.5: allowed is \[-1, 1\]"),
+        ([0.0, 1.0], -0.1, 0.0, "command.speed is -0.1: allowed is"),
+        ([0.0, np.nan], 0.1, 0.0, "command.time is nan: expected finite numbers"),
+        ([0.0, 1.0], "fast", 0.0, "command.speed is 'fast': expected numbers"),
+    ],
+)
+def test_a_table_that_does_not_fit_is_refused_with_a_sentence(time, speed, turn, message):
+    with pytest.raises(ParameterError, match=message):
+        pilot.tabulated(time, speed, turn)

@@ -1,0 +1,89 @@
+"""Foot paths against scipy's splines, and the published tracking lag against its recursion."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from nermo_mjx.control import trajectory
+from nermo_mjx.control.parameters import Stance, Tracking
+
+KNOTS = np.array([0.0, 0.5, 1.0])
+PROGRESS = np.linspace(0.0, 1.0, 101)
+coordinate = st.floats(-0.125, 0.125, width=32, allow_subnormal=False)
+
+
+def path(points, form="cubic"):
+    return np.asarray(trajectory.position(jnp.asarray(points, jnp.float32), jnp.asarray(PROGRESS), form))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(coordinate, min_size=6, max_size=6))
+def test_the_cubic_path_is_the_clamped_spline_in_y_and_the_natural_spline_in_z(values):
+    """scipy's CubicSpline with the same boundary conditions is the oracle; the tolerance is float32 rounding."""
+    points = np.reshape(values, (3, 2))
+    y = CubicSpline(KNOTS, points[:, 0], bc_type="clamped")(PROGRESS)
+    z = CubicSpline(KNOTS, points[:, 1], bc_type="natural")(PROGRESS)
+    np.testing.assert_allclose(path(points), np.stack([y, z], axis=-1), atol=1e-7)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(coordinate, min_size=6, max_size=6))
+def test_the_other_forms_are_the_polyline_and_the_parabola_through_the_points(values):
+    points = np.reshape(values, (3, 2))
+    line = np.stack([np.interp(PROGRESS, KNOTS, column) for column in points.T], axis=-1)
+    parabola = np.stack([np.polyval(np.polyfit(KNOTS, column, 2), PROGRESS) for column in points.T], axis=-1)
+    np.testing.assert_allclose(path(points, "linear"), line, atol=1e-7)
+    np.testing.assert_allclose(path(points, "parabolic"), parabola, atol=1e-7)
+
+
+@pytest.mark.parametrize("form", trajectory.FORMS)
+def test_the_weights_of_the_control_points_sum_to_one(form):
+    """So a path moves with its points, and a foot whose points coincide stands still."""
+    np.testing.assert_allclose(trajectory.weights(jnp.asarray(PROGRESS), form).sum(axis=-2), 1.0, atol=1e-6)
+
+
+def test_the_derivative_of_the_path_is_finite_and_continuous_over_the_mid_point():
+    points = jnp.asarray([[0.03, -0.05], [0.0, -0.04], [-0.03, -0.05]])
+    slope = jax.vmap(jax.jacfwd(lambda p: trajectory.position(points, p)))(jnp.asarray([0.0, 0.49999, 0.5, 0.50001, 1.0]))
+    assert np.isfinite(slope).all()
+    np.testing.assert_allclose(slope[1], slope[3], atol=1e-5)
+    np.testing.assert_allclose(slope[2, 0], 1.5 * -0.06, rtol=1e-5)  # m1 = 3/2 (P2 - P0)
+    np.testing.assert_allclose(slope[jnp.asarray([0, 4]), 0], 0.0, atol=1e-7)
+
+
+def test_a_stance_foot_is_pressed_down_and_moves_backward_and_a_swing_foot_is_raised_and_moves_forward():
+    """Backward is +y. Amplitudes and neutral positions are those of Table A.7."""
+    stance, down = Stance(), jnp.asarray([True, False, True, False])
+    points = np.asarray(trajectory.nominal_points(stance, down, jnp.full(4, 0.06)))
+    neutral = np.array([[-0.005, -0.045], [-0.005, -0.045], [0.0, -0.05], [0.0, -0.05]])
+    np.testing.assert_allclose(points[:, 1, 1] - neutral[:, 1], [-0.005, 0.01, -0.005, 0.01], atol=1e-7)
+    np.testing.assert_allclose(points[:, 2, 0] - neutral[:, 0], [0.03, -0.03, 0.03, -0.03], atol=1e-7)
+    np.testing.assert_allclose(points[:, 0, 0] - neutral[:, 0], [-0.03, 0.03, -0.03, 0.03], atol=1e-7)
+    np.testing.assert_allclose(points[:, [0, 2], 1], neutral[:, 1:].repeat(2, axis=1), atol=1e-7)
+
+
+def test_a_plan_starts_where_the_foot_is():
+    start = jnp.asarray(np.random.default_rng(0).uniform(-0.05, 0.05, (4, 2)), jnp.float32)
+    points = trajectory.plan(Stance(), start, jnp.ones(4, bool), jnp.full(4, 0.06))
+    np.testing.assert_array_equal(trajectory.position(points, jnp.zeros(4)), start)
+
+
+def test_exact_tracking_closes_the_whole_error_and_has_a_finite_derivative():
+    """(1 - g)^0.8 has an infinite slope at g = 1, which a gradient must not meet."""
+    tracking = Tracking()
+    assert trajectory.share_closed(tracking, 0.01) == 1.0
+    slope = jax.grad(lambda t: trajectory.share_closed(t, 0.01))(jax.tree.map(jnp.asarray, tracking))
+    assert np.isfinite(slope.foot_gain)
+    assert np.isfinite(slope.clock_ratio)
+
+
+@pytest.mark.parametrize("rate", [50.0, 80.0, 100.0, 500.0])
+def test_the_lag_does_not_depend_on_the_control_rate(rate):
+    """The oracle is the published recursion: 11 % of the error in each tick of 1/80 s of the controller's clock."""
+    closed = float(trajectory.share_closed(Tracking(foot_gain=np.float32(0.11), clock_ratio=np.float32(0.4)), 1.0 / rate))
+    left_after_a_second = (1.0 - closed) ** rate
+    assert left_after_a_second == pytest.approx((1.0 - 0.11) ** (80.0 / 0.4), rel=1e-3)

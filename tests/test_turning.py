@@ -1,0 +1,123 @@
+"""Speed law, turning curve, stride shares and the radii of theory, against the thesis' figures."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nermo_mjx.control import turning
+from nermo_mjx.control.parameters import Gait, Stance, Turning
+from nermo_mjx.robot.parameters import GAIT_PATTERNS
+
+rates = st.floats(-1, 1, width=32, allow_subnormal=False)
+
+
+def turning_of(exponent=5.0, leg=1.0, spine=0.0) -> Turning:
+    return Turning(exponent=jnp.float32(exponent), leg=jnp.float32(leg), spine=jnp.float32(spine))
+
+
+def test_the_trot_at_0_8_hz_with_the_full_stride_walks_at_the_speed_of_theory():
+    """6.2.1: 0.096 m/s without the spine, 0.120 m/s with a stride longer by 0.015 m."""
+    gait = Gait(frequency=np.float32(0.8), gait_factor=np.float32(GAIT_PATTERNS["trt"].gait_factor))
+    assert turning.body_speed(gait, 0.06) == pytest.approx(0.096, rel=1e-3)
+    assert turning.body_speed(gait, 0.075) == pytest.approx(0.120, rel=1e-3)
+
+
+@pytest.mark.parametrize("gait", GAIT_PATTERNS)
+@pytest.mark.parametrize("frequency", [0.5, 0.67, 0.8])
+def test_the_stride_gives_the_commanded_speed_until_it_saturates(gait, frequency):
+    parameters = Gait(frequency=np.float32(frequency), gait_factor=np.float32(GAIT_PATTERNS[gait].gait_factor))
+    most = turning.body_speed(parameters, 0.06)
+    for speed in (0.0, 0.01, 0.04):
+        assert turning.body_speed(parameters, turning.stride_length(parameters, Stance(), speed)) == pytest.approx(speed)
+    assert turning.stride_length(parameters, Stance(), 2 * most) == pytest.approx(0.06)
+
+
+def test_the_normalised_stride_scales_the_saturated_stride():
+    gait = Gait(stride=np.float32(0.8))
+    assert turning.stride_length(gait, Stance(), 1.0) == pytest.approx(0.048)
+
+
+@pytest.mark.parametrize(("rate", "shares"), [(1.0, [0, 1, 0, 1]), (-1.0, [1, 0, 1, 0]), (0.0, [1, 1, 1, 1])])
+def test_full_input_stops_the_inner_legs(rate, shares):
+    """Positive turns left, so the left legs FL and RL are the inner ones."""
+    np.testing.assert_allclose(turning.stride_shares(turning_of(), jnp.float32(rate)), shares, atol=1e-6)
+
+
+@settings(max_examples=50, deadline=None)
+@given(rates, st.floats(0, 20, width=32, allow_subnormal=False))
+def test_stride_shares_stay_in_range_and_mirror_with_the_turn_rate(rate, exponent):
+    shares = turning.stride_shares(turning_of(exponent), jnp.float32(rate))
+    assert ((shares >= 0) & (shares <= 1)).all()
+    mirrored = turning.stride_shares(turning_of(exponent), jnp.float32(-rate))
+    np.testing.assert_array_equal(shares[jnp.asarray([1, 0, 3, 2])], mirrored)
+
+
+@pytest.mark.parametrize("exponent", [0.3, 1.0, 2.0, 5.0])
+def test_the_turning_curve_is_the_signed_power(exponent):
+    """(5.38, 5.39) with the sign kept (erratum 4); below 1e-3 a straight line replaces the power."""
+    rate = np.array([-1.0, -0.5, -0.01, 0.0, 0.01, 0.5, 1.0])
+    curve = turning.turning_curve(jnp.asarray(rate), jnp.float32(exponent))
+    np.testing.assert_allclose(curve, np.sign(rate) * np.abs(rate) ** exponent, rtol=1e-5)
+
+
+def test_exponent_zero_turns_leg_modulation_off():
+    """Erratum 4: t = 0 is not a^0 = 1."""
+    np.testing.assert_array_equal(turning.stride_shares(turning_of(0.0), jnp.float32(1.0)), jnp.ones(4))
+
+
+def test_the_leg_share_switches_the_legs_and_the_spine_share_the_spine():
+    np.testing.assert_array_equal(turning.stride_shares(turning_of(leg=0.0), jnp.float32(1.0)), jnp.ones(4))
+    assert turning.spine_share(turning_of(spine=0.0), jnp.float32(1.0)) == 0.0
+    assert turning.spine_share(turning_of(spine=1.0), jnp.float32(-0.4)) == pytest.approx(-0.4)
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.1, 0.5, 1.0, 5.0])
+@pytest.mark.parametrize("rate", [-1.0, 0.0, 1e-4, 1.0])
+def test_the_turning_curve_has_finite_derivatives(rate, exponent):
+    """|a|^t has an infinite slope at 0 for t < 1."""
+    slopes = jax.grad(turning.turning_curve, argnums=(0, 1))(jnp.float32(rate), jnp.float32(exponent))
+    assert np.isfinite(slopes).all()
+
+
+def test_the_smallest_leg_based_radius_is_the_published_one():
+    """turning.simulation.min_radius_no_slip_theory_trt.lb: 0.151 m, given to three digits."""
+    radius = turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(0.0))
+    assert radius == pytest.approx(0.151, abs=5e-4)
+
+
+def test_the_smallest_mix_based_radius_is_smaller_and_within_a_tenth_of_the_published_one():
+    """min_radius_no_slip_theory_trt.mb is 0.134 m. The feet's diagonal gives 0.145 m; see `foot_diagonals`."""
+    left, right = (turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(t)) for t in (0.1, -0.1))
+    assert left == pytest.approx(float(right), rel=1e-4)
+    assert left == pytest.approx(0.134, rel=0.1)
+    assert left < 0.151
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.01, 0.08), st.floats(0.05, 1.0), st.floats(0.1, 0.2))
+def test_the_leg_based_radius_is_the_printed_formula(stride, difference, diagonal):
+    """(5.40-5.42)."""
+    turn = stride * difference / diagonal
+    printed = stride * np.sin((np.pi - turn) / 2) / np.sin(turn)
+    assert turning.leg_radius(stride, difference, diagonal) == pytest.approx(printed, rel=1e-4)
+
+
+def test_equal_strides_walk_straight():
+    radius, slope = jax.value_and_grad(lambda d: 1 / turning.leg_radius(0.06, d, 0.15))(jnp.float32(0.0))
+    assert radius == 0.0
+    assert np.isfinite(slope)
+
+
+def test_the_spine_based_radii_are_those_of_a_bent_line():
+    """(5.43, 5.44). Without a rear part, shoulder and hip axes meet at 4 theta_v: r_shoulder = r_hip cos(4 theta_v)."""
+    shoulder, hip = turning.spine_radius(jnp.float32(0.1), 0.07, 0.0)
+    assert shoulder == pytest.approx(float(hip) * np.cos(0.4), rel=1e-5)
+    assert hip == pytest.approx(0.07 / np.sin(0.4), rel=1e-5)
+
+
+def test_the_spine_lengths_add_up_to_the_robot():
+    """l_sp1 + l_sp2 is the distance from shoulder to hip axis, 0.0615 + 0.0604 (Table A.5)."""
+    assert sum(turning.spine_lengths()) == pytest.approx(0.0615 + 0.0604, abs=1e-4)
