@@ -9,12 +9,13 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import hashlib
+import importlib
 import importlib.util
 import os
 import platform
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 #: Below this many processors JAX's CPU runtime gets `SAFE_THREADS` threads. JAX 0.10.2 hangs (all threads idle, no
 #: error) in a vmapped MJX step of 64 worlds or more with two threads; with one or eight it does not.
@@ -27,6 +28,7 @@ _EGL_PLATFORM_DEVICE: Final = 0x313F
 _EGL_EXTENSIONS: Final = 0x3055
 _started_unguarded = False
 _gl_problem: str | None = None
+_late_backend: str | None = None
 
 
 class RenderingUnavailable(RuntimeError):
@@ -136,21 +138,15 @@ def _processor_tag() -> str:
 
 
 def choose_gl() -> str | None:
-    """Set `MUJOCO_GL` for a Linux machine without a display, before MuJoCo reads it at its import.
+    """Choose how to draw on a Linux machine without a display, and tell MuJoCo by `MUJOCO_GL`.
 
     EGL on a graphics card if there is one that starts, else OSMesa, else EGL in software. Returns the backend in force:
     "egl", "osmesa", what the user set, or None for MuJoCo's own default. Nothing is raised here; see `require_gl`.
     """
-    global _gl_problem
+    global _gl_problem, _late_backend
     if chosen := os.environ.get("MUJOCO_GL"):
         return chosen
     if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        return None
-    if "mujoco" in sys.modules:
-        _gl_problem = (
-            "mujoco was imported before nermo_mjx, so it looks for a display and there is none: "
-            "import nermo_mjx first, or set MUJOCO_GL=osmesa (or egl) before Python starts."
-        )
         return None
     backend = _headless_backend()
     if backend is None:
@@ -158,17 +154,28 @@ def choose_gl() -> str | None:
             "No library to draw with was found on this machine without a display: install one, "
             "for instance with `apt-get install libosmesa6`."
         )
-    else:
-        os.environ["MUJOCO_GL"] = backend
+        return None
+    os.environ["MUJOCO_GL"] = backend
+    if "mujoco" in sys.modules:  # which read the variable at its import, and expects a display
+        _late_backend = backend
     return backend
 
 
 def require_gl() -> None:
-    """Raise `RenderingUnavailable`, with the remedy, if rendering cannot work here."""
+    """Make sure that rendering works, as far as that can be told beforehand; call it before `mujoco.Renderer`.
+
+    Raises:
+        RenderingUnavailable: with the remedy.
+    """
+    global _late_backend
     if _gl_problem is not None:
         raise RenderingUnavailable(_gl_problem)
     if os.environ.get("MUJOCO_GL", "").lower() in {"disable", "disabled", "off", "false", "0"}:
         raise RenderingUnavailable("Rendering is switched off by MUJOCO_GL: unset it, or set it to egl or osmesa.")
+    if _late_backend is not None:
+        late: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+        late.GLContext = importlib.import_module(f"mujoco.{_late_backend}").GLContext
+        _late_backend = None
 
 
 def _headless_backend() -> str | None:

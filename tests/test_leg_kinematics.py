@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 
@@ -39,12 +40,12 @@ def poses(leg: kin.Leg, routing: str, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 @functools.cache
 def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
-    """The leg as three hinges, with a tendon for each routing; that of type 1 starts behind the pulley."""
+    """The leg as three hinges, with a tendon for each routing; that of type 1 reaches the pulley at its top."""
     s, l1, l2, l3, l4 = g.knee_direction, g.l1, g.l2, g.l3, g.l4
     return mujoco.MjModel.from_xml_string(f"""
     <mujoco><compiler angle="radian"/><worldbody>
       <site name="axis"/> <site name="guide" pos="0 {g.guide[0]} {g.guide[1]}"/>
-      <site name="behind" pos="0 {-0.02 * s} {g.pulley_height - 0.02}"/>
+      <site name="behind" pos="0 {-0.05 * s} {g.pulley_height + g.pulley_radius}"/>
       <site name="above" pos="0 0 {g.pulley_height + 0.02}"/>
       <geom name="pulley" type="cylinder" size="{g.pulley_radius} 0.01" pos="0 0 {g.pulley_height}" zaxis="1 0 0"/>
       <body>
@@ -59,7 +60,9 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
         </body>
       </body>
     </worldbody><tendon>
-      <spatial name="type1"><site site="behind"/><geom geom="pulley" sidesite="above"/><site site="attachment"/></spatial>
+      <spatial name="type1">
+        <site site="behind"/><geom geom="pulley" sidesite="above"/><site site="attachment"/>
+      </spatial>
       <spatial name="type2"><site site="guide"/><site site="attachment"/></spatial>
       <spatial name="type3"><site site="axis"/><site site="attachment"/></spatial>
     </tendon></mujoco>""")
@@ -67,7 +70,7 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_points_are_where_mujoco_puts_them(geometry):
-    """The same hip, knee and ankle angles give the same knee, attachment, ankle and foot as a chain of MuJoCo hinges."""
+    """The same hip, knee and ankle angles give the same points of the leg as a chain of MuJoCo hinges."""
     model = mujoco_leg(geometry)
     data = mujoco.MjData(model)
     with jax.enable_x64(True):
@@ -150,7 +153,7 @@ def test_inverse_undoes_forward(routing, x64, tolerance):
 
 @pytest.mark.parametrize("routing", ROUTINGS)
 def test_pulling_the_tendon_always_flexes_the_knee(routing):
-    """Over the whole knee range the tendon's length falls with the knee angle, with a lever of at least 0.5 mm."""
+    """Over the whole knee range the tendon's length falls with the knee angle, with a lever of at least 0.4 mm."""
     with jax.enable_x64(True):
         legs = kin.four_legs()
         q1 = np.random.default_rng(1).uniform(-2.0, 2.0, (500, 4))
@@ -158,7 +161,7 @@ def test_pulling_the_tendon_always_flexes_the_knee(routing):
         theta = low + (high - low) * np.linspace(0, 1, 30)[:, None, None]
         lever = jax.jvp(lambda angle: pull(legs, q1, angle, routing), (theta,), (jnp.ones_like(theta),))[1]
     assert works.all()
-    assert (lever < -5e-4).all()
+    assert (np.asarray(lever) < -4e-4).all()
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
@@ -169,7 +172,7 @@ def test_neutral_stance_bends_the_knee_its_own_way(geometry):
     points = kin.points(kin.leg_of(geometry), solution.servo[0], solution.knee_angle)
     np.testing.assert_allclose(points.foot, neutral, atol=1e-6)
     assert solution.reachable
-    # The shin turns by s theta_1, so the knee lies on the other side of the line from axis to foot.
+    # y of the knee times z of the foot: negative where the knee lies behind the line from axis to foot.
     side = points.knee[0] * points.foot[1] - points.knee[1] * points.foot[0]
     assert np.sign(side) == geometry.knee_direction
 
@@ -239,8 +242,7 @@ def test_the_geometry_is_differentiable():
         leg, servo = kin.leg_of(REAR_LEG), jnp.array([0.3, -0.5])
 
         def foot(length):
-            changed = jax.tree.map(jnp.asarray, leg)
-            return kin.forward(kin.dataclasses.replace(changed, l2=length), servo, "type1").foot
+            return forward(dataclasses.replace(leg, l2=length), servo, routing="type1").foot
 
         difference = (foot(leg.l2 + 1e-6) - foot(leg.l2 - 1e-6)) / 2e-6
         np.testing.assert_allclose(jax.jacfwd(foot)(jnp.asarray(leg.l2)), difference, rtol=1e-6)
@@ -251,13 +253,13 @@ def test_legs_and_batches_broadcast():
     """Four legs with a batch of feet (N, 4, 2) give what each leg gives alone, also under vmap."""
     legs = kin.four_legs()
     feet = np.array([0.0, -0.045]) + np.random.default_rng(2).uniform(-0.01, 0.01, (5, 4, 2))
-    together = kin.inverse(legs, feet, "type2")
-    mapped = jax.vmap(lambda foot: kin.inverse(legs, foot, "type2"))(feet)
+    together = inverse(legs, feet, routing="type2")
+    mapped = jax.jit(jax.vmap(lambda foot: kin.inverse(legs, foot, "type2")))(feet)
     for limb, geometry in enumerate((FRONT_LEG, FRONT_LEG, REAR_LEG, REAR_LEG)):
-        alone = kin.inverse(kin.leg_of(geometry), feet[:, limb], "type2")
+        alone = inverse(kin.leg_of(geometry), feet[:, limb], routing="type2")
         np.testing.assert_allclose(together.servo[:, limb], alone.servo, atol=1e-6)
     np.testing.assert_allclose(together.servo, mapped.servo, atol=1e-6)
-    assert kin.jacobian(legs, together.servo, "type2").shape == (5, 4, 2, 2)
+    assert jax.eval_shape(functools.partial(kin.jacobian, routing="type2"), legs, feet).shape == (5, 4, 2, 2)
 
 
 @pytest.mark.parametrize("function", [kin.forward, kin.inverse])
@@ -290,10 +292,17 @@ def assert_finite(values):
         assert np.isfinite(leaf).all(), values
 
 
+def pairs(dtype):
+    """Four pairs of any finite numbers, half of them of the size of a leg."""
+    width = np.finfo(dtype).bits
+    any_finite = st.floats(width=width, allow_nan=False, allow_infinity=False)
+    return hnp.arrays(dtype, (4, 2), elements=any_finite | st.floats(-0.125, 0.125, width=width))
+
+
 @settings(max_examples=150, deadline=None)
 @example(np.zeros((4, 2), np.float32))
 @example(np.full((4, 2), np.finfo(np.float32).max))
-@given(hnp.arrays(np.float32, (4, 2), elements=st.floats(width=32, allow_nan=False, allow_infinity=False)))
+@given(pairs(np.float32))
 def test_any_float32_gives_finite_values_and_derivatives(values):
     """Servo angles or feet may be any finite float32: values, jvp and grad hold no NaN and no infinity."""
     assert_finite(values)
@@ -301,7 +310,7 @@ def test_any_float32_gives_finite_values_and_derivatives(values):
 
 @settings(max_examples=150, deadline=None)
 @example(np.full((4, 2), -np.finfo(np.float64).max))
-@given(hnp.arrays(np.float64, (4, 2), elements=st.floats(allow_nan=False, allow_infinity=False)))
+@given(pairs(np.float64))
 def test_any_float64_gives_finite_values_and_derivatives(values):
     """The same for float64."""
     with jax.enable_x64(True):

@@ -48,7 +48,8 @@ def test_the_weights_of_the_control_points_sum_to_one(form):
 
 def test_the_derivative_of_the_path_is_finite_and_continuous_over_the_mid_point():
     points = jnp.asarray([[0.03, -0.05], [0.0, -0.04], [-0.03, -0.05]])
-    slope = jax.vmap(jax.jacfwd(lambda p: trajectory.position(points, p)))(jnp.asarray([0.0, 0.49999, 0.5, 0.50001, 1.0]))
+    velocity = jax.vmap(jax.jacfwd(lambda progress: trajectory.position(points, progress)))
+    slope = velocity(jnp.asarray([0.0, 0.49999, 0.5, 0.50001, 1.0]))
     assert np.isfinite(slope).all()
     np.testing.assert_allclose(slope[1], slope[3], atol=1e-5)
     np.testing.assert_allclose(slope[2, 0], 1.5 * -0.06, rtol=1e-5)  # m1 = 3/2 (P2 - P0)
@@ -84,6 +85,7 @@ def test_exact_tracking_closes_the_whole_error_and_has_a_finite_derivative():
 @pytest.mark.parametrize("rate", [50.0, 80.0, 100.0, 500.0])
 def test_the_lag_does_not_depend_on_the_control_rate(rate):
     """The oracle is the published recursion: 11 % of the error in each tick of 1/80 s of the controller's clock."""
-    closed = float(trajectory.share_closed(Tracking(foot_gain=np.float32(0.11), clock_ratio=np.float32(0.4)), 1.0 / rate))
+    published = Tracking(foot_gain=np.float32(0.11), clock_ratio=np.float32(0.4))
+    closed = float(trajectory.share_closed(published, 1.0 / rate))
     left_after_a_second = (1.0 - closed) ** rate
     assert left_after_a_second == pytest.approx((1.0 - 0.11) ** (80.0 / 0.4), rel=1e-3)

@@ -31,7 +31,8 @@ def test_the_stride_gives_the_commanded_speed_until_it_saturates(gait, frequency
     parameters = Gait(frequency=np.float32(frequency), gait_factor=np.float32(GAIT_PATTERNS[gait].gait_factor))
     most = turning.body_speed(parameters, 0.06)
     for speed in (0.0, 0.01, 0.04):
-        assert turning.body_speed(parameters, turning.stride_length(parameters, Stance(), speed)) == pytest.approx(speed)
+        stride = turning.stride_length(parameters, Stance(), speed)
+        assert turning.body_speed(parameters, stride) == pytest.approx(speed)
     assert turning.stride_length(parameters, Stance(), 2 * most) == pytest.approx(0.06)
 
 

@@ -45,10 +45,14 @@ def print_table(title: str, columns: list[tuple[str, str]], rows: list[list[str]
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=any(heading for heading, _ in columns))
     for heading, side in columns:
-        table.add_column(heading, justify="right" if side == "right" else "left")
+        table.add_column(Text(heading), justify="right" if side == "right" else "left")
     for row in rows:
         table.add_row(*(Text(cell) for cell in row))
-    terminal = sys.stdout.isatty()
-    Console(file=sys.stdout, width=None if terminal else 200, highlight=False).print(table)
+    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200, highlight=False)
+    with console.capture() as capture:
+        console.print(Text(title, style="bold"))
+        console.print(table)
+    lines = (line.rstrip() for line in capture.get().splitlines())
+    sys.stdout.write("\n".join(lines) + "\n\n")

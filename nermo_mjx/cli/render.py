@@ -21,12 +21,15 @@ Examples:
   nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
 """
 
+#: What of a recording's setup decides the model.
+ROBOT_FIELDS = ("robot", "scene", "tail", "routing", "cone", "timestep")
+
 
 @click.command("render", epilog=EPILOG)
 @click.argument("recording", metavar="FILE.npz", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @options.file("--out", ".mp4", "MP4 (H.264) or GIF.", required=True)
 @click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
-@options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=50)
+@options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
 @options.number("--width", "Pixels.", click.IntRange(16, 7680), default=640)
 @options.number("--height", "Pixels.", click.IntRange(16, 4320), default=480)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
@@ -54,6 +57,6 @@ def render_video(recording: Recording, path: Path, quiet: bool, **options: Any) 
     from nermo_mjx.view import render
 
     setup = recording.metadata.get("setup", {})
-    robot = load_robot(**{name: setup[name] for name in ("robot", "scene", "tail") if name in setup})
+    robot = load_robot(**{name: setup[name] for name in ROBOT_FIELDS if name in setup})
     with Progress("video", "frames", quiet=quiet) as progress:
         render(recording, robot.model, path, progress=progress.count, **options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -14,9 +14,6 @@ from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.render import render_video
 from nermo_mjx.cli.walk_plan import Plan, plan
 from nermo_mjx.cli.walk_report import print_walk
-
-if TYPE_CHECKING:
-    from nermo_mjx.robot import Robot
 
 EPILOG = """\b
 Examples:
@@ -83,15 +80,16 @@ def command(
 
 def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> tuple[dict[str, Any], Any]:
     """The report of the run, and its trace if it is recorded."""
-    from nermo_mjx.rollout import Simulator
+    from nermo_mjx.rollout import METRICS, Simulator
     from nermo_mjx.sweep import versions
 
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
         result = simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
-    metrics = {name: values[0].item() for name, values in result.metrics.items()}
+    metrics = {name: float(result.metrics[name][0]) for name in METRICS}
+    flags = {name: bool(metrics[name]) for name in ("fell", "diverged")}
     report = {
-        "metrics": {**metrics, "status": str(result.status[0])},
+        "metrics": {**metrics, **flags, "status": str(result.status[0])},
         "parameters": dict(wanted.parameters),
         "setup": wanted.setup_fields,
         "run": wanted.run_fields,
@@ -105,7 +103,7 @@ def _check_video(wanted: Plan, video: Path, camera: str) -> None:
     """Refuse a video that cannot be made before the robot walks."""
     from nermo_mjx.view import check_video
 
-    check_video(_robot(wanted).model, video, camera=camera)
+    check_video(wanted.setup.load().model, video, camera=camera)
 
 
 def _save(
@@ -113,14 +111,8 @@ def _save(
 ) -> None:
     from nermo_mjx.view import recording_of
 
-    recording = recording_of(trace, _robot(wanted).model, metadata=plain(report))
+    recording = recording_of(trace, wanted.setup.load().model, metadata=plain(report))
     if record is not None:
         recording.save(record)
     if video is not None:
         render_video(recording, video, quiet, camera=camera)
-
-
-def _robot(wanted: Plan) -> Robot:
-    from nermo_mjx.robot import load_robot
-
-    return load_robot(robot=wanted.setup.robot, scene=wanted.setup.scene, tail=wanted.setup.tail)

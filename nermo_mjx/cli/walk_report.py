@@ -16,7 +16,7 @@ LINES = (
     ("distance", "distance", "mm", 1e3),
     ("duration", "measured time", "s", 1.0),
     ("lateral_drift", "lateral drift", "mm", 1e3),
-    ("slip", "slip", "", 1.0),
+    ("slip", "slip of loaded feet", "mm/s", 1e3),
     ("servo_work", "servo work", "J", 1.0),
     ("cost_of_transport", "cost of transport", "", 1.0),
 )

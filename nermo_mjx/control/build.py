@@ -1,4 +1,4 @@
-"""Building controller parameters: names, ranges, and strides that the legs can reach are checked here, and only here."""
+"""Building controller parameters: names, ranges, and strides that the legs can reach, are checked here only."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def control_parameters(
         profile: "exact" or "as_published".
         routing: knee tendon routing, for the check of the workspace.
         values: parameters by name, as `quantities(ControlParameters)` lists them; a name with a dot is given as
-            `**{"spine.amplitude": 0.3}`. Numbers or arrays; arrays with leading batch axes give batched leaves.
+            `**{"spine.amplitude": 0.3}`. Numbers, or arrays whose axes are batch axes. They are checked, so they cannot
+            be traced: inside a transformed function use `replace_quantities`.
 
     Raises:
         ParameterError: an unknown name, a number out of range, or a stride past the legs' workspace.
@@ -42,8 +43,7 @@ def control_parameters(
     for name, value in values.items():
         known[choice("parameter", name, known)].check(name, value)
         named[name] = value
-    dtype = jnp.zeros(()).dtype
-    params = replace_quantities(ControlParameters(), {name: np.asarray(v, dtype) for name, v in named.items()})
+    params = replace_quantities(ControlParameters(), {name: np.asarray(value, float) for name, value in named.items()})
     check_workspace(params, routing=routing)
     return params
 
@@ -101,10 +101,10 @@ def _sentence(stance: Stance, stride: float, params: ControlParameters, limb: in
     batch = Stance(**{f.name: np.full(_STRIDE_STEPS, getattr(stance, f.name)) for f in dataclasses.fields(Stance)})
     reached = np.asarray(_reachable(batch, strides, routing))[:, limb]
     if not reached[0]:
+        behind, up, down = getattr(stance, f"{axle}_y"), stance.swing_amplitude, stance.stance_amplitude
         return (
-            f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {float(getattr(stance, f'{axle}_y')):g} m, raised by "
-            f"{float(stance.swing_amplitude):g} m and lowered by {float(stance.stance_amplitude):g} m, the {axle} foot leaves "
-            "its leg's workspace even without a stride."
+            f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {behind:g} m, raised by {up:g} m and lowered by "
+            f"{down:g} m, the {axle} foot leaves its leg's workspace even without a stride."
         )
     longest = strides[np.argmin(reached) - 1]
     scale = float(stance.max_stride)
@@ -113,6 +113,6 @@ def _sentence(stance: Stance, stride: float, params: ControlParameters, limb: in
         ("stride", stride / scale, longest / scale, "") if varied else ("stance.max_stride", stride, longest, " m")
     )
     return (
-        f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of {longest:.3f} m, "
-        f"so allowed is [0, {most:.3f}]{unit}."
+        f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of "
+        f"{longest:.3f} m, so allowed is [0, {most:.3f}]{unit}."
     )

@@ -12,15 +12,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Final
+from typing import Final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float
 
 from nermo_mjx.control import clock, fusion, pilot, trajectory, turning
 from nermo_mjx.control.parameters import ControlParameters, choice
 from nermo_mjx.control.pilot import Command
+from nermo_mjx.control.state import ControllerState, canonical, with_dtypes_of
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.interface import SERVOS, Sensors, ServoAngles
 from nermo_mjx.robot.mass_model import MassModel
@@ -30,46 +31,14 @@ from nermo_mjx.robot.quantity import ParameterError
 NO_MODE: Final = "none"
 
 
-@jax.tree_util.register_dataclass
-@dataclasses.dataclass(frozen=True)
-class ControllerState:
-    """What the controller remembers between two ticks, and what metrics may read.
-
-    Attributes:
-        tick: control ticks since the start.
-        time: simulated time since the start [s].
-        phase: of the gait cycle, in [0, 1).
-        stance: planned contact of the limbs.
-        points: control points (start, mid, end) of each limb's half-cycle, without `shift` [m].
-        foot: commanded foot positions (y, z) in the leg's frame, after lag and compensation [m].
-        shift: part of `foot` that is offset compensation [m].
-        speed: commanded speed [m/s of the controller's clock].
-        turn_rate: held between two pilot ticks, in [-1, 1], positive left.
-        spine: commanded spine servo angle, positive left [rad].
-        cross_track: error at the last pilot tick, positive to the left of the path [m].
-    """
-
-    tick: Int[Array, ""]
-    time: Float[Array, ""]
-    phase: Float[Array, ""]
-    stance: Bool[Array, " 4"]
-    points: Float[Array, "4 3 2"]
-    foot: Float[Array, "4 2"]
-    shift: Float[Array, "4 2"]
-    speed: Float[Array, ""]
-    turn_rate: Float[Array, ""]
-    spine: Float[Array, ""]
-    cross_track: Float[Array, ""]
-
-
 @dataclasses.dataclass(frozen=True)
 class Controller:
     """Static choices of the controller; hashable by value, so it can be closed over or a static argument of `jit`.
 
     Attributes:
         spine: auxiliary modes, "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names).
-        pilot: "open_loop" holds `pilot.turn_rate`, "straight" and "arc" follow a path, "external" asks `command`. All but
-            the last command `gait.speed`.
+        pilot: "open_loop" holds `pilot.turn_rate`, "straight" and "arc" follow a path, "external" asks `command`. All
+            but the last command `gait.speed`.
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
         trajectory: form of the foot path, "cubic", "linear" or "parabolic".
         routing: knee tendon routing of the legs.
@@ -99,7 +68,9 @@ class Controller:
         _check_rates(self.control_rate, self.pilot_rate)
         if (self.pilot == "external") != (self.command is not None):
             state = "missing" if self.command is None else "given"
-            raise ParameterError(f"command is {state}: the pilot 'external', and no other, takes one (pilot is {self.pilot!r}).")
+            raise ParameterError(
+                f"command is {state}: the pilot 'external', and no other, takes one (pilot is {self.pilot!r})."
+            )
         if "balance" in self.modes and self.masses is None:
             raise ParameterError(f"masses is None: the spine mode {self.spine!r} needs the robot's mass model.")
         if self.masses is not None:
@@ -134,7 +105,7 @@ class Controller:
         """
         state = self._start(params, phase)
         error = pilot.cross_track_error(self.pilot, params.pilot, sensors.position)
-        return _like(dataclasses.replace(state, cross_track=error), state)
+        return with_dtypes_of(state, dataclasses.replace(state, cross_track=error))
 
     def initial_servo(self, params: ControlParameters, phase: Float[Array, ""] | float = 0.0) -> ServoAngles:
         """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
@@ -149,22 +120,21 @@ class Controller:
         limbs = clock.limb_states(params.gait, phase)
 
         stride = self._strides(params, speed, turn_rate)
-        planned = trajectory.plan(params.stance, state.foot - state.shift, limbs.stance, stride)
+        planned = trajectory.plan(params.stance, state.path, limbs.stance, stride)
         switched = clock.switches(limbs.stance, state.stance)
         points = jnp.where(switched[:, None, None], planned, state.points)
         path = trajectory.position(points, limbs.progress, self.trajectory)
 
         spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
-        shift = fusion.compensation(params.spine, spine)
         closed = trajectory.share_closed(params.tracking, self.dt)
-        foot = state.foot + closed * (path + shift - state.foot)
+        foot = state.foot + closed * (path + fusion.compensation(params.spine, spine) - state.foot)
 
         tick = state.tick + 1
         after = ControllerState(
-            tick=tick, time=tick * self.dt, phase=phase, stance=limbs.stance, points=points, foot=foot, shift=shift,
+            tick=tick, time=tick * self.dt, phase=phase, stance=limbs.stance, points=points, path=path, foot=foot,
             speed=speed, turn_rate=turn_rate, spine=spine, cross_track=error,
         )  # fmt: skip
-        after = _like(after, state)
+        after = with_dtypes_of(state, after)
         return after, self.servo_angles(after)
 
     def servo_angles(self, state: ControllerState) -> ServoAngles:
@@ -180,13 +150,13 @@ class Controller:
         points = trajectory.nominal_points(params.stance, limbs.stance, self._strides(params, speed, turn_rate))
         path = trajectory.position(points, limbs.progress, self.trajectory)
         spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
-        shift = fusion.compensation(params.spine, spine)
+        foot = path + fusion.compensation(params.spine, spine)
         zero = jnp.zeros(())
         state = ControllerState(
             tick=jnp.zeros((), dtype=jnp.int32), time=zero, phase=phase, stance=limbs.stance, points=points,
-            foot=path + shift, shift=shift, speed=speed, turn_rate=turn_rate, spine=spine, cross_track=zero,
+            path=path, foot=foot, speed=speed, turn_rate=turn_rate, spine=spine, cross_track=zero,
         )  # fmt: skip
-        return jax.tree.map(lambda leaf: leaf.astype(jax.dtypes.canonicalize_dtype(_kind(leaf))), state)
+        return canonical(state)
 
     def _given_command(self, params: ControlParameters, time: Float[Array, ""]) -> tuple[Array, Array]:
         """Speed and turn rate as far as they do not depend on the sensors."""
@@ -253,12 +223,3 @@ def _plain(masses: MassModel) -> MassModel:
         front_mass=float(masses.front_mass), rear_mass=float(masses.rear_mass),
         front_com=tuple(map(float, masses.front_com)), rear_com=tuple(map(float, masses.rear_com)),
     )  # fmt: skip
-
-
-def _kind(leaf: Array) -> Any:
-    return float if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype
-
-
-def _like(state: ControllerState, reference: ControllerState) -> ControllerState:
-    """The state with the dtypes of `reference`, so that a scan can carry it."""
-    return jax.tree.map(lambda new, old: jnp.asarray(new).astype(old.dtype), state, reference)

@@ -24,13 +24,11 @@ _FADE_LINEAR_BELOW = 1e-3
 
 
 def stride_extension(spine: Spine, phase: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """Servo angle A cos(2 pi phase + psi) [rad]: compresses the swinging pair, extends the standing one (5.32, 5.33)."""
+    """Servo angle A cos(2 pi phase + psi) [rad], which compresses the swinging pair and extends the other (5.33)."""
     return spine.amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.phase)
 
 
-def balance(
-    spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]
-) -> Float[Array, ""]:
+def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]) -> Float[Array, ""]:
     """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
 
     Zero while all four feet are on the ground, where there is nothing to balance.
@@ -44,9 +42,7 @@ def balance(
     return servo_angle(balance_angle(masses, feet, stance, spine.balance_lift))
 
 
-def fuse(
-    spine: Spine, steering: Float[Array, "*batch"], auxiliary: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def fuse(spine: Spine, steering: Float[Array, "*batch"], auxiliary: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """q_sp = q_max (alpha_tr + (1 - |alpha_tr|)^s f_sp), in [-q_max, q_max] (5.45, 5.46) [rad].
 
     Erratum: (5.46) is printed without the absolute value, with which a left turn would amplify the other mode.

@@ -1,4 +1,4 @@
-"""The controller's parameters: arrays a sweep varies and a gradient tunes. What time changes is in `ControllerState`."""
+"""The controller's parameters: arrays a sweep varies and a gradient tunes. What time changes is `ControllerState`."""
 
 from __future__ import annotations
 
@@ -30,8 +30,13 @@ class Gait:
         1.0, unit="m/s", low=0.0, high=10.0, doc="commanded speed on the controller's clock; the stride saturates"
     )
     offset: Any = quantity(
-        (0.5, 0.0, 0.0, 0.5), unit="1", low=0.0, high=1.0, labels=LIMBS, doc="cycle share at which the limb's stance starts"
-    )  # fmt: skip
+        (0.5, 0.0, 0.0, 0.5),
+        unit="1",
+        low=0.0,
+        high=1.0,
+        labels=LIMBS,
+        doc="cycle share at which the limb's stance starts",
+    )
 
 
 @parameter_tree
@@ -53,12 +58,20 @@ class Spine:
 
     amplitude: Any = quantity(0.4, unit="rad", low=0.0, high=0.6, doc="servo amplitude of the stride extension")
     phase: Any = quantity(
-        0.0, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="psi of q_sp = A cos(2 pi phase + psi), the stride extension"
-    )  # fmt: skip
+        0.0,
+        unit="rad",
+        low=-2 * np.pi,
+        high=2 * np.pi,
+        doc="psi of q_sp = A cos(2 pi phase + psi), the stride extension",
+    )
     max_servo_angle: Any = quantity(0.4, unit="rad", low=0.01, high=0.6, doc="q_max, servo limit of the fusion (5.45)")
     fusion_exponent: Any = quantity(1.0, unit="1", low=0.1, high=10.0, doc="s, how turning fades the other mode (5.46)")
-    offset_compensation: Any = quantity(0.0, unit="1", low=0.0, high=1.0, doc="share of the hip's rise taken by the rear legs (5.31)")  # fmt: skip
-    balance_lift: Any = quantity(0.009, unit="m", low=0.0, high=0.03, doc="d_lift, wanted distance of the COM inside the triangle")  # fmt: skip
+    offset_compensation: Any = quantity(
+        0.0, unit="1", low=0.0, high=1.0, doc="share of the hip's rise taken by the rear legs (5.31)"
+    )
+    balance_lift: Any = quantity(
+        0.009, unit="m", low=0.0, high=0.03, doc="d_lift, wanted distance of the COM inside the triangle"
+    )
 
 
 @parameter_tree
@@ -77,7 +90,13 @@ class Pilot:
     """The high-level controller: a PD on the cross-track error, and the path it follows."""
 
     error_gain: Any = quantity(40.0, unit="1/m", low=0.0, high=1000.0, doc="turn rate per metre of cross-track error")
-    change_gain: Any = quantity(300.0, unit="1/m", low=0.0, high=10000.0, doc="turn rate per metre of its change per 1/50 s of the controller's clock")  # fmt: skip
+    change_gain: Any = quantity(
+        300.0,
+        unit="1/m",
+        low=0.0,
+        high=10000.0,
+        doc="turn rate per metre of its change per 1/50 s of the controller's clock",
+    )
     output_limit: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="largest turn rate")
     turn_rate: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="turn rate held by the pilot 'open_loop'")
     radius: Any = quantity(1.0, unit="m", low=0.05, high=1000.0, doc="radius of the pilot 'arc'")
@@ -89,8 +108,13 @@ class Tracking:
     """How the published controller differs from the exact one."""
 
     foot_gain: Any = quantity(
-        1.0, unit="1", low=0.0, open_low=True, high=1.0, doc="share of the foot error closed per tick of 1/80 s; 1 is exact"
-    )  # fmt: skip
+        1.0,
+        unit="1",
+        low=0.0,
+        open_low=True,
+        high=1.0,
+        doc="share of the foot error closed per 1/80 s of the controller's clock; 1 is exact",
+    )
     clock_ratio: Any = quantity(
         1.0, unit="1", low=0.05, high=2.0, doc="simulated seconds per second of the controller's clock"
     )

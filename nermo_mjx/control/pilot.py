@@ -54,9 +54,7 @@ def cross_track_error(path: str, pilot: Pilot, position: Float[Array, "*batch 3"
     return PATHS[path](pilot, jnp.clip(position, -1e6, 1e6))
 
 
-def steer(
-    pilot: Pilot, error: Float[Array, "*batch"], change: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def steer(pilot: Pilot, error: Float[Array, "*batch"], change: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """PD on the cross-track error: a robot to the left of its path is steered to the right.
 
     Args:

@@ -26,9 +26,10 @@ def bracketed_root(
             depend on them.
         slope_floor: smallest slope of the residual that counts as one; keeps the derivative finite where it is flat.
     """
-    shape = jnp.broadcast_shapes(jnp.shape(low), jnp.shape(high), jax.eval_shape(residual, jnp.asarray(low)).shape)
-    dtype = jnp.result_type(float, low, high, jax.eval_shape(residual, jnp.asarray(low)).dtype)
-    low, high = (jax.lax.stop_gradient(jnp.broadcast_to(jnp.asarray(end, dtype), shape)) for end in (low, high))
+    low, high = jnp.broadcast_arrays(low, high)
+    value = jax.eval_shape(residual, low)
+    shape, dtype = jnp.broadcast_shapes(low.shape, value.shape), jnp.promote_types(low.dtype, value.dtype)
+    low, high = (jax.lax.stop_gradient(jnp.broadcast_to(end.astype(dtype), shape)) for end in (low, high))
     slack = 8 * jnp.finfo(dtype).eps
 
     def divide(value: Array, slope: Array) -> Array:

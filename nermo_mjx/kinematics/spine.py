@@ -33,11 +33,11 @@ def transform(
             positive lifts the hip.
         spine: the spine's numbers (static).
     """
-    theta_v = jnp.asarray(theta_v)
-    dtype = jnp.result_type(float, theta_v.dtype)
+    theta_v = _floating(theta_v)
+    dtype = theta_v.dtype
     angles = dict.fromkeys(spine.lateral_joints, -theta_v)
     if vertical is not None:
-        vertical = jnp.asarray(vertical)
+        vertical = _floating(vertical)
         dtype = jnp.promote_types(dtype, vertical.dtype)
         angles |= {row: vertical[..., i] for i, row in enumerate(spine.vertical_joints)}
 
@@ -66,7 +66,7 @@ def joint_angle(servo: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array, 
     side whose tendon lengthens. It is used for positive angles and made odd, so that left and right mirror each other
     (the two antagonists differ by 1 % at 0.4 rad). Saturates at `max_joint_angle`.
     """
-    servo = jnp.asarray(servo, jnp.result_type(float, servo))
+    servo = _floating(servo)
     radius, straight = _chord(spine)
     size, sign = _magnitude(servo)
     size = jnp.minimum(size, _servo_magnitude(max_joint_angle(spine), spine))
@@ -79,7 +79,7 @@ def servo_angle(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array
 
     l = 2 R sin((theta_v + pi - 2 alpha_v) / 2) and q_sp = 4 (l - l_v) / r_sp. Saturates at `max_joint_angle`.
     """
-    theta_v = jnp.asarray(theta_v, jnp.result_type(float, theta_v))
+    theta_v = _floating(theta_v)
     size, sign = _magnitude(theta_v)
     return sign * _servo_magnitude(jnp.minimum(size, max_joint_angle(spine)), spine)
 
@@ -89,7 +89,7 @@ def angle_for_displacement(displacement: ArrayLike, spine: SpineGeometry = SPINE
 
     Inverts x of `transform`, which rises with theta_v over the whole range; saturates at `max_joint_angle`.
     """
-    displacement = jnp.asarray(displacement, jnp.result_type(float, displacement))
+    displacement = _floating(displacement)
     limit = jnp.asarray(max_joint_angle(spine), displacement.dtype)
 
     def sideways(angle: Array) -> Array:
@@ -97,6 +97,11 @@ def angle_for_displacement(displacement: ArrayLike, spine: SpineGeometry = SPINE
 
     wanted = jnp.clip(displacement, sideways(-limit), sideways(limit))
     return bracketed_root(lambda angle: sideways(angle) - wanted, -limit, limit, slope_floor=1e-4)
+
+
+def _floating(value: ArrayLike) -> Array:
+    value = jnp.asarray(value)
+    return value.astype(jnp.result_type(float, value.dtype))
 
 
 def _chord(spine: SpineGeometry) -> tuple[float, float]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +29,7 @@ class StartPose:
     controller: Controller
 
     def qpos(self, control: ControlParameters, start: Start) -> Float[Array, " nq"]:
-        """Positions of one world (leaves of shape ()); torso level, heading `start.yaw` from -y."""
+        """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y."""
         servo = self.controller.initial_servo(control, start.phase)
         pose = forward(four_legs(), jnp.stack([servo.hip, servo.knee], axis=-1), self.controller.routing)
         bend = spine.joint_angle(servo.spine)
@@ -34,7 +37,9 @@ class StartPose:
         sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
         height = sole - jnp.min(axis_height + pose.foot[:, 1])
 
-        joints, half = self.robot.joints, jnp.asarray(start.yaw) / 2
+        # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
+        yaw = start.yaw + 0.5 * 4 * bend
+        joints, half = self.robot.joints, yaw / 2
         zero = jnp.zeros_like(half)
         root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])
         qpos = jnp.asarray(self.robot.model.qpos0).at[joints.root : joints.root + 7].set(root)
@@ -44,4 +49,8 @@ class StartPose:
 
     def batch(self, control: ControlParameters, start: Start) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
-        return np.asarray(jax.jit(jax.vmap(self.qpos))(control, start), float)
+        return np.asarray(self._batched(control, start), float)
+
+    @functools.cached_property
+    def _batched(self) -> Callable[..., Any]:
+        return jax.jit(jax.vmap(self.qpos))

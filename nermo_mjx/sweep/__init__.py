@@ -1,9 +1,10 @@
 """Sweeps: read and check a sweep file, sample its variants, run them into a directory, sum up and draw."""
 
+from nermo_mjx.sweep.chunks import Progress
 from nermo_mjx.sweep.plots import draw_plots
 from nermo_mjx.sweep.provenance import machine, versions
 from nermo_mjx.sweep.reading import SpecError
-from nermo_mjx.sweep.run import Progress, SweepInterrupted, SweepResult, run_sweep
+from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Rows, sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import StoreError, read_table

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -24,8 +25,8 @@ PILOT_OPTIONS: dict[str, dict[str, str | None]] = {
 
 
 def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
-    """The static choices, each one tried on its own so that a message names its line."""
-    choices: dict[str, str] = {}
+    """The static choices, each one tried on its own so that a message names its line; and the pilot's options."""
+    choices: dict[str, Any] = {}
     for field in (*SETUP_FIELDS, "pilot"):
         if field not in doc.data:
             continue
@@ -33,21 +34,27 @@ def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
         path: FieldPath = (field,)
         if field == "pilot" and isinstance(value, dict) and len(value) == 1:
             value, path = next(iter(value)), (field, next(iter(value)))
-        if not isinstance(value, str):
+        if field == "timestep":
+            value = read_number(doc, path, value)
+        elif not isinstance(value, str):
             expected = "a name or {name: {option: value}}" if field == "pilot" else "a name"
             doc.fail(path, f"is {describe(value)}: expected {expected}.", field)
+        if (field, value) == ("pilot", "external"):
+            doc.fail(path, "is 'external', which takes its command from Python: use rollout.Simulator.", field)
         choices[field] = value
-        try:
-            Setup(**{field: value})
-        except ParameterError as error:
-            message = str(error).removeprefix(f"{field} ")
-            allowed = message.rpartition("one of ")[2].rstrip(".").split(", ")
-            doc.fail(path, message.rstrip(".") + nearest(value, allowed), field)
-    try:
-        setup = Setup(**choices)
-    except ParameterError as error:
-        doc.fail((), str(error))
+        _try_setup(doc, path, field, **{field: value})
+    setup = _try_setup(doc, (), "", **choices)
     return setup, _read_pilot_options(doc, setup.pilot)
+
+
+def _try_setup(doc: Document, path: FieldPath, field: str, **choices: Any) -> Setup:
+    try:
+        return Setup(**choices)
+    except ParameterError as error:
+        message = str(error).removeprefix(f"{field} ").rstrip(".")
+        allowed = re.findall(r"'([^']+)'", message.partition("allowed")[2])
+        hint = "." if "did you mean" in message else nearest(str(choices.get(field)), allowed)
+        doc.fail(path, message + hint, field)
 
 
 def _read_pilot_options(doc: Document, pilot: str) -> dict[str, float]:
@@ -67,39 +74,30 @@ def _read_pilot_options(doc: Document, pilot: str) -> dict[str, float]:
         key: sides[value] if key == "direction" and value in sides else read_number(doc, (*path, key), value)
         for key, value in options.items()
     }
-    if not 0 < values.get("distance", 1.0) < math.inf:
-        doc.fail((*path, "distance"), f"is {values['distance']:g}: it must be above 0 m and finite.")
     return values
 
 
 def read_run(doc: Document, pilot: Mapping[str, float]) -> Run:
-    fields = {"cycles": "warmup_cycles", "duration": "warmup"}
-    names = (*fields, *fields.values())
+    """Length and warm-up of each run; the pilot's distance is one of its ends."""
+    names = ("cycles", "warmup_cycles", "duration", "warmup")
     given = _mapping(doc, "run")
     for key in given:
         if key not in names:
             doc.fail(("run", key), f"is not a field of a run; allowed are {', '.join(names)}{nearest(key, names)}")
     values = {key: read_number(doc, ("run", key), value) for key, value in given.items()}
-    for key, value in values.items():
-        if not math.isfinite(value) or value < 0 or (value == 0 and key in fields):
-            bound = "above 0" if key in fields else "0 or more"
-            doc.fail(("run", key), f"is {value:g}: it must be {bound} and finite.")
-    if {"cycles", "warmup_cycles"} & set(values) and {"duration", "warmup"} & set(values):
-        doc.fail(("run",), "counts both cycles and seconds: give cycles and warmup_cycles, or duration and warmup.")
-    if "warmup" in values and "duration" not in values:
-        doc.fail(("run", "warmup"), "needs a duration beside it.")
-    distance = {"distance": pilot["distance"]} if "distance" in pilot else {}
+    if "distance" in pilot:
+        values["distance"] = pilot["distance"]
     try:
-        run = Run(**values, **distance)
+        run = Run(**values)
     except ParameterError as error:
-        doc.fail(("run",), f"is refused: {error}")
-    end, warmup = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
-    total, before = getattr(run, end), getattr(run, warmup)
-    if before >= total:
-        key = warmup if warmup in values else end
-        doc.fail(("run", key), f"leaves nothing to measure: {warmup} is {before:g} and {end} is {total:g}, which must "
-                               "be longer.")  # fmt: skip
-    return run
+        subject, _, message = str(error).partition(" ")
+        key = subject.removeprefix("run.")
+        path = ("run", key) if key in given else ("run",) if key != "distance" else ("pilot", "straight", key)
+        doc.fail(path, message, ".".join(("run", key)) if key != "distance" else None)
+    # Defaults are written out: what a run of frequency 1 Hz counts in seconds is its cycles.
+    warmup, length = (float(each) for each in run.seconds(1.0))
+    fields = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
+    return dataclasses.replace(run, **dict(zip(fields, (length, warmup), strict=True)))
 
 
 def read_sampler(doc: Document) -> tuple[str, int]:

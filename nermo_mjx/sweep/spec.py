@@ -160,8 +160,9 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
     parameters, sources = sweep.parameters, dict.fromkeys(sweep.constants, f"set by 'pilot.{sweep.setup.pilot}'")
     sources |= dict.fromkeys(sweep.fixed, "fixed under 'set'")
-    for section, entries in (("vary", sweep.axes), ("randomize", sweep.draws)):
-        for name in (entry.name for entry in entries):
+    varied, drawn = [axis.name for axis in sweep.axes], [draw.name for draw in sweep.draws]
+    for section, names in (("vary", varied), ("randomize", drawn)):
+        for name in names:
             if name in sources:
                 doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
             sources[name] = f"under '{section}'"
@@ -183,8 +184,7 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
     if rows > LARGEST_SWEEP:
         doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
                             "as sample: {sobol: 4096}.")  # fmt: skip
-    choices = (sweep.setup.gait, sweep.setup.steering, sweep.setup.profile)
-    check_workspace(doc, choices, dict(sweep.fixed), (*sweep.axes, *sweep.draws), grid=sweep.sampler == "grid")
+    check_workspace(doc, sweep.setup, sweep.fixed, (*sweep.axes, *sweep.draws), grid=sweep.sampler == "grid")
 
 
 def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:

@@ -54,8 +54,8 @@ def chunk_table(
     for name, values in rows.values.items():
         role, scale = "varied" if name in varied else "randomized", "log" if forms[name].startswith("log") else "linear"
         add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)
-    for name, values in metrics.items():
-        add(name, values, "metric", METRICS[name].unit, METRICS[name].doc)
+    for name in sorted(metrics, key=list(METRICS).index):
+        add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
     add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
     metadata = {"sweep": sweep.digest(), "sampler": sweep.sampler, **{key: str(value) for key, value in about.items()}}
     return pa.table(columns, schema=pa.schema(fields, metadata=metadata))

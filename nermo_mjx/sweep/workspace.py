@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from nermo_mjx.control import control_parameters
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Setup
 from nermo_mjx.sweep.axes import Axis, Draw
 from nermo_mjx.sweep.reading import Document
 
@@ -16,12 +18,12 @@ _TRIED, _MOST_TRIED = 5, 50_000
 
 
 def check_workspace(
-    doc: Document, setup: tuple[str, str, str], fixed: dict[str, float], entries: tuple[Axis | Draw, ...], *, grid: bool
+    doc: Document, setup: Setup, fixed: Mapping[str, float], entries: tuple[Axis | Draw, ...], *, grid: bool
 ) -> None:
     """Fail at the field whose values take a foot out of its leg's workspace.
 
     Args:
-        setup: gait, steering and profile.
+        setup: static choices; the leg's routing decides what it reaches.
         fixed: parameters with one value; `entries` the varied and randomized ones.
         grid: whether the axes are a grid, of which every value is tried; else a few within the bounds.
     """
@@ -44,9 +46,8 @@ def check_workspace(
             np.linspace(0, len(values[longest]) - 1, len(values[longest]) // 2).astype(int)
         ]
     mesh = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
-    gait, steering, profile = setup
     try:
-        control_parameters(gait, steering=steering, profile=profile, **mesh)
+        control_parameters(setup.gait, routing=setup.routing, **mesh)
     except ParameterError as error:
         subject, _, message = str(error).partition(" ")
         name = subject if subject in named else named[0]

@@ -3,4 +3,13 @@
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.video import CAMERAS, VideoError, check_video, render
 
-__all__ = ["CAMERAS", "Recording", "RecordingError", "VideoError", "check_video", "model_hash", "recording_of", "render"]
+__all__ = [
+    "CAMERAS",
+    "Recording",
+    "RecordingError",
+    "VideoError",
+    "check_video",
+    "model_hash",
+    "recording_of",
+    "render",
+]

@@ -27,8 +27,8 @@ CAMERAS: Final[dict[str, Angle]] = {
 }
 #: Standard deviation of the filter that takes the steps' shaking out of the camera's path [s].
 SMOOTHING: Final = 0.25
-#: Share of the picture that the robot fills.
-FILLING: Final = 0.82
+#: Radius of the body over half the height of the picture; above 1, because the body is long and lies level.
+FILLING: Final = 1.1
 
 
 def root_body(model: mujoco.MjModel) -> int:

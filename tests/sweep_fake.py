@@ -1,0 +1,72 @@
+"""A simulator that answers at once, in closed form, for tests of everything around it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import types
+from pathlib import Path
+
+import numpy as np
+
+AMPLITUDES, FREQUENCIES, PHASES = (0.0, 0.2, 0.4), (0.5, 0.7, 0.9, 1.1), (-1.0, 0.0, 1.0)
+SPEC = {
+    "spine": "stride_extension",
+    "run": {"cycles": 4, "warmup_cycles": 1},
+    "vary": {"frequency": list(FREQUENCIES), "spine.amplitude": list(AMPLITUDES), "spine.phase": list(PHASES)},
+}
+
+
+def speed(frequency, amplitude=0.0, phase=0.0):
+    """Speed of the fake robot [m/s]: best at phase 0."""
+    return 0.1 * frequency * (1 + 0.5 * amplitude * np.cos(phase))
+
+
+class FakeSimulator:
+    """Metrics in closed form; what is faster than `falls_above` falls.
+
+    Attributes:
+        batches: number of worlds of each call.
+        stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
+        delay: seconds that each call takes.
+    """
+
+    def __init__(self, stop_at=None, delay=0.0, engine="fake", falls_above=np.inf, log=None):
+        self.batches, self.stop_at, self.delay, self.engine = [], stop_at, delay, engine
+        self.falls_above, self.log = falls_above, log
+
+    def run(self, values, run, *, progress=None, notify=None):
+        if len(self.batches) == self.stop_at:
+            raise KeyboardInterrupt
+        worlds = {len(column) for column in values.values()}
+        assert len(worlds) == 1, "every parameter comes as an array of one length"
+        n = worlds.pop()
+        self.batches.append(n)
+        if self.log:
+            with open(self.log, "a") as file:
+                file.write(f"{n}\n")
+        time.sleep(self.delay)
+        frequency = values.get("frequency", np.full(n, 0.67))
+        result = speed(frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0))
+        result = result + values.get("start.x", 0.0) + 0.01 * (values.get("contact.friction", 1.0) - 1.0)
+        result = np.broadcast_to(result, n).astype(np.float32)
+        fell = result > self.falls_above
+        if progress:
+            progress(0.5)
+            progress(1.0)
+        metrics = {"speed": result, "roll_std": np.full(n, 0.1), "fell": fell.astype(float)}
+        return types.SimpleNamespace(
+            metrics=metrics, status=np.where(fell, "fell", "ok"), engine=self.engine, steps=100
+        )
+
+
+if __name__ == "__main__":  # a process to be killed: sweep_fake.py OUT LOG
+    from nermo_mjx.sweep import SweepInterrupted, run_sweep
+
+    Path(sys.argv[2]).write_text("")
+    try:
+        run_sweep(SPEC, sys.argv[1], chunk=4, simulator=FakeSimulator(delay=0.25, log=sys.argv[2]))
+    except SweepInterrupted as stopped:
+        print(stopped, flush=True)
+        os._exit(3)

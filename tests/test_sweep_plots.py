@@ -1,0 +1,154 @@
+"""The figures of a sweep: which ones there are, and that they show the table's numbers in shown units."""
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import QuadMesh
+from matplotlib.image import imread
+from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
+
+from nermo_mjx.sweep import draw_plots, run_sweep
+from nermo_mjx.sweep.figures import heat_maps, shown
+
+
+def plots_of(spec, out, simulator=None):
+    return run_sweep(spec, out, simulator=simulator or FakeSimulator()).plots
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory):
+    """Figures of a sweep over three parameters, by file name."""
+    return {path.name: path for path in plots_of(SPEC, tmp_path_factory.mktemp("plots"))}
+
+
+def test_three_parameters_give_a_heat_map_for_each_pair(grid):
+    """PNG and SVG of each of the three pairs; the PNG is a picture of some size."""
+    assert set(grid) == {
+        f"speed-over-{pair}.{form}"
+        for pair in (
+            "frequency-and-spine.amplitude",
+            "frequency-and-spine.phase",
+            "spine.amplitude-and-spine.phase",
+        )
+        for form in ("png", "svg")
+    }
+    picture = imread(grid["speed-over-spine.amplitude-and-spine.phase.png"])
+    assert min(picture.shape[:2]) > 500
+    assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 30  # not blank
+
+
+def test_axes_carry_shown_units_and_panels_their_value(grid):
+    """Angles in degrees, speeds in mm/s, and one panel for each frequency."""
+    text = grid["speed-over-spine.amplitude-and-spine.phase.svg"].read_text()
+    assert "spine.amplitude [deg]" in text
+    assert "spine.phase [deg]" in text
+    assert "speed [mm/s]" in text
+    assert [f"frequency = {value:g} Hz" in text for value in FREQUENCIES] == [True] * 4
+    assert f"star: best, {1000 * speed(1.1, 0.4, 0.0):.4g} mm/s" in text
+
+
+def meshes(figure):
+    return [
+        c for ax in figure.axes for c in ax.collections if isinstance(c, QuadMesh) and ax.get_label() != "<colorbar>"
+    ]
+
+
+def points():
+    f, a, p = (column.ravel() for column in np.meshgrid(FREQUENCIES, AMPLITUDES, PHASES, indexing="ij"))
+    return f, shown("spine.amplitude", "rad", a), shown("spine.phase", "rad", p), speed(f, a, p)
+
+
+def test_cells_show_the_tables_numbers_on_one_colour_scale():
+    """Each cell is the metric at its place, each panel on the scale of all."""
+    f, x, y, z = points()
+    panels = [(f"{value}", f == value) for value in FREQUENCIES]
+    figure = heat_maps(x, y, shown("speed", "m/s", z), panels, "t", "")
+    found = meshes(figure)
+    assert len(found) == 4
+    for mesh, value in zip(found, FREQUENCIES, strict=True):
+        expected = 1000 * speed(value, np.array(AMPLITUDES)[None, :], np.array(PHASES)[:, None])
+        np.testing.assert_allclose(np.asarray(mesh.get_array()), expected, rtol=1e-9)
+        assert mesh.get_clim() == pytest.approx((1000 * z.min(), 1000 * z.max()))
+        assert mesh.get_cmap().name in ("viridis", "cividis")
+
+
+def test_the_best_point_of_all_is_marked_where_it_is():
+    """A single star stands at the maximum; the other panels have a ring at theirs."""
+    f, x, y, z = points()
+    figure = heat_maps(x, y, shown("speed", "m/s", z), [(f"{v}", f == v) for v in FREQUENCIES], "t", "")
+    marks = [
+        (tuple(c.get_offsets()[0]), len(c.get_paths()[0].vertices))
+        for ax in figure.axes
+        for c in ax.collections
+        if not isinstance(c, QuadMesh) and len(c.get_offsets()) == 1
+    ]
+    assert [mark[0] for mark in marks] == [pytest.approx((np.degrees(0.4), 0.0))] * 4
+    star = len(matplotlib.markers.MarkerStyle("*").get_path().vertices)
+    assert [mark[1] == star for mark in marks] == [False, False, False, True]
+
+
+def test_a_cell_without_a_good_run_stays_empty(tmp_path):
+    """Fallen runs leave their cell blank instead of a colour, and do not stretch the scale."""
+    f, x, y, z = points()
+    z = np.where(z > 0.1, np.nan, z)
+    mesh = meshes(heat_maps(x, y, shown("speed", "m/s", z), [("", f == 1.1)], "t", ""))[0]
+    masked = np.ma.getmaskarray(mesh.get_array())
+    assert masked.sum() == np.isnan(z[f == 1.1]).sum() > 0
+    assert plots_of(SPEC, tmp_path, FakeSimulator(falls_above=0.1))
+
+
+def test_repeats_share_a_cell_as_their_mean():
+    """Two runs at one place show as one cell with their mean."""
+    x, y = shown("a", "1", np.array([0, 0, 1, 1, 0, 1])), shown("b", "1", np.array([0, 0, 0, 0, 1, 1]))
+    z = shown("c", "1", np.array([1.0, 3.0, 5.0, 5.0, 7.0, np.nan]))
+    mesh = meshes(heat_maps(x, y, z, [("", np.full(6, True))], "t", ""))[0]
+    assert np.ma.filled(mesh.get_array(), -1).tolist() == [[2.0, 5.0], [7.0, -1.0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "names", "texts"),
+    [
+        ({"vary": {"frequency": [0.5, 0.7, 0.9]}}, ["speed-over-frequency"], ["frequency [Hz]", "speed [mm/s]"]),
+        (
+            {"vary": {"frequency": [0.5, 0.7]}, "randomize": {"repeats": 3}},
+            ["speed-over-frequency"],
+            ["mean of 3 repeats"],
+        ),
+        ({"vary": {"frequency": [0.5, 0.7], "duty": [0.5, 0.6]}}, ["speed-over-frequency-and-duty"], ["duty"]),
+        (
+            {"vary": {"frequency": {"uniform": [0.5, 1]}, "duty": {"uniform": [0.5, 0.6]}}, "sample": {"sobol": 32}},
+            ["speed-over-each", "speed-over-pairs"],
+            ["32 runs"],
+        ),
+        (
+            {"randomize": {"repeats": 40, "contact.friction": {"uniform": [1.0, 1.6]}}},
+            ["speed-over-each", "speed-over-pairs"],
+            ["contact.friction"],
+        ),
+        (
+            {"vary": {name: {"linspace": [0.5, 0.6, 2]} for name in ("frequency", "duty", "stride", "turning.leg")}},
+            ["speed-over-frequency-and-duty", "speed-over-stride-and-turning.leg"],
+            ["mean over"],
+        ),
+        ({"vary": {"frequency": [0.5]}}, [], []),
+    ],
+)
+def test_each_kind_of_sweep_gets_its_figures(tmp_path, change, names, texts):
+    """Lines for one parameter, maps for a grid, scatters for a sample or for randomized parameters alone."""
+    paths = plots_of(change, tmp_path)
+    assert [name for name in names if f"{name}.png" not in {path.name for path in paths}] == []
+    if names:
+        svg = next(path for path in paths if path.name == f"{names[0]}.svg").read_text()
+        assert [text for text in texts if text not in svg] == []
+
+
+def test_the_same_table_gives_the_same_files(tmp_path):
+    """Figures are byte-equal when drawn again, and need nothing but the table."""
+    result = run_sweep({"vary": {"frequency": [0.5, 0.7, 0.9]}}, tmp_path / "a", simulator=FakeSimulator())
+    again = draw_plots(result.table, tmp_path / "b")
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.plots]
+
+
+def test_plots_can_be_turned_off(tmp_path):
+    """`plots: false` draws nothing."""
+    assert plots_of({"vary": {"frequency": [0.5, 0.7]}, "plots": False}, tmp_path) == []

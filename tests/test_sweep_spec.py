@@ -1,0 +1,242 @@
+"""Sweep files: what is read, and that everything wrong is refused with file, line, field and what is allowed."""
+
+import numpy as np
+import pytest
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep import SpecError, Sweep, run_sweep
+
+GOOD = """\
+robot: nermo_lite
+scene: flat
+gait: trt
+spine: stride_extension
+pilot: {straight: {distance: 2.0}}
+run: {cycles: 8, warmup_cycles: 2}
+set: {duty: 0.55}
+vary:
+  frequency: {linspace: [0.4, 1.2, 9]}
+  spine.amplitude: {values: [0.0, 0.2, 0.4]}
+  spine.phase: {linspace: [-3.1416, 3.1416, 13]}
+sample: grid
+randomize: {repeats: 3, contact.friction: {uniform: [1.0, 1.6]}}
+"""
+FREQUENCY = "{linspace: [0.4, 1.2, 9]}"
+FRICTION = "contact.friction: {uniform: [1.0, 1.6]}"
+RUN = "{cycles: 8, warmup_cycles: 2}"
+STRAIGHT = "straight: {distance: 2.0}"
+
+#: What is replaced by what, the line of the message, and what it must say.
+WRONG = {
+    "unknown field": ("gait: trt", "gate: trt", 3, ["'gate' is not a field", "robot, scene", "did you mean 'gait'?"]),
+    "parameter as field": ("set:", "duty: 0.5\nset:", 7, ["'duty' is a parameter", "'vary', 'set'"]),
+    "unknown parameter": (
+        "spine.amplitude",
+        "spine.amplitud",
+        10,
+        [
+            "'spine.amplitud' is not a parameter",
+            "allowed are spine.amplitude, spine.phase",
+            "did you mean 'spine.amplitude'?",
+        ],
+    ),
+    "parameter without group": ("spine.amplitude", "amplitude", 10, ["spine.*", "did you mean 'spine.amplitude'?"]),
+    "unknown randomized": (FRICTION, "contact.fraction: {uniform: [1, 2]}", 13, ["did you mean 'contact.friction'?"]),
+    "unknown set": ("duty: 0.55", "dutty: 0.55", 7, ["did you mean 'duty'?"]),
+    "wrong type": ("duty: 0.55", "duty: half", 7, ["'duty' is the text 'half': expected a number"]),
+    "truth value": ("duty: 0.55", "duty: true", 7, ["'duty' is the truth value true"]),
+    "set is a list": ("{duty: 0.55}", "[0.55]", 7, ["'set' is the list [0.55]: expected a mapping"]),
+    "set out of range": ("duty: 0.55", "duty: 1.5", 7, ["'duty' is 1.5: allowed is (0, 1)"]),
+    "vary is a number": (FREQUENCY, "0.5", 9, ["'frequency' is the number 0.5", "linspace", "under 'set'"]),
+    "vary out of range": ("[0.0, 0.2, 0.4]", "[0.0, 0.9]", 10, ["'spine.amplitude' is 0.9: allowed is [0, 0.6] rad"]),
+    "linspace out of range": (FREQUENCY, "{linspace: [0.0, 1.2, 9]}", 9, ["'frequency' is 0: allowed is (0, 5] Hz"]),
+    "NaN": ("[0.4, 1.2, 9]", "[.nan, 1.2, 9]", 9, ["'frequency' is nan"]),
+    "infinity": ("[0.0, 0.2, 0.4]", "[0.0, .inf]", 10, ["'spine.amplitude' is inf"]),
+    "NaN count": ("[0.4, 1.2, 9]", "[0.4, 1.2, .nan]", 9, ["count nan"]),
+    "text in a list": ("[0.0, 0.2, 0.4]", "[0.0, much]", 10, ["'spine.amplitude' is the text 'much'"]),
+    "empty list": ("{values: [0.0, 0.2, 0.4]}", "[]", 10, ["empty list, so the grid is empty"]),
+    "count zero": ("1.2, 9]", "1.2, 0]", 9, ["count 0, so the grid is empty"]),
+    "count broken": ("1.2, 9]", "1.2, 2.5]", 9, ["count 2.5"]),
+    "count missing": ("1.2, 9]", "1.2]", 9, ["linspace with 2 numbers: expected [from, to, count]"]),
+    "repeated value": ("[0.0, 0.2, 0.4]", "[0.0, 0.2, 0.2]", 10, ["lists 0.2 twice"]),
+    "span of zero": ("[0.4, 1.2, 9]", "[0.4, 0.4, 9]", 9, ["the same value"]),
+    "logspace of zero": (
+        "[0.0, 0.2, 0.4]}",
+        "[0.1]}\n  stance.stance_amplitude: {logspace: [0, 0.01, 3]}",
+        11,
+        ["not exponents"],
+    ),
+    "unknown form": ("{linspace: [0.4", "{linspce: [0.4", 9, ["the form 'linspce'", "did you mean 'linspace'?"]),
+    "uniform on a grid": (FREQUENCY, "{uniform: [0.4, 1.2]}", 9, ["a grid cannot list", "sobol"]),
+    "nothing varied": (GOOD[GOOD.index("vary:") :], "vary: {}\n", 8, ["nothing to sweep"]),
+    "too many": ("1.2, 9]", "1.2, 900000]", 8, ["105,300,000 runs", "a sampler"]),
+    "unknown gait": ("gait: trt", "gait: trot", 3, ["'gait' is 'trot'", "did you mean 'trt'?", "lat"]),
+    "unknown scene": ("scene: flat", "scene: flatt", 2, ["'scene' is 'flatt'", "did you mean 'flat'?"]),
+    "unknown robot": ("nermo_lite", "nermo_light", 1, ["'robot' is 'nermo_light'", "did you mean 'nermo_lite'?"]),
+    "unknown spine": ("spine: stride_extension", "spine: stride", 4, ["'spine' is 'stride'", "stride_extension"]),
+    "unknown pilot": (STRAIGHT, "strait: {distance: 2.0}", 5, ["'pilot' is 'strait'", "did you mean 'straight'?"]),
+    "pilot from Python": ("{%s}" % STRAIGHT, "external", 5, ["from Python"]),  # noqa: UP031
+    "gait is a number": ("gait: trt", "gait: 3", 3, ["'gait' is the number 3: expected a name"]),
+    "gait is empty": ("gait: trt", "gait:", 3, ["'gait' is nothing: expected a name"]),
+    "time step": ("scene: flat", "timestep: 0.0", 2, ["'timestep' is 0.0"]),
+    "pilot's option": ("distance: 2.0", "distanc: 2.0", 5, ["not an option of the pilot 'straight'", "'distance'?"]),
+    "pilot's distance": ("distance: 2.0", "distance: -2.0", 5, ["distance' is -2.0"]),
+    "pilot's radius": (STRAIGHT, "arc: {radius: 0.001}", 5, ["'pilot.radius' is 0.001: allowed is [0.05"]),
+    "unknown sampler": ("sample: grid", "sample: random", 12, ["'sample' is the text 'random'", "latin_hypercube"]),
+    "misspelt sampler": ("sample: grid", "sample: {sobl: 64}", 12, ["'sample.sobl'", "did you mean 'sobol'?"]),
+    "broken sample size": ("sample: grid", "sample: {sobol: 0}", 12, ["'sample.sobol' is 0: expected a whole number"]),
+    "no repeats": ("repeats: 3", "repeats: 0", 13, ["'randomize.repeats' is 0"]),
+    "draw out of range": ("[1.0, 1.6]", "[1.0, 16]", 13, ["'contact.friction' is 16: allowed is [0.05, 5]"]),
+    "draw upside down": ("[1.0, 1.6]", "[1.6, 1.0]", 13, ["the lower one comes first"]),
+    "no spread": ("uniform: [1.0, 1.6]", "normal: [1.0, 0]", 13, ["standard deviation 0"]),
+    "varied and randomized": (
+        FRICTION,
+        "frequency: {uniform: [0.5, 0.6]}",
+        13,
+        ["under 'randomize' and also under 'vary'"],
+    ),
+    "varied and set": ("duty: 0.55", "frequency: 0.5", 9, ["under 'vary' and also fixed under 'set'"]),
+    "set by the pilot too": (
+        "pilot: {straight: {distance: 2.0}}\nrun: {cycles: 8, warmup_cycles: 2}\nset: {duty: 0.55}",
+        "pilot: {arc: {radius: 0.5}}\nrun: {cycles: 8}\nset: {pilot.radius: 0.4}",
+        7,
+        ["'pilot.radius'", "one source"],
+    ),
+    "no effect": (
+        "spine: stride_extension",
+        "spine: none",
+        10,
+        ["'spine.amplitude' has no effect", "stride_extension"],
+    ),
+    "warm-up too long": (RUN, "{cycles: 2, warmup_cycles: 2}", 6, ["'run.warmup_cycles' is 2", "less than"]),
+    "warm-up too long in seconds": (RUN, "{duration: 2, warmup: 3}", 6, ["'run.warmup' is 3"]),
+    "two lengths": (RUN, "{cycles: 2, duration: 3}", 6, ["'run.duration'", "either"]),
+    "unknown run field": (RUN, "{cycels: 2}", 6, ["'run.cycels'", "did you mean 'cycles'?"]),
+    "length is text": (RUN, "{cycles: many}", 6, ["'run.cycles' is the text 'many'"]),
+    "no length": (RUN, "{cycles: 0}", 6, ["'run.cycles' is 0"]),
+    "stride past workspace": (
+        FREQUENCY,
+        "[0.5]\n  stance.max_stride: [0.08]\n  stride: [1.0, 1.2]",
+        11,
+        ["'stride' is 1.2", "reach a stride of"],
+    ),
+    "seed": ("sample: grid", "seed: -1", 12, ["'seed' is -1"]),
+    "chunk": ("sample: grid", "chunk: 0", 12, ["'chunk' is 0"]),
+    "plots": ("sample: grid", "plots: 3", 12, ["'plots' is the number 3: expected true or false"]),
+    "duplicate key": ("sample: grid", "gait: trt", 12, ["'gait' stands twice"]),
+    "YAML syntax": ("[0.4, 1.2, 9]", "[0.4, 1.2, 9", 9, ["not valid YAML"]),
+    "not a mapping": (GOOD, "- 1\n- 2\n", 1, ["mapping of fields", "the list [1, 2]"]),
+    "empty file": (GOOD, "", 1, ["mapping of fields", "nothing"]),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_file_is_refused_with_line_field_and_remedy(tmp_path, case):
+    """Every mistake is one sentence: file:line, the field, its value, what is allowed, the nearest name."""
+    before, after, line, parts = WRONG[case]
+    assert GOOD.count(before) >= 1
+    path = tmp_path / "s.yaml"
+    path.write_text(GOOD.replace(before, after, 1))
+    with pytest.raises(SpecError) as caught:
+        Sweep.from_file(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}:{line}: "), message
+    assert [part for part in parts if part not in message] == [], message
+    assert "\n" not in message
+    assert message[-1] in ".?"
+
+
+def test_a_refused_sweep_leaves_no_directory(tmp_path):
+    """A wrong sweep is refused before anything is written."""
+    with pytest.raises(SpecError, match="sweep: field 'frequenzy'"):
+        run_sweep({"vary": {"frequenzy": [0.5]}}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: None, "no such file"),
+        (lambda path: path.mkdir(), "cannot be read"),
+        (lambda path: path.write_bytes(b"gait: \xff\xfe"), "UTF-8"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_a_spec_error(tmp_path, make, message):
+    """A missing file, a directory and a binary file are refused in words, not with a traceback's error."""
+    make(tmp_path / "s.yaml")
+    with pytest.raises(SpecError, match=message):
+        Sweep.from_file(tmp_path / "s.yaml")
+
+
+def test_spec_errors_are_parameter_errors():
+    """Whoever catches the package's ParameterError catches a wrong sweep too."""
+    with pytest.raises(ParameterError, match=r"sweep: field 'gait' is 'hop'"):
+        Sweep.from_dict({"gait": "hop", "vary": {"frequency": [0.5]}})
+
+
+def test_the_example_of_the_interface_is_read():
+    """All sections arrive: choices, run, fixed values, axes in the order of the file, draws and repeats."""
+    sweep = Sweep.from_text(GOOD)
+    assert (sweep.setup.gait, sweep.setup.spine, sweep.setup.pilot) == ("trt", "stride_extension", "straight")
+    assert (sweep.run.cycles, sweep.run.warmup_cycles, sweep.run.distance) == (8, 2, 2.0)
+    assert [axis.name for axis in sweep.axes] == ["frequency", "spine.amplitude", "spine.phase"]
+    np.testing.assert_array_equal(sweep.axes[0].values(), [0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2])
+    assert sweep.variants == 9 * 3 * 13
+    assert sweep.repeats == 3
+    assert sweep.constants == {"duty": 0.55}
+
+
+def test_repeats_perturb_the_start_and_a_single_run_does_not():
+    """Repeats differ by a millimetre, a degree and a phase, unless the file places the start itself."""
+    once = {"vary": {"frequency": [0.5]}, "randomize": {"contact.friction": {"uniform": [1, 2]}}}
+    assert [draw.name for draw in Sweep.from_dict(once).draws] == ["contact.friction"]
+    thrice = {"vary": {"frequency": [0.5]}, "randomize": {"repeats": 3}, "set": {"start.yaw": 0.1}}
+    draws = {draw.name: draw.numbers for draw in Sweep.from_dict(thrice).draws}
+    assert set(draws) == {"start.x", "start.y", "start.phase"}
+    assert draws["start.x"] == (-1e-3, 1e-3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"sample": {"sobol": 64}, "seed": 7, "chunk": 16, "plots": False},
+        {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}},
+        {"pilot": {"open_loop": {"turn_rate": 0.3}}, "run": {"cycles": 1}, "tail": "articulated", "cone": "pyramidal"},
+        {"randomize": {"repeats": 2, "mass.front": {"normal": [0.16, 0.01]}}},
+        {"vary": {"contact.friction": {"logspace": [0.1, 1.0, 4]}, "contact.width": [1e-5, 1e-4]}},
+    ],
+)
+def test_the_resolved_file_reads_back_as_the_same_sweep(change):
+    """sweep.yaml in a result directory is enough to run the same sweep again."""
+    sweep = Sweep.from_dict({"vary": {"frequency": {"linspace": [0.4, 1.2, 5]}}, **change})
+    again = Sweep.from_text(sweep.to_yaml())
+    assert again == sweep
+    assert again.digest() == sweep.digest()
+
+
+def test_the_digest_tells_sweeps_apart():
+    """Chunks and figures do not change which sweep it is; a value, a seed or the order of the axes does."""
+    base = {"vary": {"frequency": [0.5, 0.6], "duty": [0.5, 0.6]}}
+    digest = Sweep.from_dict(base).digest()
+    assert Sweep.from_dict(base | {"chunk": 3, "plots": False}).digest() == digest
+    others = [
+        {"seed": 1},
+        {"gait": "lat"},
+        {"run": {"cycles": 9}},
+        {"vary": {"duty": [0.5, 0.6], "frequency": [0.5, 0.6]}},
+    ]
+    assert digest not in [Sweep.from_dict(base | other).digest() for other in others]
+
+
+def test_pilot_options_become_parameters():
+    """Radius, side and turn rate of a pilot are ordinary parameters for the simulator."""
+    sweep = Sweep.from_dict({"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "vary": {"frequency": [0.5]}})
+    assert sweep.constants == {"pilot.radius": 0.4, "pilot.direction": -1.0}
+
+
+def test_arrays_may_stand_for_lists_in_a_dict():
+    """A dict from Python may hold numpy arrays and tuples."""
+    sweep = Sweep.from_dict({"vary": {"frequency": np.linspace(0.5, 1.0, 3), "duty": (0.5, 0.6)}})
+    assert sweep.variants == 6
+    np.testing.assert_array_equal(sweep.axes[0].values(), [0.5, 0.75, 1.0])
