@@ -42,7 +42,7 @@ def configure() -> None:
     choose_gl()
 
 
-# ------------------------------------------------------------------------------------------------------------- threads
+# --- threads
 
 
 def configure_threads() -> None:
@@ -85,7 +85,7 @@ def _jax_started() -> bool:
     return True if started is None else bool(started())
 
 
-# --------------------------------------------------------------------------------------------------------------- cache
+# --- cache
 
 
 def configure_cache() -> None:

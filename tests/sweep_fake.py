@@ -14,6 +14,7 @@ AMPLITUDES, FREQUENCIES, PHASES = (0.0, 0.2, 0.4), (0.5, 0.7, 0.9, 1.1), (-1.0, 
 SPEC = {
     "spine": "stride_extension",
     "run": {"cycles": 4, "warmup_cycles": 1},
+    "plots": False,
     "vary": {"frequency": list(FREQUENCIES), "spine.amplitude": list(AMPLITUDES), "spine.phase": list(PHASES)},
 }
 

@@ -27,7 +27,7 @@ STRIDING = np.array([[-0.020, -0.045], [0.010, -0.045], [0.010, -0.050], [-0.015
 #: All sixteen ways to stand.
 STANCES = np.array(list(itertools.product([False, True], repeat=4)))
 
-balance_angle = jax.jit(functools.partial(balance.balance_angle, MASSES))
+balance_angle = jax.jit(balance.balance_angle)
 
 
 @functools.cache
@@ -169,7 +169,7 @@ def test_balance_meets_its_condition_in_mujoco(feet, lift):
     """For every stance the MuJoCo body at the returned angle has the wanted d, or the best that the limit allows."""
     limit = 0.1
     with jax.enable_x64(True):
-        angles = np.asarray(balance_angle(np.broadcast_to(feet, (16, 4, 2)), STANCES, lift, limit))
+        angles = np.asarray(balance_angle(MASSES, np.broadcast_to(feet, (16, 4, 2)), STANCES, lift, limit))
     solved = 0
     for stance, angle in zip(STANCES, angles, strict=True):
         front, rear = np.flatnonzero(stance[:2]), 2 + np.flatnonzero(stance[2:])
@@ -190,13 +190,14 @@ def test_balance_meets_its_condition_in_mujoco(feet, lift):
         assert abs(angle) <= limit
         assert reached == pytest.approx(np.clip(wanted, min(ends), max(ends)), abs=1e-9)
         solved += abs(reached - wanted) < 1e-9
-    assert solved >= 1
+    # In the walking stance 0.1 rad are not enough for the diagonal, in the stance of the balance test they are.
+    assert solved >= (4 if feet is BALANCING else 0)
 
 
 def test_the_spine_bends_towards_balance():
     """With a hind leg up the centre of mass lies behind the diagonal; the spine bends to the side of the lifted leg."""
     lifted = {limb: np.array([name != limb for name in LIMBS]) for limb in LIMBS}
-    left, right = (float(balance_angle(BALANCING, lifted[limb], 0.009)) for limb in ("rear_left", "rear_right"))
+    left, right = (float(balance_angle(MASSES, BALANCING, lifted[limb], 0.009)) for limb in ("rear_left", "rear_right"))
     assert left == pytest.approx(-right, abs=1e-5)
     assert abs(left) > 0.05
     # With the rear left leg up, the front left - rear right diagonal carries; the third foot is the front right one.
@@ -211,7 +212,7 @@ def test_balance_without_a_published_lift_reaches_the_limit():
     """A lift that no angle can reach gives the limit, whatever the limit."""
     stance = np.array([True, True, False, True])
     for limit in (0.02, 0.1):
-        assert abs(float(balance_angle(BALANCING, stance, 0.5, limit))) == pytest.approx(limit, rel=1e-4)
+        assert abs(float(balance_angle(MASSES, BALANCING, stance, 0.5, limit))) == pytest.approx(limit, rel=1e-4)
 
 
 def test_balance_is_differentiable():
@@ -220,7 +221,7 @@ def test_balance_is_differentiable():
     with jax.enable_x64(True):
 
         def solve(y, lift):
-            return balance_angle(jnp.asarray(feet).at[3, 0].set(y), stance, lift)
+            return balance_angle(MASSES, jnp.asarray(feet).at[3, 0].set(y), stance, lift)
 
         y, lift, step = feet[3, 0], 0.009, 1e-6
         gradient = jax.jit(jax.grad(solve, argnums=(0, 1)))(y, lift)

@@ -22,8 +22,9 @@ def test_a_robot_to_the_left_of_its_path_is_steered_to_the_right():
     """x is to the left, and a negative turn rate turns right."""
     error = pilot.cross_track_error("straight", Pilot(), jnp.asarray([0.01, -1.0, 0.05]))
     assert error == pytest.approx(0.01)
-    assert pilot.steer(Pilot(), error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
-    assert pilot.steer(Pilot(), jnp.zeros(()), jnp.float32(1e-3)) == pytest.approx(-0.3)
+    published = pilot_of(error_gain=40.0, change_gain=300.0)
+    assert pilot.steer(published, error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
+    assert pilot.steer(published, jnp.zeros(()), jnp.float32(1e-3)) == pytest.approx(-0.3)
 
 
 @settings(max_examples=60, deadline=None)

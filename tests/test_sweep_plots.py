@@ -3,7 +3,7 @@
 import matplotlib
 import numpy as np
 import pytest
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.image import imread
 from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
@@ -18,7 +18,7 @@ def plots_of(spec, out, simulator=None):
 @pytest.fixture(scope="module")
 def grid(tmp_path_factory):
     """Figures of a sweep over three parameters, by file name."""
-    return {path.name: path for path in plots_of(SPEC, tmp_path_factory.mktemp("plots"))}
+    return {path.name: path for path in plots_of(SPEC | {"plots": True}, tmp_path_factory.mktemp("plots"))}
 
 
 def test_three_parameters_give_a_heat_map_for_each_pair(grid):
@@ -80,7 +80,7 @@ def test_the_best_point_of_all_is_marked_where_it_is():
         (tuple(c.get_offsets()[0]), len(c.get_paths()[0].vertices))
         for ax in figure.axes
         for c in ax.collections
-        if not isinstance(c, QuadMesh) and len(c.get_offsets()) == 1
+        if isinstance(c, PathCollection) and len(c.get_offsets()) == 1
     ]
     assert [mark[0] for mark in marks] == [pytest.approx((np.degrees(0.4), 0.0))] * 4
     star = len(matplotlib.markers.MarkerStyle("*").get_path().vertices)
@@ -94,7 +94,9 @@ def test_a_cell_without_a_good_run_stays_empty(tmp_path):
     mesh = meshes(heat_maps(x, y, shown("speed", "m/s", z), [("", f == 1.1)], "t", ""))[0]
     masked = np.ma.getmaskarray(mesh.get_array())
     assert masked.sum() == np.isnan(z[f == 1.1]).sum() > 0
-    assert plots_of(SPEC, tmp_path, FakeSimulator(falls_above=0.1))
+    spec = {"vary": {"frequency": [0.5, 1.0], "stride": [0.5, 1.0]}}
+    svg = next(path for path in plots_of(spec, tmp_path, FakeSimulator(falls_above=0.07)) if path.suffix == ".svg")
+    assert "star: best, 50 mm/s" in svg.read_text()
 
 
 def test_repeats_share_a_cell_as_their_mean():

@@ -72,13 +72,14 @@ class Progress:
             self._stop_waiting()
         if self._quiet:
             return
-        text = f"{fraction:.0%}" if done is None or total is None else f"{done:,} of {total:,} {self._unit}"
-        pace = self._pace(now, fraction, total)
+        counted = "" if done is None or total is None else f", {done:,} of {total:,} {self._unit}"
+        text = f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}"
+        finished = fraction >= 1.0 > self._start[1] and done == total
         if self._bar is not None:
-            self._bar.update(self._task, completed=fraction, note=text + pace)
-        elif now - self._last_line >= self._every or fraction >= 1.0 > self._start[1]:
+            self._bar.update(self._task, completed=fraction, note=text)
+        elif now - self._last_line >= self._every or finished:
             self._last_line = now
-            self._line(text + pace)
+            self._line(text)
 
     def note(self, text: str) -> None:
         """Say what is going on besides counting."""

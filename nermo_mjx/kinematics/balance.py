@@ -75,9 +75,10 @@ def balance_angle(
     ground, front_foot, rear_foot = line(0.0)
     has_third = jnp.any(third > 0, axis=(-2, -1))
     side = jnp.sign(diagonal_distance(jnp.sum(third * ground, axis=-2), front_foot, rear_foot))
-    ends = distance(-jnp.asarray(limit)), distance(jnp.asarray(limit))
-    wanted = jnp.clip(jnp.where(has_third, side * lift, 0.0), jnp.minimum(*ends), jnp.maximum(*ends))
-    angle = bracketed_root(lambda theta_v: distance(theta_v) - wanted, -jnp.asarray(limit), limit, slope_floor=1e-3)
+    limit = jnp.broadcast_to(jnp.asarray(limit, feet.dtype), supported.shape)
+    ends = distance(jnp.stack([-limit, limit]))
+    wanted = jnp.clip(jnp.where(has_third, side * lift, 0.0), jnp.min(ends, axis=0), jnp.max(ends, axis=0))
+    angle = bracketed_root(lambda theta_v: distance(theta_v) - wanted, -limit, limit, slope_floor=1e-3)
     return jnp.where(supported, angle, 0.0)
 
 

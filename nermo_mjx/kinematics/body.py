@@ -23,7 +23,7 @@ _HIPS = _MIRROR * BODY.hip
 
 def shoulders() -> Float[Array, "2 3"]:
     """Left and right shoulder axis; they do not move with the spine (Table A.5, with its erratum)."""
-    return jnp.asarray(_SHOULDERS)
+    return _constant(_SHOULDERS)
 
 
 def hips(theta_v: ArrayLike) -> Float[Array, "*batch 2 3"]:
@@ -35,7 +35,7 @@ def from_hip_frame(theta_v: ArrayLike, points: ArrayLike) -> Float[Array, "*batc
     """Points (..., n, 3) of the hip's frame, from the spine end, seen from the spine base."""
     pose = spine.transform(theta_v)
     points = jnp.asarray(points, pose.dtype)
-    turned = jnp.einsum("...ij,...nj->...ni", pose[..., :3, :3], points, precision=jax.lax.Precision.HIGHEST)
+    turned = jnp.sum(pose[..., None, :3, :3] * points[..., None, :], axis=-1)
     return turned + pose[..., None, :3, 3]
 
 
@@ -43,7 +43,7 @@ def feet_positions(theta_v: ArrayLike, feet: ArrayLike) -> Float[Array, "*batch 
     """The feet, given as (y, z) from their own axis, shape (..., 4, 2); rear feet turn with the hip's frame."""
     feet = jnp.asarray(feet)
     placed = jnp.stack([jnp.zeros_like(feet[..., 0]), feet[..., 0], feet[..., 1]], axis=-1)
-    rear = from_hip_frame(theta_v, _HIPS + placed[..., 2:, :])
+    rear = from_hip_frame(theta_v, _constant(_HIPS) + placed[..., 2:, :])
     front = jnp.broadcast_to(shoulders() + placed[..., :2, :], rear.shape)
     return jnp.concatenate([front, rear], axis=-2)
 
@@ -78,6 +78,12 @@ def stride_gain(theta_v: ArrayLike) -> Float[Array, "*batch"]:
 
 def centre_of_mass(masses: MassModel, theta_v: ArrayLike) -> Float[Array, "*batch 3"]:
     """Centre of mass of front and rear, joined by a massless spine (5.34). Leaves of `masses` may be batched."""
-    front_mass, rear_mass = jnp.asarray(masses.front_mass)[..., None], jnp.asarray(masses.rear_mass)[..., None]
-    rear = from_hip_frame(theta_v, jnp.asarray(masses.rear_com)[..., None, :])[..., 0, :]
+    masses = jax.tree.map(_constant, masses)
+    front_mass, rear_mass = masses.front_mass[..., None], masses.rear_mass[..., None]
+    rear = from_hip_frame(theta_v, masses.rear_com[..., None, :])[..., 0, :]
     return (front_mass * masses.front_com + rear_mass * rear) / (front_mass + rear_mass)
+
+
+def _constant(value: ArrayLike) -> Array:
+    """An array as it is, and numbers in the precision in force: JAX caches numpy constants across a change of it."""
+    return value if isinstance(value, jax.Array) else jnp.asarray(value, jnp.result_type(float))

@@ -100,6 +100,7 @@ def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.
 
     `ankle` is the deflection [rad] of the compliant ankle, added to theta_3.
     """
+    leg = _arrays(leg)
     q1, knee_angle, ankle = (_angle(angle) for angle in (q1, knee_angle, ankle))
     shin = q1 + leg.knee_direction * knee_angle
     knee = _polar(leg.l1, q1)
@@ -110,6 +111,7 @@ def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.
 
 def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Float[Array, "*batch"]:
     """Knee servo angle q2 [rad] whose taut tendon holds the knee at theta_1: l_t = l_t0 + r_p (theta_2 + k q2)."""
+    leg = _arrays(leg)
     length = pull(leg, _angle(q1), _angle(knee_angle), routing)
     return (length - leg.tendon_length) / (leg.servo_direction * leg.pulley_radius)
 
@@ -119,7 +121,7 @@ def forward(leg: Leg, servo: ArrayLike, routing: str) -> LegPose:
 
     A tendon longer or shorter than `knee_range` allows leaves the knee at the end of its range, not reachable.
     """
-    servo = jnp.asarray(servo)
+    leg, servo = _arrays(leg), jnp.asarray(servo)
     q1, q2 = _angle(servo[..., 0]), servo[..., 1]
     low, high, works = knee_range(leg, q1, routing)
     wanted = leg.tendon_length + leg.pulley_radius * leg.servo_direction * q2
@@ -142,7 +144,7 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     or folded, goes to the nearest angle that it can hold.
     """
     check_routing(routing)
-    foot = jnp.asarray(foot)
+    leg, foot = _arrays(leg), jnp.asarray(foot)
     # The result does not depend on the size of a foot that is out of reach, so its scale carries no derivative.
     size = jnp.max(jnp.abs(foot), axis=-1, keepdims=True)
     y, z = jnp.moveaxis(foot / jax.lax.stop_gradient(jnp.maximum(size / _FARTHEST, 1.0)), -1, 0)
@@ -172,6 +174,12 @@ def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2
     """d(y, z) / d(q1, q2) [m/rad] of the foot at servo angles of shape (..., 2); zero where the pose is saturated."""
     servo = jnp.asarray(servo)
     return jax.jacfwd(lambda change: forward(leg, servo + change, routing).foot)(jnp.zeros(2, servo.dtype))
+
+
+def _arrays(leg: Leg) -> Leg:
+    """The leg with numpy leaves in the precision in force: JAX caches numpy constants across a change of it."""
+    dtype = jnp.result_type(float)
+    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, dtype), leg)
 
 
 def _angle(angle: ArrayLike) -> Array:

@@ -20,8 +20,9 @@ def bracketed_root(
     """The x in [low, high] with residual(x) = 0, element by element.
 
     Args:
-        residual: elementwise and monotonic (rising or falling) in x, of opposite signs (or zero) at the ends. It may
-            close over traced arrays; derivatives flow to them by the implicit function theorem.
+        residual: elementwise and monotonic (rising or falling) in x, of opposite signs (or zero) at the ends; it
+            broadcasts over leading axes of x. It may close over traced arrays; derivatives flow to them by the
+            implicit function theorem.
         low, high: ends of the bracket, of any shapes that broadcast with the residual's. The root's derivative does not
             depend on them.
         slope_floor: smallest slope of the residual that counts as one; keeps the derivative finite where it is flat.
@@ -36,16 +37,19 @@ def bracketed_root(
         return value / jnp.where(jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope)
 
     def solve(f: Callable[[Array], Array], start: Array) -> Array:
-        rising = f(high) >= f(low)
+        at_low, at_high = f(jnp.stack([low, high]))
+        rising = at_high >= at_low
 
-        def step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        def step(i: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
             a, b, x = state
             value, slope = jax.jvp(f, (x,), (jnp.ones_like(x),))
             above = jnp.where(rising, value, -value)
             a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
             newton = x - divide(value, slope)
             inside = (newton >= a - slack) & (newton <= b + slack)
-            return a, b, jnp.where(inside, jnp.clip(newton, a, b), 0.5 * (a + b))
+            # A step out of the bracket goes to its end, where a saturated root lies, and by turns to its middle.
+            safe = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
+            return a, b, jnp.where(inside, jnp.clip(newton, a, b), safe)
 
         return jax.lax.fori_loop(0, STEPS, step, (low, high, start))[2]
 
@@ -53,6 +57,6 @@ def bracketed_root(
         return divide(value, linear(jnp.ones_like(value)))
 
     def broadcast_residual(x: Array) -> Array:
-        return jnp.broadcast_to(residual(x), shape).astype(dtype)
+        return jnp.broadcast_to(residual(x), x.shape).astype(dtype)
 
     return jax.lax.custom_root(broadcast_residual, 0.5 * (low + high), solve, tangent_solve)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -134,8 +133,8 @@ def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
 
 
 def _matmul(left: Array, right: Array) -> Array:
-    """Product in full precision, which is not the default on accelerators."""
-    return jnp.matmul(left, right, precision=jax.lax.Precision.HIGHEST)
+    """Product of small matrices, written out: faster than a dot, and in full precision on accelerators too."""
+    return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
 
 
 def _about_z(angle: Array) -> Float[Array, "*batch 4 4"]:

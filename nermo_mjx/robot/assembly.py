@@ -40,7 +40,7 @@ STANCE: Final = {"front": (0.8165, 1.4782, 0.1315), "rear": (-0.9712, 2.1480, 0.
 #: Height of the spine base in that stance [m].
 STANCE_HEIGHT: Final = 0.0794
 
-#: Trunk geoms that may touch the ground when the robot falls; frictionless, they only keep it from sinking in.
+#: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
 
 
@@ -308,4 +308,4 @@ def _add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         pair.solref, pair.solimp = solref, solimp
         pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
     for geom in TRUNK:
-        spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=1)
+        spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)

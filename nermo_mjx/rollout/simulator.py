@@ -65,6 +65,25 @@ class RunResult:
     trace: Recording | None = None
 
 
+@dataclasses.dataclass(frozen=True)
+class Batch:
+    """A batch of n worlds ready for an engine.
+
+    Attributes:
+        params: of the loop, every leaf with a leading world axis, in JAX's default precision.
+        qpos: start poses (n, nq).
+        fields: model fields that differ between worlds, (n, ...) each.
+        ticks: control ticks until the last world is done.
+        mass: of each robot (n,) [kg].
+    """
+
+    params: LoopParameters
+    qpos: np.ndarray
+    fields: dict[str, np.ndarray]
+    ticks: int
+    mass: np.ndarray
+
+
 class Simulator:
     """Runs batches of one setup; compiled programs are shared by all its runs."""
 
@@ -104,6 +123,19 @@ class Simulator:
         check(params.control, routing=self.setup.routing)
         return params
 
+    def prepare(self, values: Mapping[str, Any], run: Run | None = None) -> Batch:
+        """What `run` hands to the engine; the arguments are the same."""
+        params, worlds = _batched(self.parameters(values), values)
+        window = _window(run or Run(), params)
+        mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
+        return Batch(
+            params=_single(LoopParameters(params.control, params.start, window)),
+            qpos=self.start.batch(params.control, params.start),
+            fields=self.variation.batch(params.model, worlds),
+            ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
+            mass=mass,
+        )
+
     def run(
         self,
         values: Mapping[str, Any],
@@ -125,16 +157,11 @@ class Simulator:
             ParameterError: see `parameters`.
         """
         began = time.perf_counter()
-        params, worlds = _batched(self.parameters(values), values)
-        window = _window(run or Run(), params)
-        loop_params = LoopParameters(params.control, params.start, window)
-        ticks = int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1
-
-        qpos = self.start.batch(params.control, params.start)
-        fields = self.variation.batch(params.model, worlds)
+        batch = self.prepare(values, run)
         if notify:
             notify(f"compiling the {self.engine.name} program, once per machine")
-        session = self.engine.open(_single(loop_params), qpos, fields)
+        session = self.engine.open(batch.params, batch.qpos, batch.fields)
+        ticks = batch.ticks
         traces: list[Trace] = []
         compiled = None
         for done, size in _blocks(ticks):
@@ -148,8 +175,7 @@ class Simulator:
             if progress:
                 progress((done + size) / ticks)
 
-        mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
-        measured = self._results(session.loop_state.metrics, mass)
+        measured = self._results(session.loop_state.metrics, batch.mass)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
         status = np.where(table["diverged"] > 0, "diverged", np.where(table["fell"] > 0, "fell", "ok"))
         return RunResult(

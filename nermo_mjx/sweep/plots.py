@@ -44,6 +44,8 @@ def draw_plots(
     with matplotlib.rc_context(STYLE):
         for metric in metrics:
             for name, figure in _figures(table, metric) if metric in table.column_names else []:
+                figure.draw_without_rendering()  # lays the panels out, once for both files
+                figure.set_layout_engine("none")
                 for form in ("png", "svg"):
                     files.append(folder / f"{name}.{form}")
                     (write or Path.write_bytes)(files[-1], encode(figure, form))

@@ -27,8 +27,8 @@ CAMERAS: Final[dict[str, Angle]] = {
 }
 #: Standard deviation of the filter that takes the steps' shaking out of the camera's path [s].
 SMOOTHING: Final = 0.25
-#: Radius of the body over half the height of the picture; above 1, because the body is long and lies level.
-FILLING: Final = 1.1
+#: Radius of the body over half the height of a square picture; a wide one shows the long, level body larger.
+FILLING: Final = 1.0
 
 
 def root_body(model: mujoco.MjModel) -> int:
@@ -77,6 +77,6 @@ def following_camera(name: str, radius: float, fovy: float, aspect: float) -> mu
     mujoco.mjv_defaultCamera(camera)
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.azimuth, camera.elevation = CAMERAS[name].azimuth, CAMERAS[name].elevation
-    narrow = np.tan(np.deg2rad(fovy) / 2) * min(1.0, aspect)
+    narrow = np.tan(np.deg2rad(fovy) / 2) * (np.sqrt(aspect) if aspect > 1 else aspect)
     camera.distance = radius / (FILLING * narrow)
     return camera

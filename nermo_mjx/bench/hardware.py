@@ -1,0 +1,43 @@
+"""What machine and which versions a measurement was made on."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import resource
+import sys
+from pathlib import Path
+
+import jax
+
+
+def describe() -> dict[str, str | int]:
+    """Name of the processor and accelerator, memory, and versions of what computes."""
+    devices = jax.devices()
+    versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}
+    return {
+        "cpu": _cpu_name(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        "device": f"{len(devices)} x {devices[0].device_kind}",
+        "python": platform.python_version(),
+        **versions,
+    }
+
+
+def peak_bytes() -> int:
+    """Most memory used so far: of the accelerator, or of this process on a CPU."""
+    statistics = jax.local_devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
+    if statistics and "peak_bytes_in_use" in statistics:
+        return int(statistics["peak_bytes_in_use"])
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+def _cpu_name() -> str:
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        for line in cpuinfo.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()

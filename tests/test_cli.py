@@ -1,0 +1,412 @@
+"""The command line, as a user and as a script meet it: help, exit codes, pure JSON, sentences instead of tracebacks."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from nermo_mjx.cli import choices, main, options
+from nermo_mjx.cli.output import plain
+from nermo_mjx.cli.progress import COMPILING, Progress, duration
+from nermo_mjx.version import __version__
+
+COMMANDS = ("sweep", "walk", "render", "model", "bench")
+#: A walk as short as a walk can be.
+SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
+
+
+def call(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def refused(*arguments: str | Path) -> str:
+    """The message of a command that was used wrongly: exit code 2, nothing on standard output, no traceback."""
+    result = call(*arguments)
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    return result.stderr
+
+
+def json_of(*arguments: str | Path) -> dict[str, Any]:
+    """The one JSON object that a command prints."""
+    result = call(*arguments, "--json")
+    assert result.exit_code == 0, result.stderr
+
+    def no_constant(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    value = json.loads(result.stdout, parse_constant=no_constant)
+    assert isinstance(value, dict)
+    return value
+
+
+# --- help
+
+
+@pytest.mark.parametrize("command", [(), *((name,) for name in COMMANDS)])
+def test_help_fits_80_columns_and_ends_with_an_example(command: tuple[str, ...]) -> None:
+    text = call(*command, "--help").stdout
+    assert max(map(len, text.splitlines())) <= 80
+    assert "  nermo-mjx " in text[text.index("Options:") :]
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom nermo_mjx.cli import main\n"
+        "try:\n    main(['walk', '--help'])\nexcept SystemExit:\n    pass\n"
+        "assert not {'jax', 'mujoco', 'scipy', 'pyarrow', 'matplotlib'} & set(sys.modules), 'heavy'\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
+def test_the_package_is_a_command_too() -> None:
+    done = subprocess.run([sys.executable, "-m", "nermo_mjx", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"nermo-mjx {__version__}\n"
+
+
+def test_examples_in_the_help_are_valid_commands() -> None:
+    for name in COMMANDS:
+        command = main.commands[name]
+        lines = re.findall(r"^  nermo-mjx (.*)$", command.epilog or "", re.MULTILINE)
+        assert lines
+        for line in lines:
+            words = line.split()
+            assert words[0] == name
+            # FILE.npz need not exist for the check of names and values.
+            words = [word if word != "walk.npz" else os.fspath(Path(__file__)) for word in words]
+            command.make_context(name, words[1:])
+
+
+def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
+    from nermo_mjx.control.fusion import MODES
+    from nermo_mjx.control.parameters import PROFILES, STEERING
+    from nermo_mjx.physics.engine import ENGINES
+    from nermo_mjx.robot import GAITS
+    from nermo_mjx.robot.assembly import ROBOTS, TAILS
+    from nermo_mjx.sweep.sections import PILOT_OPTIONS
+    from nermo_mjx.view import CAMERAS
+
+    assert set(choices.GAITS) == set(GAITS)
+    assert set(choices.SPINE_MODES) == {"none", *MODES}
+    assert set(choices.STEERINGS) == set(STEERING)
+    assert set(choices.PROFILES) == set(PROFILES)
+    assert set(choices.ENGINES) == set(ENGINES)
+    assert set(choices.ROBOTS) == set(ROBOTS)
+    assert set(choices.TAILS) == set(TAILS)
+    assert set(choices.PILOTS) == set(PILOT_OPTIONS)
+    assert set(choices.VIEWS) == set(CAMERAS)
+
+
+# --- wrong use
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["wlak"], "Did you mean 'walk'"),
+        (["walk", "--frequncy", "1"], "--frequency"),
+        (["sweep", "--list-parameter"], "--list-parameters"),
+        (["walk", "--gait", "gallop"], "'trt', 'trt1', 'lat'"),
+        (["walk", "--frequency", "fast"], "not a valid float"),
+        (["walk", "--frequency", "50"], "frequency is 50: allowed is (0, 5] Hz."),
+        (["walk", "--frequency", "nan"], "frequency is nan"),
+        (["walk", "--scene", "moon"], "scene is 'moon': allowed is 'flat'"),
+        (["walk", "--spine-amplitude", "0.2"], "--spine-amplitude does nothing with --spine none"),
+        (["walk", "--turn-rate", "0.2", "--pilot", "arc"], "--turn-rate does nothing with --pilot arc"),
+        (["walk", "--set", "frequency"], "expected NAME=VALUE"),
+        (["walk", "--set", "frequncy=1"], "did you mean frequency?"),
+        (["walk", "--set", "amplitude=1"], "did you mean spine.amplitude?"),
+        (["walk", "--set", "frequency=quick"], "'quick' is not a number; allowed is (0, 5] Hz."),
+        (["walk", "--cycles", "3", "--duration", "2"], "Give --cycles or --duration, not both."),
+        (["walk", "--cycles", "2", "--warmup", "2"], "--warmup is 2: it must be shorter than the run, 2."),
+        (["walk", "--video", "walk.avi"], "a video ends in .mp4 or .gif"),
+        (["walk", "--video", "walk.mp4", "--camera", "moon"], "camera is 'moon': allowed is one of three_quarter"),
+        (["sweep"], "A sweep needs SPEC.yaml and --out DIR"),
+        (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
+        (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
+        (["render", "missing.npz", "--out", "a.mp4"], "does not exist"),
+        (["model", "--tail", "bushy"], "'rigid', 'articulated'"),
+        (["bench", "--worlds", "0"], "x>=1"),
+    ],
+)
+def test_wrong_use_is_exit_code_2_and_one_sentence(arguments: list[str], sentence: str) -> None:
+    with CliRunner().isolated_filesystem():
+        assert sentence in " ".join(refused(*arguments).split())
+
+
+def test_a_wrong_sweep_is_refused_with_file_line_and_nearest_name(tmp_path: Path) -> None:
+    spec = tmp_path / "wrong.yaml"
+    spec.write_text("gait: trt\nvary:\n  frequncy: [0.5]\n")
+    message = refused("sweep", spec, "--out", tmp_path / "out")
+    assert f"{spec}:3" in message
+    assert "frequency" in message
+    assert not (tmp_path / "out").exists()
+
+
+# --- failed, stopped
+
+
+def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path) -> None:
+    (tmp_path / "walk.npz").write_text("no recording")
+    result = call("render", tmp_path / "walk.npz", "--out", tmp_path / "walk.mp4")
+    assert result.exit_code == 1
+    assert result.stderr == f"nermo-mjx: {tmp_path}/walk.npz: not a recording of nermo_mjx, or a damaged one.\n"
+    result = call("model", "--xml", tmp_path / "missing" / "robot.xml")
+    assert result.exit_code == 1
+    assert "cannot be written" in result.stderr
+
+
+def test_ctrl_c_is_exit_code_1_and_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(**_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nermo_mjx.cli.walk.plan", interrupted)
+    result = call("walk")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("nermo-mjx: stopped; ")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:
+    spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
+    spec.write_text("run: {cycles: 3, warmup_cycles: 1}\nvary: {frequency: {linspace: [0.4, 1.2, 40]}}\nchunk: 2\n")
+    command = [sys.executable, "-m", "nermo_mjx", "sweep", str(spec), "--out", str(out), "--engine", "c"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 120
+    while not list(out.glob("results/*.parquet")) and time.monotonic() < until:
+        time.sleep(0.05)
+    process.send_signal(sent)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 1, error
+    assert "run the same command again" in error
+    assert "Traceback" not in error
+    result = json_of("sweep", spec, "--out", out, "--engine", "c")
+    assert result["complete"]
+    assert 0 < result["chunks_run"] < 20
+    assert result["summary"]["rows"] == 40
+
+
+# --- results
+
+
+def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> None:
+    from nermo_mjx.rollout import METRICS
+
+    report = json_of(*SHORT, "--frequency", "0.9", "--set", "contact.friction=0.7")
+    assert set(METRICS) | {"status"} <= set(report["metrics"])
+    assert report["metrics"]["status"] == "ok"
+    assert report["metrics"]["fell"] is False
+    assert report["parameters"]["frequency"] == 0.9
+    assert report["parameters"]["contact.friction"] == 0.7
+    assert report["parameters"]["gait_factor"] == 2.0, "defaults are in it too"
+    assert report["engine"] == "c"
+    assert report["versions"]["mujoco"].startswith("3.")
+
+
+def test_options_reach_the_simulation(tmp_path: Path) -> None:
+    options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
+    more = (
+        "--gait",
+        "lat",
+        "--offset-compensation",
+        "--turn-rate",
+        "0.4",
+        "--steering",
+        "mix",
+        "--tail",
+        "articulated",
+    )
+    report = json_of(*SHORT, *options, *more, "--profile", "as_published", "--seed", "3")
+    parameters, setup = report["parameters"], report["setup"]
+    assert (parameters["spine.amplitude"], parameters["spine.phase"], parameters["stride"]) == (0.3, 0.5, 0.8)
+    assert (parameters["spine.offset_compensation"], parameters["pilot.turn_rate"]) == (1.0, 0.4)
+    assert (parameters["turning.leg"], parameters["turning.spine"]) == (1.0, 1.0)
+    assert parameters["tracking.foot_gain"] < 1.0
+    assert parameters["start.x"] != 0.0
+    assert (setup["gait"], setup["pilot"], setup["tail"]) == ("lat", "open_loop", "articulated")
+
+
+def test_the_seed_decides_the_start() -> None:
+    from nermo_mjx.cli.walk_plan import _shifted_start
+
+    assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
+
+
+def test_walk_sums_up_in_millimetres_and_degrees() -> None:
+    result = call(*SHORT)
+    assert result.exit_code == 0
+    assert re.search(r"^speed +-?[\d.]+ +mm/s$", result.stdout, re.MULTILINE)
+    assert re.search(r"^speed in theory +80\.4 +mm/s$", result.stdout, re.MULTILINE), "0.67 Hz, 2 strides of 60 mm"
+    assert re.search(r"^roll( +-?[\d.]+){4}$", result.stdout, re.MULTILINE)
+
+
+def test_quiet_says_nothing(tmp_path: Path) -> None:
+    result = call(*SHORT, "--quiet")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
+    record, video = tmp_path / "walk.npz", tmp_path / "walk.gif"
+    report = json_of(*SHORT, "--record", record, "--tail", "articulated")
+    assert report["metrics"]["status"] == "ok"
+    from nermo_mjx.robot import load_robot
+    from nermo_mjx.view import Recording
+
+    recording = Recording.load(record)
+    model = load_robot(tail="articulated").model
+    recording.check_model(model)
+    assert recording.ctrl.shape[1] == model.nu
+    assert recording.sensors["foot_position"].shape[1:] == (4, 3)
+    assert recording.metadata["metrics"] == report["metrics"]
+    shape = json_of("render", record, "--out", video, "--fps", "5", "--width", "64", "--height", "48")
+    assert shape["video"] == str(video)
+    assert video.stat().st_size > 0
+
+
+def test_sweep_json_and_directory(tmp_path: Path) -> None:
+    spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
+    spec.write_text("run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n")
+    result = json_of("sweep", spec, "--out", out, "--engine", "c", "--seed", "5")
+    assert result["complete"]
+    assert result["summary"]["status"] == {"ok": 2}
+    assert (out / "summary.json").exists()
+    assert "seed: 5" in (out / "sweep.yaml").read_text()
+    again = call("sweep", spec, "--out", out, "--engine", "c", "--seed", "5")
+    assert again.exit_code == 0
+    assert "2 runs (2 ok)" in again.stdout
+    assert str(out / "results") in again.stdout
+
+
+def test_list_parameters_shows_every_name_with_unit_default_and_range() -> None:
+    from nermo_mjx.rollout import all_parameters
+
+    text, listed = call("sweep", "--list-parameters").stdout, json_of("sweep", "--list-parameters")["parameters"]
+    assert list(listed) == list(all_parameters())
+    assert re.search(r"^spine\.amplitude +0\.4 +\[0, 0\.6\] rad +servo amplitude", text, re.MULTILINE)
+    assert listed["frequency"]["unit"] == "Hz"
+
+
+def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
+    import mujoco
+
+    summary = json_of("model", "--xml", tmp_path / "robot.xml")
+    mass = summary["mass"]
+    assert mass["front"] + mass["rear"] == pytest.approx(mass["total"])
+    assert summary["degrees_of_freedom"] > 20
+    alone = mujoco.MjModel.from_xml_path(str(tmp_path / "robot.xml"))
+    assert alone.nv == summary["degrees_of_freedom"]
+    assert alone.body_subtreemass[0] == pytest.approx(mass["total"])
+    assert "total" in call("model").stdout
+
+
+def test_bench_passes_its_cases_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    case = {"engine": "c", "worlds": 4, "steps_per_second": 1e4, "plain_steps_per_second": math.nan, "ratio": 0.5}
+    asked: dict[str, Any] = {}
+
+    def run_bench(**options: Any) -> dict[str, Any]:
+        asked.update(options)
+        options["progress"](1, 1)
+        return {"hardware": {"cores": 2}, "cases": [case]}
+
+    import nermo_mjx.bench
+
+    monkeypatch.setattr(nermo_mjx.bench, "run_bench", run_bench)
+    result = json_of("bench", "--engine", "c", "--worlds", "4", "--worlds", "8")
+    assert result["cases"][0]["plain_steps_per_second"] is None
+    assert (asked["engines"], asked["worlds"]) == (("c",), (4, 8))
+    assert "10,000" in call("bench").stdout
+
+
+def test_what_libraries_print_does_not_reach_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    import nermo_mjx.robot
+
+    load = nermo_mjx.robot.load_robot
+
+    def noisy(**arguments: Any) -> Any:
+        print("hello from a library")
+        return load(**arguments)
+
+    monkeypatch.setattr(nermo_mjx.robot, "load_robot", noisy)
+    assert json_of("model")["robot"] == "nermo_lite"
+
+
+# --- small helpers
+
+
+def test_json_values_are_plain_and_finite() -> None:
+    value = {"a": np.float32(math.inf), "b": np.arange(2), "c": [math.nan, Path("x")], "d": np.bool_(True), 1: None}
+    assert plain(value) == {"a": None, "b": [0, 1], "c": [None, "x"], "d": True, "1": None}
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_without_a_terminal_is_a_line_now_and_then() -> None:
+    stream = io.StringIO()
+    with Progress("sweep", "runs", every=0.0, stream=stream) as progress:
+        progress.share(0.5, 50, 100)
+        progress.share(1.0, 100, 100)
+    lines = stream.getvalue().splitlines()
+    assert lines[0] == "sweep: 50%, 50 of 100 runs"
+    assert re.fullmatch(r"sweep: 100%, 100 of 100 runs, \S+ runs/s", lines[-1])
+    stream = io.StringIO()
+    with Progress("sweep", "runs", every=60.0, stream=stream) as progress:
+        for done in range(101):
+            progress.count(done, 100)
+    assert len(stream.getvalue().splitlines()) == 1, "only the last line, so shortly after the start"
+
+
+def test_progress_on_a_terminal_is_a_bar_and_quiet_is_nothing() -> None:
+    for quiet in (False, True):
+        stream = Terminal()
+        with Progress("sweep", "runs", quiet=quiet, stream=stream) as progress:
+            progress.share(0.5, 50, 100)
+        assert ("sweep" in stream.getvalue()) is not quiet
+
+
+def test_compilation_is_named_only_while_nothing_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nermo_mjx.cli.progress.PATIENCE", 0.05)
+    slow, quick = io.StringIO(), io.StringIO()
+    with Progress("walk", compiles=True, stream=slow) as progress:
+        progress.share(0.0)
+        time.sleep(0.3)
+    with Progress("walk", compiles=True, stream=quick) as progress:
+        progress.share(0.0)
+        progress.share(0.1)
+        time.sleep(0.3)
+    assert slow.getvalue() == f"walk: {COMPILING}\n"
+    assert quick.getvalue() == ""
+
+
+def test_durations_in_words() -> None:
+    assert [duration(s) for s in (0.4, 59.6, 200, 7500)] == ["0 s", "1 min 0 s", "3 min 20 s", "2 h 5 min"]
+
+
+def test_an_option_without_default_shows_none() -> None:
+    @click.command()
+    @options.number("--size", "Size.")
+    def command(size: float | None) -> None:
+        """A command."""
+
+    assert "default" not in CliRunner().invoke(command, ["--help"]).stdout

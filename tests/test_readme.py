@@ -1,0 +1,91 @@
+"""What the README promises: its commands are those that CI runs, its examples work, its links lead somewhere."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from nermo_mjx.cli import main
+from nermo_mjx.version import __version__
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+ADDRESS = "https://github.com/nermo-mjx/nermo_mjx"
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+
+
+def test_a_fresh_machine_needs_two_commands_of_one_line_each() -> None:
+    fresh = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("python3 -m venv")]
+    assert len(fresh) == 2
+    assert fresh[0].endswith("nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart")
+    assert fresh[1].endswith("-m pytest")
+
+
+def test_ci_runs_the_test_command_of_the_readme_and_no_other() -> None:
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    pattern = re.search(r"^command=\$\(grep -E '(.*)' README\.md\)$", script, re.MULTILINE)
+    assert pattern is not None
+    assert [line for line in README.splitlines() if re.search(pattern[1], line)] == [
+        'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/python -m pytest'
+    ]
+    assert 'eval "$command"' in script
+    assert script.count("pytest") == 1
+    subprocess.run(["bash", "-n", str(ROOT / ".ci" / "run")], check=True)
+
+
+def test_the_sweep_of_the_first_command_and_the_example_are_valid() -> None:
+    from nermo_mjx.sweep import Sweep
+
+    assert Sweep.from_file(ROOT / "sweeps" / "quickstart.yaml").variants == 240
+    (example,) = blocks("yaml")
+    sweep = Sweep.from_text(example)
+    assert sweep.variants == 9 * 13 * 3
+    assert sweep.repeats == 3
+
+
+def test_commands_of_the_readme_are_valid() -> None:
+    named = re.findall(r"nermo-mjx ([^`\n]+)", README)
+    assert {line.split()[0] for line in named} == set(main.commands)
+    for line in named:
+        name, *words = [word.replace("FILE.npz", __file__).replace("NAME=X", "a=1") for word in line.split()]
+        assert main.commands[name].make_context(name, words) is not None
+    for option in re.findall(r"`(--[a-z-]+)", README):
+        helps = [CliRunner().invoke(main, [name, "--help"]).stdout for name in main.commands]
+        assert any(option in text for text in helps), option
+
+
+@pytest.mark.slow
+def test_the_python_example_works() -> None:
+    (example,) = blocks("python")
+    short = example.replace("25)", "3)").replace("Run(cycles=6)", "Run(cycles=1, warmup_cycles=0)")
+    assert short != example
+    ast.parse(short)
+    names: dict[str, Any] = {}
+    exec(short, names)
+    assert names["best"] in names["phases"]
+
+
+def test_links_inside_the_repository_lead_somewhere() -> None:
+    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", README):
+        assert (ROOT / target).exists(), target
+    for target in re.findall(r"blob/main/([^)\s]+)", README):
+        assert (ROOT / target).exists(), target
+
+
+def test_one_address_and_one_version_everywhere() -> None:
+    for name in ("README.md", "pyproject.toml", "CITATION.cff", "notebooks/01_first_walk.ipynb"):
+        found = set(
+            re.findall(r"github(?:\.com)?/([\w-]+/[\w-]+)|github\.com/([\w-]+/[\w-]+)", (ROOT / name).read_text())
+        )
+        assert {a or b for a, b in found} == {ADDRESS.removeprefix("https://github.com/")}, name
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
