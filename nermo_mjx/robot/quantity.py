@@ -56,8 +56,9 @@ class Quantity:
             numbers = np.asarray(value, dtype=float)
         except (TypeError, ValueError):
             raise ParameterError(f"{name} is {value!r}: expected a number in {self.allowed()}.") from None
-        below = numbers <= self.low if self.open_low else numbers < self.low
-        above = numbers >= self.high if self.open_high else numbers > self.high
+        # A closed bound includes its own rounding to float32.
+        below = numbers <= self.low if self.open_low else numbers < self.low - 1e-6 * abs(self.low)
+        above = numbers >= self.high if self.open_high else numbers > self.high + 1e-6 * abs(self.high)
         bad = ~np.isfinite(numbers) | below | above
         if bad.any():
             worst = numbers[bad].flat[0]
