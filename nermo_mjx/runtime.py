@@ -152,7 +152,7 @@ def choose_gl() -> str | None:
     if backend is None:
         _gl_problem = (
             "No library to draw with was found on this machine without a display: install one, "
-            "for instance with `apt-get install libosmesa6`."
+            "for instance with `apt-get install libosmesa6` (or libegl1 and libgl1)."
         )
         return None
     os.environ["MUJOCO_GL"] = backend

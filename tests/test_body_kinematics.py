@@ -160,7 +160,7 @@ def test_diagonal_distance_is_published_and_signed():
     np.testing.assert_allclose(ours, published, atol=1e-12)
     np.testing.assert_allclose(ours, [right_of(*row) for row in zip(point, f, r, strict=True)], atol=1e-12)
     # The robot's right is -x; forward is -y.
-    assert float(balance.diagonal_distance((-0.01, 0.0), (0.0, -0.1), (0.0, 0.1))) == pytest.approx(0.01)
+    assert float(balance.diagonal_distance(*np.array([(-0.01, 0.0), (0.0, -0.1), (0.0, 0.1)]))) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("feet", [WALKING, BALANCING, STRIDING], ids=["walking", "balancing", "striding"])

@@ -167,8 +167,8 @@ def test_pulling_the_tendon_always_flexes_the_knee(routing):
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_neutral_stance_bends_the_knee_its_own_way(geometry):
     """At the neutral stance of Table A.7 the front knee points backward, the rear knee forward."""
-    neutral = (-0.005, -0.045) if geometry is FRONT_LEG else (0.0, -0.050)
-    solution = kin.inverse(kin.leg_of(geometry), neutral, "type3")
+    neutral = np.array((-0.005, -0.045) if geometry is FRONT_LEG else (0.0, -0.050))
+    solution = inverse(kin.leg_of(geometry), neutral, routing="type3")
     points = kin.points(kin.leg_of(geometry), solution.servo[0], solution.knee_angle)
     np.testing.assert_allclose(points.foot, neutral, atol=1e-6)
     assert solution.reachable
@@ -179,8 +179,8 @@ def test_neutral_stance_bends_the_knee_its_own_way(geometry):
 
 def test_published_balance_stance_has_the_published_height():
     """With theta_2 = 0 in type 3, the servo angles of the balance test put the COM about 0.057 m above the ground."""
-    front = kin.forward(kin.leg_of(FRONT_LEG), (0.42, 0.60), "type3").foot
-    rear = kin.forward(kin.leg_of(REAR_LEG), (-0.15, -0.66), "type3").foot
+    front = forward(kin.leg_of(FRONT_LEG), np.array([0.42, 0.60]), routing="type3").foot
+    rear = forward(kin.leg_of(REAR_LEG), np.array([-0.15, -0.66]), routing="type3").foot
     # Shoulder, hip and COM below the spine base (Table A.5; COM of the two-mass model); soles of 2 mm radius.
     ground = 0.5 * ((-0.0324 + front[1]) + (-0.0253 + rear[1])) - 0.002
     assert -0.0287 - ground == pytest.approx(0.057, abs=0.003)
@@ -244,9 +244,10 @@ def test_the_geometry_is_differentiable():
         def foot(length):
             return forward(dataclasses.replace(leg, l2=length), servo, routing="type1").foot
 
-        difference = (foot(leg.l2 + 1e-6) - foot(leg.l2 - 1e-6)) / 2e-6
-        np.testing.assert_allclose(jax.jacfwd(foot)(jnp.asarray(leg.l2)), difference, rtol=1e-6)
-        np.testing.assert_allclose(jax.jacrev(foot)(jnp.asarray(leg.l2)), difference, rtol=1e-6)
+        l2 = jnp.asarray(leg.l2)
+        difference = (foot(l2 + 1e-6) - foot(l2 - 1e-6)) / 2e-6
+        np.testing.assert_allclose(jax.jacfwd(foot)(l2), difference, rtol=1e-6)
+        np.testing.assert_allclose(jax.jacrev(foot)(l2), difference, rtol=1e-6)
 
 
 def test_legs_and_batches_broadcast():
@@ -266,7 +267,7 @@ def test_legs_and_batches_broadcast():
 def test_unknown_routing_is_refused_in_words(function):
     """A routing that does not exist raises ParameterError, which names those that do."""
     with pytest.raises(ParameterError, match=r"type4.*type1, type2, type3"):
-        function(kin.leg_of(FRONT_LEG), (0.0, 0.0), "type4")
+        function(kin.leg_of(FRONT_LEG), np.zeros(2), "type4")
 
 
 @jax.jit

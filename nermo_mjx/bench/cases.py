@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
 from mujoco import rollout
 
 from nermo_mjx.bench.hardware import peak_bytes
@@ -112,8 +115,17 @@ def _compile(function: Any, *arguments: Any) -> tuple[float, float, Any]:
     return traced - began, time.perf_counter() - traced, program
 
 
-def _without_cache() -> Any:
-    return jax.enable_compilation_cache(False)
+@contextlib.contextmanager
+def _without_cache() -> Iterator[None]:
+    """Compile in earnest, though the persistent cache may hold the program."""
+    directory = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", None)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_compilation_cache_dir", directory)
+        compilation_cache.reset_cache()
 
 
 def _case(

@@ -140,8 +140,8 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     """Servo angles that put the foot at (y, z) from O [m], shape (..., 2): closed form for every routing.
 
     The workspace is a ring around O, and a foot outside it is moved in along its radius (a foot at O itself hangs
-    straight down). With types 1 and 2 a knee that the tendon cannot flex at that hip angle, which happens far forward
-    or folded, goes to the nearest angle that it can hold.
+    straight down). With types 1 and 2, a knee angle that the tendon cannot hold at that hip angle, near its dead
+    centres (`knee_range`), goes to the nearest one that it can.
     """
     check_routing(routing)
     leg, foot = _arrays(leg), jnp.asarray(foot)
@@ -173,7 +173,8 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
 def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2 2"]:
     """d(y, z) / d(q1, q2) [m/rad] of the foot at servo angles of shape (..., 2); zero where the pose is saturated."""
     servo = jnp.asarray(servo)
-    return jax.jacfwd(lambda change: forward(leg, servo + change, routing).foot)(jnp.zeros(2, servo.dtype))
+    nothing = jnp.zeros(2, jnp.result_type(float, servo.dtype))
+    return jax.jacfwd(lambda change: forward(leg, servo + change, routing).foot)(nothing)
 
 
 def _arrays(leg: Leg) -> Leg:

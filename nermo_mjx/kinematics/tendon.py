@@ -13,6 +13,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from nermo_mjx.robot.parameters import ROUTINGS
@@ -33,7 +34,7 @@ def check_routing(routing: str) -> None:
         raise ParameterError(f"routing is {routing!r}: allowed is one of {', '.join(ROUTINGS)}.")
 
 
-def pull(leg: Leg, q1: Array, knee_angle: Array, routing: str) -> Float[Array, "*batch"]:
+def pull(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Float[Array, "*batch"]:
     """Tendon length less its wrap on the pulley, l_t - r_p theta_2 [m]; it falls as the knee flexes.
 
     Type 3 leads through the hip axis: |OB|, whatever q1. Type 2 leads through the guide point: |CB|. Both have
@@ -58,13 +59,13 @@ def pull(leg: Leg, q1: Array, knee_angle: Array, routing: str) -> Float[Array, "
     return jnp.where(outside, tangent - leg.pulley_radius * wrap, 0.0)
 
 
-def knee_range(leg: Leg, q1: Array, routing: str) -> tuple[Array, Array, Array]:
+def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Array]:
     """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works there at all.
 
-    Two conditions bound it, each kept at a distance of `KNEE_MARGIN`:
-    the foot must determine the knee (`arm_range`), and the tendon must flex the knee. The tendon's line passes through
-    the knee axis, and its lever vanishes, where B lies on the line from A to the hip axis (type 3, at 0 and pi), to the
-    guide point (type 2) or along the tangent to the pulley (type 1). Between these two angles `pull` is monotonic.
+    Two conditions bound it, each kept at a distance of `KNEE_MARGIN`. The foot must determine the knee (`arm_range`),
+    and the tendon must flex it: the tendon's lever on the knee vanishes where B lies on the line from A to the hip axis
+    (type 3, at 0 and pi), to the guide point (type 2) or along the tangent to the pulley (type 1). Between these two
+    dead centres `pull` is monotonic. With type 3 the range is 0.05 to 2.93 rad in front and 0.54 to 3.09 rad behind.
     Type 1 works while the pulley is farther from the knee than B, which fails only with the leg turned upward.
     """
     low, high = arm_range(leg)
@@ -91,7 +92,7 @@ def shank(leg: Leg) -> tuple[Array, Array]:
     return jnp.sqrt(along**2 + across**2), jnp.arctan2(across, along)
 
 
-def _dead_centre(leg: Leg, q1: Array, routing: str) -> tuple[Array, Array]:
+def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     """Folded knee angle at which the tendon's line passes through the knee; it is pi for type 3."""
     check_routing(routing)
     if routing == "type3":

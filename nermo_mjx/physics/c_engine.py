@@ -37,7 +37,7 @@ class CSession:
         self.batch = Batch(engine.robot.model, len(qpos), nthread=engine.threads)
         for name, values in fields.items():
             self.batch.expand(name)[...] = values
-        if fields:
+        if "body_mass" in fields:
             self.batch.set_const()
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.qpos[...] = qpos

@@ -152,9 +152,9 @@ def _constants(
     for name, values in fields.items():
         batch.expand(name)[...] = values
     derived = {}
-    if fields:
+    if "body_mass" in fields:
         batch.set_const()
-        derived = {name: batch.expand(name).copy() for name in DERIVED_FIELDS if "body_mass" in fields}
+        derived = {name: batch.expand(name).copy() for name in DERIVED_FIELDS}
     sensordata = batch.bind("sensordata")
     batch.bind("qpos")[...] = qpos
     batch.forward()

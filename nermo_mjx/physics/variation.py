@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import functools
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
 import jax
@@ -12,7 +15,16 @@ from jaxtyping import Array, Float
 
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot.quantity import replace_quantities
 
+#: Model fields that each group of body parameters reaches.
+FIELDS: Final[dict[str, tuple[str, ...]]] = {
+    "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+    "contact": ("pair_friction", "pair_solref", "pair_solimp"),
+    "stiffness": ("jnt_stiffness",),
+    "damping": ("dof_damping",),
+    "mass": ("body_mass", "body_inertia"),
+}
 #: Constants that MuJoCo derives from masses (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = ("body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0", "tendon_invweight0", "actuator_acc0")
 
@@ -74,36 +86,34 @@ class Variation:
             "body_mass": mass * scale, "body_inertia": jnp.asarray(model.body_inertia) * scale[:, None],
         }  # fmt: skip
 
-    def batch(self, parameters: ModelParameters, worlds: int) -> dict[str, np.ndarray]:
-        """Fields that differ from the model's in any world, (worlds, ...) each; empty where nothing varies.
+    def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
+        """The fields that the named parameters reach, (worlds, ...) each; the others keep the model's values.
+
+        Which fields are returned depends on the names alone, so that new values never change a compiled program.
 
         Args:
             parameters: leaves of shape () or (worlds,).
+            worlds: size of the batch.
+            named: names such as `contact.friction`; those that are not body parameters are passed over.
         """
-        leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
-        default = jax.tree.leaves(ModelParameters())
-        if all(np.all(leaf == value) for leaf, value in zip(jax.tree.leaves(leaves), default, strict=True)):
+        groups = {name.split(".")[0] for name in named} & set(FIELDS)
+        if not groups:
             return {}
-        fields = {name: np.asarray(values, float) for name, values in _batched(self, leaves).items()}
-        return {name: values for name, values in fields.items() if _differs(values, getattr(self.model, name))}
+        leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
+        with jax.enable_x64(True):
+            fields = self._batched(leaves)
+        return {name: np.asarray(fields[name], float) for group in sorted(groups) for name in FIELDS[group]}
+
+    @functools.cached_property
+    def _batched(self) -> Callable[[ModelParameters], dict[str, Array]]:
+        return jax.jit(jax.vmap(self.fields))
 
 
-def _batched(variation: Variation, leaves: ModelParameters) -> dict[str, Array]:
-    with jax.enable_x64(True):
-        return jax.jit(jax.vmap(variation.fields))(leaves)
-
-
-def _differs(values: np.ndarray, base: np.ndarray) -> bool:
-    return not np.allclose(values, base, rtol=1e-9, atol=0.0)
-
-
-def compile_model(robot: Robot, parameters: ModelParameters) -> mujoco.MjModel:
-    """A model with these parameters (leaves of shape ()), for rendering or for any `mj_` function."""
-    import copy
-
+def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
+    """A copy of the robot's model with the named body parameters, for rendering or for any `mj_` function."""
     model = copy.copy(robot.model)
-    fields = Variation(robot).batch(parameters, 1)
-    for name, values in fields.items():
-        getattr(model, name)[...] = values[0]
+    parameters = replace_quantities(ModelParameters(), values)
+    for name, field in Variation(robot).batch(parameters, 1, values).items():
+        getattr(model, name)[...] = field[0]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

@@ -131,7 +131,7 @@ class Simulator:
         return Batch(
             params=_single(LoopParameters(params.control, params.start, window)),
             qpos=self.start.batch(params.control, params.start),
-            fields=self.variation.batch(params.model, worlds),
+            fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             mass=mass,
         )
@@ -161,7 +161,8 @@ class Simulator:
         if notify:
             notify(f"compiling the {self.engine.name} program, once per machine")
         session = self.engine.open(batch.params, batch.qpos, batch.fields)
-        ticks = batch.ticks
+        # Whole blocks only: a recorded block of another length would be another program.
+        ticks = -(-batch.ticks // BLOCK) * BLOCK if record else batch.ticks
         traces: list[Trace] = []
         compiled = None
         for done, size in _blocks(ticks):
@@ -185,12 +186,12 @@ class Simulator:
             steps=ticks * self.loop.steps_per_tick,
             wall_seconds=time.perf_counter() - began,
             compile_seconds=compiled or 0.0,
-            trace=self._recording(traces) if record else None,
+            trace=self._recording(traces, batch.ticks) if record else None,
         )
 
-    def _recording(self, traces: list[Trace]) -> Recording:
+    def _recording(self, traces: list[Trace], ticks: int) -> Recording:
         qpos, qvel, ctrl, sensordata = (
-            np.concatenate([getattr(trace, name) for trace in traces], axis=1)
+            np.concatenate([getattr(trace, name) for trace in traces], axis=1)[:, :ticks]
             for name in ("qpos", "qvel", "ctrl", "sensordata")
         )
         sensors: Sensors = self.robot.sensors(sensordata)

@@ -23,7 +23,7 @@ from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import Store, join
 from nermo_mjx.sweep.summary import summarize, to_json
 
-#: Rows of a chunk, unless the sweep or the caller says otherwise: a minute's work on two cores, and what fills a device.
+#: Rows of a chunk, unless the sweep or the caller says otherwise: a minute on two cores, and what fills a device.
 CPU_CHUNK, DEVICE_CHUNK = 64, 4096
 
 

@@ -1,0 +1,47 @@
+"""Compiled programs shared by all tests: each engine compiles once a session, and the persistent cache outlives it."""
+
+from __future__ import annotations
+
+import nermo_mjx  # noqa: F401  (settles threads, cache and GL before JAX and MuJoCo start)
+
+import functools
+
+import numpy as np
+import pytest
+
+from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
+
+
+@functools.lru_cache(maxsize=None)
+def _simulator(setup: Setup, engine: str) -> Simulator:
+    return Simulator(setup, engine)
+
+
+@pytest.fixture(scope="session")
+def simulator():
+    """`simulator(engine="c", **setup)`: one simulator for each combination, with the programs it has compiled."""
+
+    def make(engine: str = "c", **choices: str) -> Simulator:
+        return _simulator(Setup(**choices), engine)
+
+    return make
+
+
+#: Eight different walks, the same in all engines: without spine, and with several amplitudes and phases.
+WALKS = {
+    "frequency": np.full(8, 0.8),
+    "spine.amplitude": np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.4, 0.4, 0.4]),
+    "spine.phase": np.array([0.0, 0.0, -0.5, -0.5, -0.5, 0.0, np.pi / 2, np.pi]),
+}
+WALK_RUN = Run(cycles=5, warmup_cycles=1)
+
+
+@pytest.fixture(scope="session")
+def walks(simulator):
+    """`walks(engine)`: `WALKS` recorded on an engine, once a session (in MJX this is the session's one compilation)."""
+
+    @functools.lru_cache(maxsize=None)
+    def run(engine: str) -> RunResult:
+        return simulator(engine, spine="stride_extension").run(WALKS, WALK_RUN, record=True)
+
+    return run

@@ -1,0 +1,114 @@
+"""The assembled twin walks as the publication says, on the C engine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nermo_mjx.rollout import Run
+
+FREQUENCIES = np.array([0.5, 0.67, 0.8])
+LONG = Run(cycles=10, warmup_cycles=2)
+
+
+@pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
+@pytest.mark.parametrize("spine", ["none", "stride_extension"])
+def test_every_gait_walks_without_falling(simulator, gait, spine):
+    """All three gaits cover ground at every published frequency, with and without the spine, and stay upright."""
+    result = simulator(gait=gait, spine=spine).run({"frequency": FREQUENCIES}, LONG)
+    assert set(result.status) == {"ok"}
+    assert np.all(result.metrics["speed"] > 0.02)
+    assert np.all(np.abs(result.metrics["roll_mean"]) < np.radians(2))
+
+
+def test_trot_speed_without_spine_is_near_the_theory_without_slip(simulator):
+    """Ideal trot at 0.8 Hz and full stride: 0.080 to 0.100 m/s; (5.21) gives 0.096."""
+    result = simulator(gait="trt").run({"frequency": 0.8}, LONG)
+    assert 0.080 <= result.metrics["speed"][0] <= 0.100
+
+
+def test_the_best_spine_phase_gains_and_the_worst_loses(simulator):
+    """At 0.1 rad a joint the best phase walks at least 12 % faster than no spine, the worst slower than no spine."""
+    phases = np.linspace(-np.pi, np.pi, 12, endpoint=False)
+    values = {
+        "frequency": np.full(13, 0.8),
+        "spine.amplitude": np.r_[0.0, np.full(12, 0.4)],
+        "spine.phase": np.r_[0.0, phases],
+    }
+    result = simulator(spine="stride_extension").run(values, LONG)
+    speed = result.metrics["speed"]
+    assert set(result.status) == {"ok"}
+    assert speed[1:].max() >= 1.12 * speed[0]
+    assert speed[1:].min() < speed[0]
+    assert -np.pi / 3 <= phases[speed[1:].argmax()] <= 0.0  # published prototype: 0 to -30 degrees
+
+
+@pytest.mark.parametrize("name", ["frequency", "stride"])
+def test_speed_is_linear_in_frequency_and_stride(simulator, name):
+    """The speed law (5.21): R^2 of a line through the speeds is at least 0.98."""
+    x = {"frequency": np.linspace(0.4, 0.9, 6), "stride": np.linspace(0.25, 1.0, 6)}[name]
+    result = simulator(gait="trt").run({"frequency": np.full(6, 0.8), name: x}, LONG)
+    speed = result.metrics["speed"]
+    residual = speed - np.polyval(np.polyfit(x, speed, 1), x)
+    assert 1 - residual.var() / speed.var() >= 0.98
+    assert np.all(np.diff(speed) > 0)
+
+
+def test_zero_stride_stays_in_place(simulator):
+    """Marching on the spot covers less than a tenth of the ground that walking does."""
+    result = simulator(gait="trt").run({"frequency": 0.8, "stride": np.array([0.0, 1.0])}, LONG)
+    standing, walking = result.metrics["speed"]
+    assert abs(standing) < 0.1 * walking
+
+
+@pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
+def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
+    """Every strategy follows the one sign convention: positive is left, yaw and path alike, and right mirrors left."""
+    sim = simulator(steering=steering, pilot="open_loop")
+    result = sim.run({"frequency": 0.67, "pilot.turn_rate": np.array([0.9, -0.9])}, Run(cycles=6, warmup_cycles=2))
+    left, right = result.metrics["yaw_mean"]
+    assert left > 0.05
+    assert right == pytest.approx(-left, rel=0.15)
+    assert result.metrics["lateral_drift"][0] > 0.0 > result.metrics["lateral_drift"][1]
+
+
+def test_the_straight_pilot_keeps_the_line(simulator):
+    """Started 2 cm beside the line and 10 degrees off it, the robot stays within half its width (45 mm) of the line.
+
+    Unsteered it would end 0.3 m away. The turning curve's exponent of 5 leaves small errors without effect.
+    """
+    sim = simulator(gait="trt")
+    start = {"start.x": np.array([0.02, -0.02]), "start.yaw": np.radians([10.0, -10.0])}
+    result = sim.run({"frequency": 0.8, **start}, Run(cycles=16, warmup_cycles=12), record=True)
+    assert np.all(np.abs(result.trace.sensors["position"][:, -200:, 0]) < 0.045)
+
+
+def test_model_parameters_vary_within_a_batch(simulator):
+    """One batch holds slippery and grippy soles, soft and stiff springs, light and heavy robots."""
+    sim = simulator(gait="trt")
+    friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.08, 1.0])}).metrics
+    assert friction["slip"][0] > 1.2 * friction["slip"][1]
+    mass = sim.run({"frequency": 0.8, "mass.front": np.array([0.1647, 0.25])}).metrics
+    assert mass["servo_work"][1] > mass["servo_work"][0]
+
+
+def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
+    """The tail's joints change the speed by less than 10 %."""
+    run = Run(cycles=6, warmup_cycles=2)
+    rigid = simulator(tail="rigid").run({"frequency": 0.8}, run).metrics["speed"][0]
+    jointed = simulator(tail="articulated").run({"frequency": 0.8}, run)
+    assert jointed.status[0] == "ok"
+    assert jointed.metrics["speed"][0] == pytest.approx(rigid, rel=0.10)
+
+
+def test_the_published_lag_shortens_the_stride(simulator):
+    """Closing 11 % of the foot error a tick, at one clock, walks slower than exact tracking."""
+    result = simulator(gait="trt").run({"frequency": 0.8, "tracking.foot_gain": np.array([1.0, 0.11])}, LONG)
+    assert result.metrics["speed"][1] < 0.97 * result.metrics["speed"][0]
+
+
+def test_as_published_profile_walks(simulator):
+    """The published lag and clock ratio together walk upright, at the clock's faster pace."""
+    result = simulator(gait="trt", profile="as_published").run({"frequency": 0.8}, LONG)
+    assert result.status[0] == "ok"
+    assert result.metrics["speed"][0] > 0.096
