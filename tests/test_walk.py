@@ -86,8 +86,8 @@ def test_the_straight_pilot_keeps_the_line(simulator):
 def test_model_parameters_vary_within_a_batch(simulator):
     """One batch holds slippery and grippy soles, soft and stiff springs, light and heavy robots."""
     sim = simulator(gait="trt")
-    friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.08, 1.0])}).metrics
-    assert friction["slip"][0] > 1.2 * friction["slip"][1]
+    friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.1, 1.0])}).metrics
+    assert friction["speed"][0] < 0.9 * friction["speed"][1]
     mass = sim.run({"frequency": 0.8, "mass.front": np.array([0.1647, 0.25])}).metrics
     assert mass["servo_work"][1] > mass["servo_work"][0]
 

@@ -6,7 +6,7 @@ import contextlib
 import os
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from mujoco import rollout
 from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.timing import compare, seconds
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.mjx_engine import MjxEngine, MjxState, mjx
+from nermo_mjx.physics.mjx_engine import MjxEngine, mjx
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 
@@ -66,53 +66,69 @@ def c_case(worlds: int) -> dict[str, Any]:
 
 
 def mjx_case(worlds: int) -> dict[str, Any]:
-    """MJX engine against a `lax.scan` over `mjx.step` alone, batch and number of steps the same."""
+    """MJX engine against the scan a user would write: `mjx.step` carrying `mjx.Data`, same batch, same servo targets."""
     simulator, batch = _walk("mjx", worlds)
     engine = simulator.engine
     assert isinstance(engine, MjxEngine)
     ticks, steps = TICKS["mjx"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
-    arguments = (session.params, session.fields, session.carry, jnp.int32(ticks))
+    count = jnp.int32(ticks)
+    ours = _compile(engine.advance, session.params, session.fields, session.carry, count)
 
-    def plain(state: MjxState, ctrl: jax.Array, count: jax.Array) -> MjxState:
-        def step(one: MjxState, target: jax.Array) -> MjxState:
-            data = mjx.step(engine.model, engine.data.replace(ctrl=target, **one._asdict()))
-            return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart)
+    walking = jax.block_until_ready(ours.program(session.params, session.fields, session.carry, count))
+    states, ctrl = walking.physics, _targets(simulator, batch, ticks)
+    data = jax.jit(jax.vmap(lambda one: engine.data.replace(**one._asdict())))(states)
 
-        return jax.lax.fori_loop(0, count, lambda _, s: jax.vmap(step)(s, ctrl), state)
+    def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
+        def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:
+            return jax.vmap(lambda one, goal: mjx.step(engine.model, one.replace(ctrl=goal)))(data, target), None
 
-    ours_trace, ours_compile, program = _compile(engine.advance, *arguments)
-    ctrl = jnp.asarray(engine.open(batch.params, batch.qpos, batch.fields).record(1).ctrl[:, 0])
-    plain_arguments = (session.carry.physics, ctrl, jnp.int32(ticks * steps))
-    plain_trace, plain_compile, plain_program = _compile(jax.jit(plain), *plain_arguments)
+        return jax.lax.scan(tick, data, ctrl)[0]
 
-    carry = jax.tree.map(jnp.copy, session.carry)
+    plain = _compile(jax.jit(scan), data, ctrl)
+    carry = jax.tree.map(jnp.copy, walking)
 
     def run_ours() -> None:
         nonlocal carry
-        carry = jax.block_until_ready(program(session.params, session.fields, carry, jnp.int32(ticks)))
+        carry = jax.block_until_ready(ours.program(session.params, session.fields, carry, count))
 
     def run_plain() -> None:
-        jax.block_until_ready(plain_program(*plain_arguments))
+        jax.block_until_ready(plain.program(data, ctrl))
 
-    run_ours(), run_plain()
+    run_ours()
+    run_plain()
     ours_s, plain_s, ratio = compare(run_ours, run_plain, ROUNDS["mjx"])
     return _case("mjx", worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {
-        "trace_s": ours_trace,
-        "compile_s": ours_compile,
-        "plain_trace_s": plain_trace,
-        "plain_compile_s": plain_compile,
+        "trace_s": ours.trace_s,
+        "compile_s": ours.compile_s,
+        "plain_trace_s": plain.trace_s,
+        "plain_compile_s": plain.compile_s,
+        "carry_bytes_per_world": sum(leaf.nbytes for leaf in jax.tree.leaves(carry)) // worlds,
     }
 
 
-def _compile(function: Any, *arguments: Any) -> tuple[float, float, Any]:
-    """(seconds to trace and lower, seconds to compile with a cold cache, the program)."""
+def _targets(simulator: Simulator, batch: Batch, ticks: int) -> jax.Array:
+    """Servo targets of a walk, one row a physics step (ticks * steps, worlds, servos), from the C engine."""
+    engine = CEngine(simulator.robot, simulator.loop)
+    trace = engine.open(batch.params, batch.qpos, batch.fields).record(2 * ticks)
+    steps = np.repeat(np.moveaxis(trace.ctrl[:, ticks:], 0, 1), simulator.loop.steps_per_tick, axis=0)
+    return jnp.asarray(steps)
+
+
+class _Compiled(NamedTuple):
+    trace_s: float
+    compile_s: float
+    program: Any
+
+
+def _compile(function: Any, *arguments: Any) -> _Compiled:
+    """Seconds to trace and lower, seconds to compile with a cold cache, and the program."""
     began = time.perf_counter()
     lowered = function.lower(*arguments)
     traced = time.perf_counter()
     with _without_cache():
         program = lowered.compile()
-    return traced - began, time.perf_counter() - traced, program
+    return _Compiled(traced - began, time.perf_counter() - traced, program)
 
 
 @contextlib.contextmanager
