@@ -1,9 +1,51 @@
-"""Batched, differentiable digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine."""
+"""Batched, differentiable digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine.
+
+The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
+`METRICS` and `all_parameters`; `control_parameters` (a pytree of arrays); `Sweep`, `run_sweep` and `read_table`;
+`Recording` and `render`; and the geometry in `kinematics`. Names are imported on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from nermo_mjx.runtime import configure as _configure
+from nermo_mjx.version import __version__
 
 _configure()  # before JAX and MuJoCo are imported
 
-from nermo_mjx.version import __version__  # noqa: E402
+if TYPE_CHECKING:
+    from nermo_mjx import kinematics
+    from nermo_mjx.control import control_parameters
+    from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, load_robot
+    from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
+    from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
+    from nermo_mjx.view import Recording, render
 
-__all__ = ["__version__"]
+_HOMES = {
+    "nermo_mjx.control": ("control_parameters",),
+    "nermo_mjx.robot": ("LIMBS", "SERVOS", "ParameterError", "Robot", "load_robot"),
+    "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
+    "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
+    "nermo_mjx.view": ("Recording", "render"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "LIMBS", "METRICS", "SERVOS", "ParameterError", "Recording", "Robot", "Run", "RunResult", "Setup", "Simulator",
+    "Sweep", "SweepResult", "__version__", "all_parameters", "control_parameters", "kinematics", "load_robot",
+    "read_table", "render", "run_sweep",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name == "kinematics":
+        return importlib.import_module("nermo_mjx.kinematics")
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'nermo_mjx' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

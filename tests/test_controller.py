@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nermo_mjx.control import Controller, build, control_parameters, fusion, tabulated, trajectory
+from nermo_mjx.control import Controller, build, control_parameters, fusion, tabulated, trajectory, turning
 from nermo_mjx.control.parameters import ControlParameters, Spine
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.leg import forward, four_legs
@@ -249,8 +249,24 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
 
     A PD has no integral: a circle of radius R needs the turn rate 0.15/R, which takes a steady error of 0.15/R/40.
     """
-    controller, speed, dt = Controller(pilot=pilot), 0.08, 0.01
-    params = control_parameters(**PUBLISHED_GAINS, **{"pilot.radius": radius, "pilot.direction": side})
+    values = {"pilot.radius": radius, "pilot.direction": side, "pilot.feed_forward": 0.0, **PUBLISHED_GAINS}
+    error = unicycle(Controller(pilot=pilot), control_parameters(**values), lambda turn_rate: turn_rate / 0.15)
+    steady = -side * 0.15 / radius / 40.0 if pilot == "arc" else 0.0
+    np.testing.assert_allclose(error[-500:], steady, atol=2e-3)
+
+
+@pytest.mark.parametrize("radius", [0.5, 1.0])
+@pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
+def test_a_unicycle_that_obeys_the_theory_stays_on_its_arc(steering, radius):
+    """The feed-forward takes the PD's steady error, (turn rate that the arc needs)/gain: 79 mm for legs at 0.5 m."""
+    params = control_parameters(steering=steering, **{"pilot.radius": radius, "pilot.direction": -1.0})
+    error = unicycle(Controller(pilot="arc"), params, lambda turn_rate: turning.path_curvature(params, turn_rate), 0.0)
+    np.testing.assert_allclose(error, 0.0, atol=1e-3)
+
+
+def unicycle(controller, params, curvature, beside=0.03):
+    """Cross-track error over 40 s of a unicycle at 0.08 m/s from `beside` [m] left of the start."""
+    speed, dt = 0.08, 0.01
 
     def seen_at(x, y):
         return dataclasses.replace(sensors_at(), position=jnp.stack([x, y, jnp.zeros(())]))
@@ -260,15 +276,31 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
         def step(carry, _):
             state, x, y, yaw = carry
             state, _ = controller.update(params, state, seen_at(x, y))
-            yaw = yaw + dt * speed / 0.15 * state.turn_rate
+            yaw = yaw + dt * speed * curvature(state.turn_rate)
             return (state, x + dt * speed * jnp.sin(yaw), y - dt * speed * jnp.cos(yaw), yaw), state.cross_track
 
         start = controller.init(params, seen_at(*place))
         return jax.lax.scan(step, (start, *place, jnp.zeros(())), None, length=4000)[1]
 
-    error = np.asarray(run((jnp.asarray(0.03), jnp.asarray(0.0))))
-    steady = -side * 0.15 / radius / 40.0 if pilot == "arc" else 0.0
-    np.testing.assert_allclose(error[-500:], steady, atol=2e-3)
+    return np.asarray(run((jnp.asarray(beside), jnp.asarray(0.0))))
+
+
+@pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_an_arc_starts_in_the_posture_of_its_feed_forward(steering, side):
+    """So that nothing jumps at the first tick of a robot that stands on its path."""
+    params = control_parameters(steering=steering, **{"pilot.radius": 0.5, "pilot.direction": side})
+    controller = Controller(pilot="arc")
+    start = controller.init(params, sensors_at())
+    after, _ = controller.update(params, start, sensors_at())
+    assert side * float(start.turn_rate) > 0.4
+    assert after.turn_rate == pytest.approx(float(start.turn_rate), abs=1e-6)
+    assert after.spine == pytest.approx(float(start.spine), abs=1e-6)
+
+
+def test_the_published_pilot_has_no_feed_forward():
+    params = control_parameters(profile="as_published", **{"pilot.radius": 0.5})
+    assert Controller(pilot="arc").init(params, sensors_at()).turn_rate == 0.0
 
 
 # -- the program ---------------------------------------------------------------------------------------------------

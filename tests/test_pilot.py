@@ -45,6 +45,15 @@ def test_a_point_on_the_arc_has_no_error(direction):
     np.testing.assert_allclose(error, 0.0, atol=1e-7)
 
 
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_the_arc_bends_to_its_direction_and_its_feed_forward_is_added_before_the_limit(direction):
+    place = jnp.asarray([[0.3, -0.2, 0.0], [0.0, 0.0, 0.0]])
+    given = pilot_of(radius=0.5, direction=direction, error_gain=10.0, output_limit=0.8)
+    np.testing.assert_allclose(pilot.arc_curvature(given, place), direction * 2.0)
+    turns = [float(pilot.steer(given, jnp.float32(error), jnp.float32(0.0), 0.6)) for error in (0.0, 0.02, -0.1)]
+    assert turns == pytest.approx([0.6, 0.4, 0.8])
+
+
 def test_the_arc_has_a_finite_gradient_at_its_centre():
     slope = jax.grad(lambda place: pilot.arc(pilot_of(radius=0.5), place))(jnp.asarray([0.5, 0.0, 0.0]))
     assert np.isfinite(slope).all()

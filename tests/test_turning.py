@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import Gait, Stance, Turning
+from nermo_mjx.control import control_parameters, turning
+from nermo_mjx.control.parameters import STEERING, Gait, Stance, Turning
+from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
+from nermo_mjx.robot.quantity import replace_quantities
 
 rates = st.floats(-1, 1, width=32, allow_subnormal=False)
 
@@ -122,3 +124,68 @@ def test_the_spine_based_radii_are_those_of_a_bent_line():
 def test_the_spine_lengths_add_up_to_the_robot():
     """l_sp1 + l_sp2 is the distance from shoulder to hip axis, 0.0615 + 0.0604 (Table A.5)."""
     assert sum(turning.spine_lengths()) == pytest.approx(0.0615 + 0.0604, abs=1e-4)
+
+
+# -- the theory inverted: the turn rate that a path needs -----------------------------------------------------------
+
+#: Radii of the experiments, full lock and beyond, and a path that is nearly straight [1/m].
+CURVATURES = np.float32([1e-3, 0.1, 0.5, 1.0, 2.0, 3.0, 6.0, 9.0, 20.0])
+turn_rates_for = jax.jit(jax.vmap(turning.turn_rate_for, in_axes=(None, 0)))
+
+
+def steered(steering, **values):
+    """Parameters in one precision, so that all cases share a compiled program."""
+    return jax.tree.map(np.float32, control_parameters(steering=steering, **values))
+
+
+@pytest.mark.parametrize("steering", STEERING)
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 2.0, 5.0, 10.0, 20.0])
+def test_the_turn_rate_for_a_curvature_walks_that_curvature_or_is_full_lock(steering, exponent):
+    params = steered(steering, **{"turning.exponent": exponent})
+    rates = turn_rates_for(params, CURVATURES)
+    full = turning.path_curvature(params, jnp.float32(1.0))
+    np.testing.assert_allclose(
+        turning.path_curvature(params, rates), np.minimum(CURVATURES, full), rtol=1e-4, atol=4e-6
+    )
+    np.testing.assert_array_equal(np.asarray(rates) == 1.0, full <= CURVATURES)
+
+
+@pytest.mark.parametrize("steering", STEERING)
+def test_left_and_right_paths_need_opposite_turn_rates_and_a_straight_one_none(steering):
+    params = steered(steering)
+    rates = turn_rates_for(params, CURVATURES)
+    assert (np.diff(rates) >= 0).all()
+    np.testing.assert_array_equal(turn_rates_for(params, -CURVATURES), -rates)
+    np.testing.assert_array_equal(turn_rates_for(params, 1 / np.float32([np.inf, -np.inf])), 0.0)
+
+
+def test_the_curvature_of_theory_is_that_of_its_radii_and_legs_and_spine_add():
+    legs, spine, mix = (turning.path_curvature(steered(name), jnp.float32([1.0, -1.0])) for name in STEERING)
+    assert legs == pytest.approx(np.array([1.0, -1.0]) / 0.151, rel=5e-3)
+    shoulder, _ = turning.spine_radius(joint_angle(jnp.float32(0.4)), *turning.spine_lengths())
+    np.testing.assert_allclose(spine, jnp.asarray([1.0, -1.0]) / shoulder, rtol=1e-5)
+    np.testing.assert_allclose(mix, legs + spine, rtol=1e-6)
+
+
+def test_no_turn_rate_turns_without_legs_and_spine():
+    params = steered("leg", **{"turning.leg": 0.0})
+    np.testing.assert_array_equal(turn_rates_for(params, CURVATURES), 0.0)
+
+
+@pytest.mark.parametrize("steering", STEERING)
+@pytest.mark.parametrize("radius", [0.05, 0.2, 0.5, 1000.0])
+def test_the_turn_rates_derivatives_are_those_of_differences(steering, radius):
+    """In float64, by the radius and by a parameter of the theory; zero where the turn rate is at full lock."""
+    with jax.enable_x64(True):
+        params = jax.tree.map(np.float64, control_parameters(steering=steering))
+
+        def rate(radius, servo):
+            bent = replace_quantities(params, {"spine.max_servo_angle": servo})
+            return turning.turn_rate_for(bent, 1.0 / radius)
+
+        place = (jnp.asarray(radius), jnp.asarray(0.4))
+        slopes = jax.grad(rate, argnums=(0, 1))(*place)
+        step = 1e-6
+        by_radius = (rate(radius * (1 + step), 0.4) - rate(radius * (1 - step), 0.4)) / (2 * step * radius)
+        by_servo = (rate(radius, 0.4 + step) - rate(radius, 0.4 - step)) / (2 * step)
+    np.testing.assert_allclose(slopes, [by_radius, by_servo], rtol=1e-5, atol=1e-9)

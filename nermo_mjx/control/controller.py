@@ -146,7 +146,7 @@ class Controller:
     def _start(self, params: ControlParameters, phase: Float[Array, ""] | float) -> ControllerState:
         phase = clock.wrap(jnp.asarray(phase, dtype=float))
         limbs = clock.limb_states(params.gait, phase)
-        speed, turn_rate = self._given_command(params, jnp.zeros(()))
+        speed, turn_rate = self._given_command(params, jnp.zeros(()), jnp.zeros(3))
         points = trajectory.nominal_points(params.stance, limbs.stance, self._strides(params, speed, turn_rate))
         path = trajectory.position(points, limbs.progress, self.trajectory)
         spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
@@ -158,11 +158,16 @@ class Controller:
         )  # fmt: skip
         return canonical(state)
 
-    def _given_command(self, params: ControlParameters, time: Float[Array, ""]) -> tuple[Array, Array]:
-        """Speed and turn rate as far as they do not depend on the sensors."""
+    def _given_command(
+        self, params: ControlParameters, time: Float[Array, ""], position: Float[Array, " 3"]
+    ) -> tuple[Array, Array]:
+        """Speed and turn rate without feedback: as commanded, or as the path needs at `position`."""
         speed, turn_rate = params.gait.speed, jnp.zeros(())
         if self.pilot == "open_loop":
             turn_rate = params.pilot.turn_rate
+        elif self.pilot in pilot.CURVATURES:
+            needed = turning.turn_rate_for(params, pilot.CURVATURES[self.pilot](params.pilot, position))
+            turn_rate = params.pilot.feed_forward * needed
         elif self.command is not None:
             speed, turn_rate = self.command(time)
         return jnp.maximum(jnp.asarray(speed), 0.0), jnp.clip(jnp.asarray(turn_rate), -1.0, 1.0)
@@ -171,11 +176,11 @@ class Controller:
         self, params: ControlParameters, state: ControllerState, sensors: Sensors
     ) -> tuple[Array, Array, Array]:
         """(speed, turn rate, cross-track error), new at a pilot tick and held between two of them."""
-        speed, turn_rate = self._given_command(params, state.time)
+        speed, turn_rate = self._given_command(params, state.time, sensors.position)
         error = pilot.cross_track_error(self.pilot, params.pilot, sensors.position)
         if self.pilot in pilot.PATHS:
             published_ticks = pilot.PUBLISHED_PILOT_RATE / (self.pilot_rate * params.tracking.clock_ratio)
-            turn_rate = pilot.steer(params.pilot, error, (error - state.cross_track) / published_ticks)
+            turn_rate = pilot.steer(params.pilot, error, (error - state.cross_track) / published_ticks, turn_rate)
         due = state.tick % self.ticks_per_pilot_tick == 0
         return (
             jnp.where(due, speed, state.speed),

@@ -14,9 +14,10 @@ from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree
 #: Control rate of the published foot tracking lag [Hz], and what it closed of the foot error per tick.
 PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
 PUBLISHED_CLOCK_RATIO = 0.4
-#: The published gain on the cross-track error limit-cycles: with 300 on the change per tick it aims at a point 12 mm ahead
-#: at 0.08 m/s, a tenth of the trunk. The profile `exact` lowers it, to look 48 mm ahead.
-PUBLISHED_ERROR_GAIN = 40.0
+#: The published gain on the cross-track error limit-cycles: with 300 on the change per tick it aims at a point 12 mm
+#: ahead at 0.08 m/s, a tenth of the trunk. The profile `exact` lowers it, to look 48 mm ahead, and makes up for the
+#: larger error on an arc with a feed-forward, which the published pilot does not have.
+PUBLISHED_ERROR_GAIN, PUBLISHED_FEED_FORWARD = 40.0, 0.0
 
 
 @parameter_tree
@@ -90,7 +91,7 @@ class Turning:
 
 @parameter_tree
 class Pilot:
-    """The high-level controller: a PD on the cross-track error, and the path it follows."""
+    """The high-level controller: a feed-forward of the path, a PD on the cross-track error, and the path it follows."""
 
     error_gain: Any = quantity(10.0, unit="1/m", low=0.0, high=1000.0, doc="turn rate per metre of cross-track error")
     change_gain: Any = quantity(
@@ -99,6 +100,9 @@ class Pilot:
         low=0.0,
         high=10000.0,
         doc="turn rate per metre of its change per 1/50 s of the controller's clock",
+    )
+    feed_forward: Any = quantity(
+        1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate that the path's curvature needs without slip"
     )
     output_limit: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="largest turn rate")
     turn_rate: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="turn rate held by the pilot 'open_loop'")
@@ -155,7 +159,7 @@ def published_values(gait: str, *, steering: str = "leg", profile: str = "exact"
     values |= {f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)}
     if profile == "as_published":
         values |= {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO}
-        values["pilot.error_gain"] = PUBLISHED_ERROR_GAIN
+        values |= {"pilot.error_gain": PUBLISHED_ERROR_GAIN, "pilot.feed_forward": PUBLISHED_FEED_FORWARD}
     return values
 
 

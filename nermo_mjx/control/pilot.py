@@ -1,7 +1,8 @@
 """The pilot, the high-level controller: speed and turn rate from the sensors, or from a command given beforehand.
 
-A path is a function from a position to its cross-track error, positive where the robot is to the **left** of the path.
-Paths are fixed in the world and start at its origin, heading -y.
+A path is a function from a position to its cross-track error, positive where the robot is to the **left** of the path,
+and one to its curvature there, positive where it bends to the left. Paths are fixed in the world and start at its
+origin, heading -y.
 """
 
 from __future__ import annotations
@@ -36,14 +37,24 @@ def arc(pilot: Pilot, position: Float[Array, "*batch 3"]) -> Float[Array, "*batc
     numbers, so that a radius of a kilometre keeps its millimetres in float32.
     """
     x, y = position[..., 0], position[..., 1]
-    side = jnp.where(jnp.asarray(pilot.direction) >= 0.0, 1.0, -1.0)
+    side = _side(pilot)
     squared = (x - side * pilot.radius) ** 2 + y**2
     distance = jnp.sqrt(jnp.maximum(squared, 1e-12))
     return side * (2.0 * side * pilot.radius * x - x**2 - y**2) / (pilot.radius + distance)
 
 
-#: The paths that a pilot can follow, by the pilot's name.
+def arc_curvature(pilot: Pilot, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    """1/radius with the sign of `direction` [1/m], wherever the robot is."""
+    return jnp.broadcast_to(_side(pilot) / pilot.radius, position.shape[:-1])
+
+
+def _side(pilot: Pilot) -> Array:
+    return jnp.where(jnp.asarray(pilot.direction) >= 0.0, 1.0, -1.0)
+
+
+#: The paths that a pilot can follow, by the pilot's name, and the curvature of those that are not straight.
 PATHS: Final[dict[str, Callable[[Pilot, Array], Array]]] = {"straight": straight, "arc": arc}
+CURVATURES: Final[dict[str, Callable[[Pilot, Array], Array]]] = {"arc": arc_curvature}
 PILOTS: Final = ("open_loop", *PATHS, "external")
 
 
@@ -54,15 +65,21 @@ def cross_track_error(path: str, pilot: Pilot, position: Float[Array, "*batch 3"
     return PATHS[path](pilot, jnp.clip(position, -1e6, 1e6))
 
 
-def steer(pilot: Pilot, error: Float[Array, "*batch"], change: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def steer(
+    pilot: Pilot,
+    error: Float[Array, "*batch"],
+    change: Float[Array, "*batch"],
+    ahead: Float[Array, "*batch"] | float = 0.0,
+) -> Float[Array, "*batch"]:
     """PD on the cross-track error: a robot to the left of its path is steered to the right.
 
     Args:
         pilot: gains and output limit.
         error: cross-track error, positive to the left of the path [m].
         change: its change in 1/50 s of the controller's clock [m].
+        ahead: turn rate of the feed-forward, to which the PD adds.
     """
-    wanted = -(pilot.error_gain * error + pilot.change_gain * change)
+    wanted = ahead - (pilot.error_gain * error + pilot.change_gain * change)
     return jnp.clip(wanted, -pilot.output_limit, pilot.output_limit)
 
 

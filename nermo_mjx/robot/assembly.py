@@ -227,7 +227,7 @@ def _site_in_body(file: str, site: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
-    stiffness, damping = parameters.stiffness, parameters.damping
+    stiffness, damping, servo = parameters.stiffness, parameters.damping, parameters.servo
     for joint in spec.joints:
         kind = joint.name.rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
@@ -240,9 +240,9 @@ def _set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         elif kind == "ankle":
             _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"])
         elif kind == "hip":
-            _compliant(joint, 0.0, damping.hip, ARMATURE["servo"])
+            _compliant(joint, 0.0, damping.hip + servo.kv, ARMATURE["servo"])
         elif kind in ("pulley", "neck"):
-            _compliant(joint, 0.0, damping.pulley, ARMATURE["servo"])
+            _compliant(joint, 0.0, damping.pulley + servo.kv, ARMATURE["servo"])
 
 
 def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0) -> None:
@@ -252,13 +252,18 @@ def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: 
 
 
 def _add_servos(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+    """Proportional servos. Their damping is the joint's (`_set_joints`), outside the torque limit.
+
+    A motor slows with speed also at full torque; and a derivative gain inside the limit is integrated differently by C
+    and MJX while the servo saturates (`implicitfast` of MJX keeps its velocity derivative, C drops it).
+    """
     servo = parameters.servo
     joints = {joint.name for joint in spec.joints}
     for name in SERVOS:
         target = servo_joint(name)
         if target in joints:
             actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
+            actuator.set_to_position(kp=float(servo.kp))
             actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name))
             limit = float(servo.torque_limit)
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])

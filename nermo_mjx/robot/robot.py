@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import hashlib
 
-import jax.numpy as jnp
+import jax
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
@@ -84,8 +84,8 @@ class Robot:
         }
 
     def sensors(self, sensordata: Float[Array, "*batch n"]) -> Sensors:
-        """Read MuJoCo's `sensordata` by meaning; leading axes are kept."""
-        data = jnp.asarray(sensordata)
+        """Read MuJoCo's `sensordata` by meaning; leading axes are kept, NumPy arrays stay NumPy arrays."""
+        data = sensordata if isinstance(sensordata, jax.Array) else np.asarray(sensordata)
         parts = {name: data[..., span] for name, span in self._sensor_slices.items()}
         for name in ("foot_position", "foot_velocity"):
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,10 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
 from nermo_mjx.rollout.parameters import Start
 
+#: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
+#: decide whether a tendon holds or its knee springs loose in the first step.
+TAUT: Final = 2e-5
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class StartPose:
@@ -31,7 +35,9 @@ class StartPose:
     def qpos(self, control: ControlParameters, start: Start) -> Float[Array, " nq"]:
         """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y."""
         servo = self.controller.initial_servo(control, start.phase)
-        pose = forward(four_legs(), jnp.stack([servo.hip, servo.knee], axis=-1), self.controller.routing)
+        legs = four_legs()
+        eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
+        pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.controller.routing)
         bend = spine.joint_angle(servo.spine)
         axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
         sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]

@@ -1,0 +1,191 @@
+"""The engines agree, never recompile for a new value, and reuse compiled programs from the cache."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.physics import make_engine, resolve_engine
+from nermo_mjx.physics.c_engine import CEngine
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.rollout import Run
+
+from conftest import WALK_RUN, WALKS
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+@pytest.fixture
+def compilations():
+    """Names of the programs XLA has compiled since the fixture began, cache hits included."""
+    seen: list[str] = []
+
+    def listen(event: str, duration: float, **about: str) -> None:
+        if event == COMPILED:
+            seen.append(about.get("fun_name", "program"))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield seen
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def test_c_engine_equals_one_mj_step_at_a_time(simulator):
+    """A batch of the C engine is bit for bit what `mj_step` gives for the same servo targets, world by world."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare({name: values[:3] for name, values in WALKS.items()})
+    trace = sim.engine.open(batch.params, batch.qpos, batch.fields).record(40)
+    data = mujoco.MjData(sim.robot.model)
+    for world in range(3):
+        mujoco.mj_resetData(sim.robot.model, data)
+        data.qpos[:] = batch.qpos[world]
+        mujoco.mj_forward(sim.robot.model, data)
+        for tick in range(40):
+            data.ctrl[:] = trace.ctrl[world, tick]
+            for _ in range(sim.loop.steps_per_tick):
+                mujoco.mj_step(sim.robot.model, data)
+            np.testing.assert_array_equal(data.qpos, trace.qpos[world, tick])
+
+
+def test_c_engine_does_not_depend_on_the_number_of_threads(simulator):
+    """One thread and two give the same trajectory, bit for bit."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare(WALKS)
+    one, two = (
+        CEngine(sim.robot, sim.loop, threads=threads).open(batch.params, batch.qpos, batch.fields).record(50)
+        for threads in (1, 2)
+    )
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+
+
+def test_worlds_do_not_disturb_each_other(simulator):
+    """A world alone walks as it does in a batch, up to what vectorised float32 arithmetic of the controller leaves."""
+    sim = simulator(spine="stride_extension")
+    run = Run(cycles=1, warmup_cycles=0)
+    together = sim.run(WALKS, run, record=True).trace
+    alone = sim.run({name: values[4:5] for name, values in WALKS.items()}, run, record=True).trace
+    np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
+
+
+def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator):
+    """A world whose numbers are lost half-way is flagged, keeps what it had measured, and its neighbour does not notice."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare({name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1))
+    broken, whole = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))
+    for session in (broken, whole):
+        session.advance(200)
+    broken.batch.bind("qvel")[1] = np.nan
+    for session in (broken, whole):
+        session.advance(100)
+    np.testing.assert_array_equal(broken.loop_state.metrics.diverged, [False, True])
+    np.testing.assert_array_equal(broken.qpos[0], whole.qpos[0])
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.loop_state.metrics))
+    assert broken.loop_state.metrics.time[1] == pytest.approx(0.75, abs=0.03)  # measured from 1.25 s to 2.0 s
+
+
+def test_new_values_never_recompile_on_the_c_engine(simulator, compilations):
+    """After one run of a batch size, other values of any parameter, also of the body, compile nothing."""
+    sim = simulator(spine="stride_extension")
+    run = Run(cycles=2, warmup_cycles=1)
+    first = {"frequency": np.array([0.8, 0.7]), "spine.amplitude": np.array([0.1, 0.2]), "contact.friction": np.array([1.0, 1.1])}
+    sim.run(first, run)
+    compilations.clear()
+    sim.run({name: 1.01 * values for name, values in first.items()}, Run(cycles=3, warmup_cycles=1))
+    assert compilations == []
+
+
+def test_auto_takes_the_c_engine_on_a_cpu():
+    """Without an accelerator `auto` is `c`; an unknown engine is refused with the names that exist."""
+    if jax.default_backend() == "cpu":
+        assert resolve_engine("auto") == "c"
+    with pytest.raises(ParameterError, match=r"engine is 'mujoco': allowed is one of auto, c, mjx"):
+        resolve_engine("mujoco")
+
+
+@pytest.mark.slow
+def test_mjx_follows_c_from_the_same_state_with_the_same_controls(walks, simulator):
+    """200 steps of float32 MJX stay within 1e-4 of C for the same start and the same servo targets."""
+    sim = simulator("mjx", spine="stride_extension")
+    trace, batch = walks("mjx").trace, sim.prepare(WALKS, WALK_RUN)
+    model, ticks = sim.robot.model, 200 // sim.loop.steps_per_tick
+    data = mujoco.MjData(model)
+    for world in range(len(batch.qpos)):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:] = batch.qpos[world]
+        mujoco.mj_forward(model, data)
+        for tick in range(ticks):
+            data.ctrl[:] = trace.ctrl[world, tick]
+            mujoco.mj_step(model, data, sim.loop.steps_per_tick)
+            np.testing.assert_allclose(trace.qpos[world, tick], data.qpos, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_mjx_and_c_measure_the_same_gait(walks):
+    """Over four measured cycles the engines' gait metrics agree within 3 %; angles within 3 % or 0.1 degrees."""
+    c, mjx = walks("c"), walks("mjx")
+    assert list(c.status) == list(mjx.status) == ["ok"] * 8
+    for name in ("speed", "distance", "slip", "servo_work", "cost_of_transport"):
+        np.testing.assert_allclose(mjx.metrics[name], c.metrics[name], rtol=0.03, err_msg=name)
+    for angle in ("roll", "pitch", "yaw"):
+        for statistic in ("mean", "std", "min", "max"):
+            name = f"{angle}_{statistic}"
+            np.testing.assert_allclose(mjx.metrics[name], c.metrics[name], rtol=0.03, atol=np.radians(0.1), err_msg=name)
+
+
+@pytest.mark.slow
+def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
+    """Other parameters, and another length of the run, use the program that is there."""
+    walks("mjx")
+    sim = simulator("mjx", spine="stride_extension")
+    compilations.clear()
+    sim.run({name: 0.99 * values for name, values in WALKS.items()}, Run(cycles=1, warmup_cycles=0), record=True)
+    assert compilations == []
+
+
+@pytest.mark.slow
+def test_mjx_batches_of_64_worlds_do_not_hang():
+    """64 worlds, the size at which JAX 0.10.2 hangs with two threads, step through a fresh process."""
+    code = (
+        "import numpy as np\nfrom nermo_mjx.rollout import Setup, Simulator, Run\n"
+        "sim = Simulator(Setup(), 'mjx')\n"
+        "r = sim.run({'frequency': np.full(64, 0.8)}, Run(duration=0.1))\n"
+        "print(len(r.status), set(r.status))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=420, check=True)
+    assert done.stdout.split() == ["64", "{np.str_('ok')}"]
+
+
+CACHED = """
+import jax, json, sys
+import numpy as np
+import nermo_mjx
+seen = []
+jax.monitoring.register_event_listener(lambda event, **about: seen.append(event))
+from nermo_mjx.rollout import Run, Setup, Simulator
+Simulator(Setup(spine="stride_extension"), "c").run({"frequency": np.full(2, 0.8)}, Run(duration=0.05))
+hits = seen.count("/jax/compilation_cache/cache_hits")
+misses = seen.count("/jax/compilation_cache/cache_misses")
+print(json.dumps({"hits": hits, "misses": misses}))
+"""
+
+
+def test_the_next_process_reuses_compiled_programs(tmp_path):
+    """The first process compiles into the persistent cache, the second finds every program it wrote there."""
+    import json
+
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
+    environment |= {"NERMO_MJX_CACHE": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+
+    def run() -> dict[str, int]:
+        done = subprocess.run([sys.executable, "-c", CACHED], capture_output=True, text=True, env=environment, check=True)
+        return json.loads(done.stdout)
+
+    first, second = run(), run()
+    assert first["misses"] > 0
+    assert second["misses"] == 0
+    assert second["hits"] >= first["misses"]

@@ -1,0 +1,473 @@
+"""The assembled robot: masses, symmetry, geometry, contacts, sensors, against published numbers and the kinematics."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import itertools
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.kinematics import body, leg, spine
+from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, assemble, load_robot
+from nermo_mjx.robot.assembly import STANCE_HEIGHT, TRUNK, servo_joint
+from nermo_mjx.robot.masses import PARTS, part_of
+from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
+
+TAILS = ("rigid", "articulated")
+#: Neutral foot (y, z) of Table A.7, from the shoulder or hip axis.
+STANCE_FOOT = {"front": (-0.005, -0.045), "rear": (0.0, -0.050)}
+GEOMETRY = {"front": FRONT_LEG, "rear": REAR_LEG}
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+
+
+def pair_of(limb: str) -> str:
+    return limb.split("_")[0]
+
+
+def other_side(name: str) -> str:
+    """The name of the mirror image: left and right change places."""
+    swap = {"left": "right", "right": "left"}
+    return "_".join(swap.get(word, word) for word in name.split("_"))
+
+
+def at_rest(model: mujoco.MjModel) -> mujoco.MjData:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def random_pose(robot: Robot, rng: np.random.Generator) -> tuple[mujoco.MjData, dict[str, np.ndarray]]:
+    """The robot somewhere in the air, with random joint angles; all four spine joints share one angle."""
+    data, joints = mujoco.MjData(robot.model), robot.joints
+    angles = {
+        "hip": rng.uniform(-1.5, 1.5, 4),
+        "knee": rng.uniform(0.2, 2.8, 4),
+        "ankle": rng.uniform(-0.4, 0.4, 4),
+        "spine": rng.uniform(-0.15, 0.15, 1),
+    }
+    data.qpos[joints.root : joints.root + 3] = rng.uniform(-1.0, 1.0, 3)
+    data.qpos[joints.root + 3 : joints.root + 7] = rng.normal(size=4)
+    for name, values in angles.items():
+        data.qpos[list(getattr(joints, name))] = values
+    mujoco.mj_forward(robot.model, data)
+    return data, angles
+
+
+def solve(geometry: LegGeometry, foot: np.ndarray, routing: str) -> leg.LegSolution:
+    """The leg's inverse kinematics in double precision, leaves in numpy."""
+    with jax.enable_x64(True):
+        return jax.tree.map(np.asarray, leg.inverse(leg.leg_of(geometry), foot, routing))
+
+
+def seen_from(data: mujoco.MjData, origin: np.ndarray, matrix: np.ndarray, site: str) -> np.ndarray:
+    return matrix.reshape(3, 3).T @ (data.site(site).xpos - origin)
+
+
+@functools.cache
+def targets(n_servos: int, steps: int) -> np.ndarray:
+    """Servo targets (steps, n_servos) that swing about the standing pose, differently in every servo."""
+    stance = np.array([0.8165] * 2 + [-0.9712] * 2 + [0.1315] * 2 + [0.6623] * 2 + [0.0] * 3)[:n_servos]
+    amplitude, phase = np.random.default_rng(1).uniform((0.1, 0.0), (0.3, 6.0), (n_servos, 2)).T
+    return stance + amplitude * (np.sin(0.05 * np.arange(steps)[:, None] + phase) - np.sin(phase))
+
+
+def simulate(model: mujoco.MjModel, ctrl: np.ndarray) -> np.ndarray:
+    """Positions (steps, nq) of a run from the zero pose."""
+    data, rows = mujoco.MjData(model), []
+    for row in ctrl:
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data)
+        rows.append(data.qpos.copy())
+    assert data.ncon > 0
+    return np.array(rows)
+
+
+# --- masses
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_total_mass_and_its_shares_are_the_stated_ones(tail):
+    """The robot weighs 270 g within 1 %, 61 % of it before the spine (erratum 9); the table of masses says the same."""
+    robot = load_robot(tail=tail)
+    total = float(robot.model.body_mass.sum())
+    assert total == pytest.approx(0.270, rel=0.01)
+    table = robot.mass_table()
+    assert sum(row["mass"] for row in table) == pytest.approx(total)
+    front = sum(row["mass"] for row in table if row["group"] == "front")
+    assert front / total == pytest.approx(0.61, abs=0.005)
+    assert robot.mass_model.front_mass == pytest.approx(front)
+    assert robot.mass_model.rear_mass == pytest.approx(total - front)
+
+
+def test_compiled_masses_are_those_of_the_parts():
+    """Every moving body has the mass, centre of mass and inertia of its part; every part is used."""
+    model = load_robot(tail="articulated").model
+    data, seen = at_rest(model), set()
+    for name in (model.body(i).name for i in range(1, model.nbody)):
+        part, compiled = part_of(name), model.body(name)
+        seen.add(next(key for key, value in PARTS.items() if value is part))
+        assert compiled.mass[0] == pytest.approx(part.mass, rel=1e-12), name
+        np.testing.assert_allclose(np.sort(compiled.inertia), np.sort(part.inertia), rtol=1e-9, err_msg=name)
+        if part.site is None:
+            np.testing.assert_allclose(compiled.ipos, part.com, atol=1e-12, err_msg=name)
+    front_pulley = {name for name in PARTS if PARTS[name] is PARTS["front_pulley"]}
+    assert seen | front_pulley == set(PARTS)
+    end = data.site("spine_end")
+    hip = end.xmat.reshape(3, 3).T @ (data.body("spine_hip").xipos - end.xpos)
+    np.testing.assert_allclose(hip, part_of("spine_hip").com, atol=1e-9)
+
+
+def test_rigid_tail_has_the_mass_and_centre_of_the_articulated_one():
+    """Freezing the tail's 19 joints changes neither mass nor centre of mass, nor the inertia of the whole."""
+    rigid, articulated = (load_robot(tail=tail).model for tail in TAILS)
+    fused = [row["mass"] for row in load_robot().mass_table() if row["body"] == "spine_hip"]
+    tail = PARTS["tail_pulley"].mass + 19 * PARTS["tail_segment"].mass
+    assert fused == pytest.approx([PARTS["spine_hip"].mass + tail])
+    data = [at_rest(model) for model in (rigid, articulated)]
+    assert rigid.body_mass.sum() == pytest.approx(articulated.body_mass.sum(), rel=1e-12)
+    np.testing.assert_allclose(data[0].subtree_com[0], data[1].subtree_com[0], atol=1e-12)
+    matrices = []
+    for model, state in zip((rigid, articulated), data, strict=True):
+        full = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, state, full)
+        matrices.append(full[:6, :6])
+    np.testing.assert_allclose(matrices[0], matrices[1], rtol=1e-9, atol=1e-12)
+
+
+def test_centres_of_mass_are_the_published_ones():
+    """Front and rear centre of mass lie within 1 mm of Table A.5 with its errata, and so does their common one."""
+    masses = load_robot().mass_model
+    np.testing.assert_allclose(masses.front_com, (0.0, -0.0317, -0.0270), atol=1e-3)
+    np.testing.assert_allclose(masses.rear_com, (0.0, 0.0310, -0.0160), atol=1e-3)
+    data = at_rest(load_robot().model)
+    common = data.subtree_com[0] - data.body("torso").xpos
+    np.testing.assert_allclose(common, body.centre_of_mass(masses, 0.0), atol=1e-6)
+    front, rear = np.array((0.0, -0.0317, -0.0270)), np.array((0.0, 0.0517 + 0.0310, -0.0154 - 0.0160))
+    np.testing.assert_allclose(common, 0.61 * front + 0.39 * rear, atol=1e-3)
+
+
+# --- structure
+
+
+def test_degrees_of_freedom():
+    """28 with the rigid tail; its 19 joints and its pulley make them 48."""
+    assert load_robot().model.nv == 28
+    assert load_robot(tail="articulated").model.nv == 48
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_actuators_are_the_servos_in_their_order(tail):
+    """`ctrl` is in the order of `SERVOS`, each on the joint it turns; the tail's servo comes with the tail."""
+    model = load_robot(tail=tail).model
+    names = [model.actuator(i).name for i in range(model.nu)]
+    assert names == [f"{servo}_servo" for servo in SERVOS if servo != "tail" or tail == "articulated"]
+    for i, servo in zip(range(model.nu), SERVOS, strict=False):
+        assert model.joint(model.actuator_trnid[i, 0]).name == servo_joint(servo)
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_left_and_right_mirror_each_other(tail):
+    """Mass centres, inertia tensors, joints, sites, geoms and tendons of the right are mirror images of the left."""
+    model = load_robot(tail=tail).model
+    data = at_rest(model)
+
+    def tensor(name):
+        turn = data.body(name).ximat.reshape(3, 3)
+        return turn @ np.diag(model.body(name).inertia) @ turn.T
+
+    for name in (model.body(i).name for i in range(1, model.nbody)):
+        image = other_side(name)
+        assert model.body(image).mass[0] == pytest.approx(model.body(name).mass[0], rel=1e-12)
+        np.testing.assert_allclose(data.body(image).xipos, MIRROR @ data.body(name).xipos, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(tensor(image), MIRROR @ tensor(name) @ MIRROR, atol=1e-15, err_msg=name)
+    for joint in (model.joint(i).name for i in range(1, model.njnt)):
+        here, there = data.joint(joint), data.joint(other_side(joint))
+        np.testing.assert_allclose(there.xanchor, MIRROR @ here.xanchor, atol=1e-12, err_msg=joint)
+        # Limbs hinge about x on both sides, with one sign convention; the axes of all others lie in the mirror plane.
+        if joint == other_side(joint):
+            assert here.xaxis[0] == pytest.approx(0.0, abs=1e-12), joint
+        else:
+            np.testing.assert_allclose(np.abs(here.xaxis), (1, 0, 0), atol=1e-12, err_msg=joint)
+            np.testing.assert_allclose(there.xaxis, here.xaxis, atol=1e-12, err_msg=joint)
+        for field in ("stiffness", "damping", "armature", "range", "qpos0", "qpos_spring"):
+            values = getattr(model.joint(joint), field), getattr(model.joint(other_side(joint)), field)
+            np.testing.assert_array_equal(*values, err_msg=f"{joint} {field}")
+    for site in (model.site(i).name for i in range(model.nsite)):
+        np.testing.assert_allclose(data.site(other_side(site)).xpos, MIRROR @ data.site(site).xpos, atol=1e-12)
+    for tendon in (model.tendon(i).name for i in range(model.ntendon)):
+        ids = model.tendon(tendon).id, model.tendon(other_side(tendon)).id
+        assert model.tendon_range[ids[0], 1] == model.tendon_range[ids[1], 1]
+
+
+def test_mirrored_commands_give_the_mirrored_motion():
+    """300 steps on the mat with left and right exchanged end in the mirror image."""
+    robot = load_robot()
+    ctrl = targets(robot.n_servos, 300)
+    image = ctrl[:, [1, 0, 3, 2, 5, 4, 7, 6, 8, 9]] * ([1] * 8 + [-1] * 2)
+    here, there = simulate(robot.model, ctrl), simulate(robot.model, image)
+    np.testing.assert_allclose(there[:, 0], -here[:, 0], atol=1e-9)
+    np.testing.assert_allclose(there[:, 1:3], here[:, 1:3], atol=1e-9)
+    np.testing.assert_allclose(there[:, 3:7], here[:, 3:7] * [1, 1, -1, -1], atol=1e-9)
+    assert np.ptp(here[:, 0]) > 1e-3  # something happened that could differ
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_nothing_touches_but_the_declared_pairs(tail):
+    """No two geoms collide by type; the pairs are floor against the four soles and the trunk's three spheres."""
+    model = load_robot(tail=tail).model
+    assert not model.geom_contype.any()
+    assert not model.geom_conaffinity.any()
+    both = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    pairs = {frozenset(model.geom(int(geom)).name for geom in pair) for pair in both}
+    assert pairs == {frozenset(("floor", part)) for part in (*(f"{limb}_sole" for limb in LIMBS), *TRUNK)}
+    assert model.npair == 7
+    # Robot lying on its side, folded: only declared pairs report contacts.
+    data = mujoco.MjData(model)
+    data.qpos[2:7] = 0.01, np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0
+    mujoco.mj_forward(model, data)
+    found = {frozenset(model.geom(int(g)).name for g in contact.geom) for contact in data.contact}
+    assert found
+    assert found <= pairs
+
+
+def test_visual_geoms_are_without_effect():
+    """Without the geoms of group 2, but for the pulleys that tendons wrap around, 200 steps are the same to the bit."""
+    robot, bare = load_robot(), assemble()
+    for geom in list(bare.geoms):
+        if geom.group == 2 and not geom.name.endswith("pulley"):
+            bare.delete(geom)
+    model = bare.compile()
+    # The floor, four soles, three spheres of the trunk, five pulleys; the tail's pulley is fixed, but still a geom.
+    assert model.ngeom == 14 < robot.model.ngeom
+    np.testing.assert_array_equal(model.body_mass, robot.model.body_mass)
+    ctrl = targets(robot.n_servos, 200)
+    np.testing.assert_array_equal(simulate(model, ctrl), simulate(robot.model, ctrl))
+
+
+# --- pose and geometry
+
+
+@pytest.mark.parametrize("routing", ROUTINGS)
+def test_zero_pose_is_the_published_stance(routing):
+    """In the model's zero pose the feet stand as Table A.7 says to 0.2 mm, and every tendon is just taut."""
+    robot = load_robot(routing=routing)
+    data, joints = at_rest(robot.model), robot.joints
+    for i, limb in enumerate(LIMBS):
+        wanted = np.array(STANCE_FOOT[pair_of(limb)])
+        solution = solve(GEOMETRY[pair_of(limb)], wanted, routing)
+        foot = data.site(f"{limb}_foot").xpos - data.site(f"{limb}_axis").xpos
+        np.testing.assert_allclose(foot[1:], wanted, atol=2e-4)
+        qpos = robot.model.qpos0
+        pose = qpos[joints.hip[i]], qpos[joints.knee[i]], qpos[joints.pulley[i]]
+        np.testing.assert_allclose(pose, (solution.servo[0], solution.knee_angle, solution.servo[1]), atol=1e-3)
+    np.testing.assert_allclose(data.ten_length, robot.model.tendon_range[:, 1], atol=5e-6)
+    assert (robot.model.qpos0[list(joints.spine)] == 0.0).all()
+
+
+def test_zero_pose_stands_on_the_front_feet():
+    """With a level torso, Table A.7 puts the front soles on the mat within 0.2 mm, the rear ones 2.1 mm above it."""
+    model = load_robot().model
+    data = at_rest(model)
+    assert data.body("torso").xpos[2] == pytest.approx(STANCE_HEIGHT)
+    clearance = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
+    # From Tables A.5 and A.7: (hip - shoulder) - (rear - front leg) = 7.1 mm - 5.0 mm.
+    np.testing.assert_allclose(clearance, [0.0, 0.0, 0.0021, 0.0021], atol=2e-4)
+
+
+def test_hips_and_shoulders_are_where_the_kinematics_puts_them():
+    """Spine end, hip and shoulder axes equal `transform`, `hips` and `shoulders` to a micrometre, bent or straight."""
+    robot, rng = load_robot(), np.random.default_rng(2)
+    for _ in range(10):
+        data, angles = random_pose(robot, rng)
+        torso = data.body("torso")
+        axes = np.array([seen_from(data, torso.xpos, torso.xmat, f"{limb}_axis") for limb in LIMBS])
+        with jax.enable_x64(True):
+            pose, hips = spine.transform(angles["spine"][0]), body.hips(angles["spine"][0])
+        np.testing.assert_allclose(axes[:2], body.shoulders(), atol=1e-6)
+        np.testing.assert_allclose(axes[2:], hips, atol=1e-6)
+        np.testing.assert_allclose(seen_from(data, torso.xpos, torso.xmat, "spine_end"), pose[:3, 3], atol=1e-6)
+        turn = torso.xmat.reshape(3, 3).T @ data.site("spine_end").xmat.reshape(3, 3)
+        np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(body.shoulders()[0], BODY.shoulder, atol=1e-7)
+
+
+def test_legs_are_where_the_kinematics_puts_them():
+    """Foot, attachment and knee of all four limbs equal `points` to a micrometre at random joint angles."""
+    robot, rng = load_robot(), np.random.default_rng(3)
+    for _ in range(10):
+        data, angles = random_pose(robot, rng)
+        for i, limb in enumerate(LIMBS):
+            trunk = data.body("torso").xmat if limb.startswith("front") else data.site("spine_end").xmat
+            axis = data.site(f"{limb}_axis").xpos
+            with jax.enable_x64(True):
+                # The joint counts the ankle's deflection about +x; `points` adds it to theta_3, against that.
+                geometry = leg.leg_of(GEOMETRY[pair_of(limb)])
+                wanted = leg.points(geometry, angles["hip"][i], angles["knee"][i], -angles["ankle"][i])
+            for point in ("foot", "attachment"):
+                place = seen_from(data, axis, trunk, f"{limb}_{point}")
+                np.testing.assert_allclose(place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}")
+            for point, name in (("knee", "lower"), ("ankle", "foot")):
+                place = trunk.reshape(3, 3).T @ (data.body(f"{limb}_{name}").xpos - axis)
+                np.testing.assert_allclose(place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}")
+            sole = data.geom(f"{limb}_sole").xpos
+            np.testing.assert_allclose(sole, data.site(f"{limb}_foot").xpos, atol=1e-12)
+
+
+@pytest.mark.parametrize("routing", ROUTINGS)
+def test_leg_tendons_follow_the_published_law(routing):
+    """Length and limit differ by l_t - (l_t0 + r_p (theta_2 + k q2)) within a micrometre, over the feet of a gait.
+
+    This guards the installed MuJoCo too: mujoco 4.0.0 treats side sites differently and moves lengths by centimetres.
+    """
+    robot = load_robot(routing=routing)
+    data, joints, limits = mujoco.MjData(robot.model), robot.joints, robot.model.tendon_range[:, 1]
+    rng = np.random.default_rng(4)
+    for y, z, off in itertools.product((-0.03, 0.0, 0.03), (-0.003, 0.0, 0.01), (-0.15, 0.0, 0.15)):
+        data.qpos[:] = robot.model.qpos0
+        excess = {}
+        for i, limb in enumerate(LIMBS):
+            geometry = GEOMETRY[pair_of(limb)]
+            foot = np.add(STANCE_FOOT[pair_of(limb)], (y, z + rng.uniform(-0.001, 0.001)))
+            solution = solve(geometry, foot, routing)
+            assert solution.reachable
+            data.qpos[joints.hip[i]], data.qpos[joints.knee[i]] = solution.servo[0], solution.knee_angle
+            data.qpos[joints.pulley[i]] = solution.servo[1] + off
+            excess[f"{limb}_tendon"] = -geometry.pulley_radius * geometry.servo_direction * off
+        mujoco.mj_kinematics(robot.model, data)
+        mujoco.mj_comPos(robot.model, data)
+        mujoco.mj_tendon(robot.model, data)
+        for name, wanted in excess.items():
+            tendon = robot.model.tendon(name).id
+            assert data.ten_length[tendon] - limits[tendon] == pytest.approx(wanted, abs=1e-6), (name, y, z, off)
+
+
+def test_tendon_lengths_of_the_stance_are_known():
+    """In the standing pose the tendons are as long as the arc, the tangent and l_t of Table A.4 make them."""
+    model = load_robot().model
+    lengths = dict(zip([model.tendon(i).name for i in range(model.ntendon)], at_rest(model).ten_length, strict=True))
+    for pair, geometry in GEOMETRY.items():
+        solution = solve(geometry, np.array(STANCE_FOOT[pair]), "type3")
+        attachment = np.asarray(leg.points(leg.leg_of(geometry), solution.servo[0], solution.knee_angle).attachment)
+        # From the tie point, a hair outside the rim, over the knee's side to the tangent towards the hip axis.
+        radius, side = geometry.pulley_radius, geometry.knee_direction
+        _, y, z = model.site(f"{pair}_left_rim").pos
+        tie = np.arctan2(z, side * y) + side * float(solution.servo[1])
+        wrap = tie - np.arccos(radius / np.hypot(y, z)) + np.arcsin(radius / geometry.pulley_height)
+        tangents = np.sqrt(y**2 + z**2 - radius**2) + np.sqrt(geometry.pulley_height**2 - radius**2)
+        wanted = radius * wrap + tangents + np.hypot(*attachment)
+        assert lengths[f"{pair}_left_tendon"] == pytest.approx(float(wanted), abs=2e-6)
+    assert lengths["front_left_tendon"] == pytest.approx(0.058448, abs=2e-6)
+    assert lengths["rear_left_tendon"] == pytest.approx(0.054375, abs=2e-6)
+    assert lengths["spine_left"] == pytest.approx(0.071334, abs=2e-6)
+
+
+def test_the_pinned_versions_are_installed():
+    """mujoco and mujoco-mjx 3.17.0: mjx admits any newer mujoco, whose tendons differ."""
+    assert mujoco.__version__ == "3.17.0"
+    assert importlib.metadata.version("mujoco") == "3.17.0"
+    assert importlib.metadata.version("mujoco-mjx") == "3.17.0"
+
+
+# --- files, names, sensors
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_exported_xml_is_self_contained_and_the_same_model(tail):
+    """`to_xml` names no file, keeps every order, and runs 100 steps alike: to a millimetre and a milliradian.
+
+    It prints six digits; contacts and stiff tendons amplify the rest to some 1e-4.
+    """
+    robot = load_robot(tail=tail)
+    xml = robot.to_xml()
+    assert "file=" not in xml
+    assert "<include" not in xml
+    copy = mujoco.MjModel.from_xml_string(xml)
+    assert copy.names == robot.model.names  # of bodies, joints, sensors and all the rest, in their order
+    for field in (
+        "body_mass", "body_inertia", "body_ipos", "jnt_stiffness", "dof_damping", "dof_armature", "qpos_spring",
+        "tendon_range", "tendon_solref_lim", "tendon_solimp_lim", "pair_friction", "pair_solref", "pair_solimp",
+        "actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange", "actuator_forcerange",
+    ):  # fmt: skip
+        values = getattr(copy, field), getattr(robot.model, field)
+        np.testing.assert_allclose(*values, rtol=1e-5, atol=1e-8, err_msg=field)
+    for option in ("timestep", "integrator", "cone", "impratio", "disableflags"):
+        assert getattr(copy.opt, option) == getattr(robot.model.opt, option), option
+    ctrl = targets(robot.n_servos, 100)
+    np.testing.assert_allclose(simulate(copy, ctrl), simulate(robot.model, ctrl), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("choice", "sentence"),
+    [
+        ({"robot": "mickey"}, "robot is 'mickey': allowed is 'nermo_lite'."),
+        ({"tail": "short"}, "tail is 'short': allowed is 'rigid' or 'articulated'."),
+        ({"routing": "type4"}, "routing is 'type4': allowed is 'type1' or 'type2' or 'type3'."),
+        ({"cone": "round"}, "cone is 'round': allowed is 'elliptic' or 'pyramidal'."),
+        ({"timestep": 0.1}, "timestep is 0.1: allowed is [1e-05, 0.004] s."),
+        ({"timestep": float("nan")}, "timestep is nan: allowed is [1e-05, 0.004] s."),
+    ],
+)
+def test_a_bad_name_gives_one_sentence(choice, sentence):
+    """What is wrong, and what is allowed, before anything compiles."""
+    with pytest.raises(ParameterError) as error:
+        RobotConfig(**choice)
+    assert str(error.value) == sentence
+
+
+def test_an_unknown_scene_is_named():
+    """The allowed scenes are the files of `mjcf/scenes`."""
+    with pytest.raises(ParameterError, match=r"scene is 'moon': allowed is .*'flat'.*\.$"):
+        load_robot(scene="moon")
+
+
+@pytest.mark.parametrize("tail", TAILS)
+def test_sensors_are_read_by_meaning(tail):
+    """Every reading of `Sensors` is that of the MuJoCo sensors with its name, with and without a batch."""
+    robot = load_robot(tail=tail)
+    model, data = robot.model, mujoco.MjData(robot.model)
+    for row in targets(robot.n_servos, 60):
+        data.ctrl[:] = row
+        mujoco.mj_step(model, data)
+    reading = robot.sensors(np.stack([data.sensordata, 2 * data.sensordata]))
+    single = robot.sensors(data.sensordata)
+    servos = [model.actuator(i).name for i in range(model.nu)]
+    expected = {name: [name] for name in ("position", "orientation", "linear_velocity", "gyro", "accelerometer")}
+    expected |= {f"servo_{what}": [f"{servo}_{what}" for servo in servos] for what in ("angle", "velocity", "torque")}
+    for what in ("knee_angle", "foot_force", "foot_position", "foot_velocity"):
+        expected[what] = [f"{limb}_{what}" for limb in LIMBS]
+    for name, sources in expected.items():
+        wanted = np.concatenate([data.sensor(source).data for source in sources])
+        got = np.asarray(getattr(single, name))
+        np.testing.assert_allclose(got.ravel(), wanted, rtol=1e-6, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(getattr(reading, name), [got, 2 * got], rtol=1e-6, atol=1e-6, err_msg=name)
+    assert np.asarray(single.foot_position).shape == (4, 3)
+    assert np.asarray(single.foot_force).max() > 0.1
+    # The sensors' quantities are those of the state.
+    mujoco.mj_forward(model, data)
+    fresh = robot.sensors(data.sensordata)
+    np.testing.assert_allclose(fresh.knee_angle, data.qpos[list(robot.joints.knee)], atol=1e-6)
+    hips = np.asarray(fresh.servo_angle)[:4]
+    np.testing.assert_allclose(hips, data.qpos[list(robot.joints.hip)], atol=1e-6)
+    feet = [data.site(f"{limb}_foot").xpos for limb in LIMBS]
+    np.testing.assert_allclose(fresh.foot_position, feet, atol=1e-6)
+
+
+def test_a_diverged_world_stays_diverged():
+    """Automatic reset is off: a state that is not finite stays so, to be flagged."""
+    model = load_robot().model
+    assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    data = mujoco.MjData(model)
+    data.qvel[0] = np.nan
+    for _ in range(5):
+        mujoco.mj_step(model, data)
+    assert not np.isfinite(data.qvel).all()
+
+
+def test_one_robot_for_the_same_arguments():
+    """Loading twice gives the same object and fingerprint; another tail is another model."""
+    assert load_robot() is load_robot(tail="rigid")
+    assert load_robot().fingerprint == load_robot().fingerprint != load_robot(tail="articulated").fingerprint
