@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import nermo_mjx  # noqa: F401  (settles threads, cache and GL before JAX and MuJoCo start)
-
 import functools
 
 import numpy as np
 import pytest
 
+import nermo_mjx  # noqa: F401  (settles threads, cache and GL before JAX and MuJoCo start)
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _simulator(setup: Setup, engine: str) -> Simulator:
     return Simulator(setup, engine)
 
@@ -40,7 +39,7 @@ WALK_RUN = Run(cycles=5, warmup_cycles=1)
 def walks(simulator):
     """`walks(engine)`: `WALKS` recorded on an engine, once a session (in MJX this is the session's one compilation)."""
 
-    @functools.lru_cache(maxsize=None)
+    @functools.cache
     def run(engine: str) -> RunResult:
         return simulator(engine, spine="stride_extension").run(WALKS, WALK_RUN, record=True)
 

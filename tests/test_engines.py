@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -10,13 +11,12 @@ import jax
 import mujoco
 import numpy as np
 import pytest
+from conftest import WALK_RUN, WALKS
 
-from nermo_mjx.physics import make_engine, resolve_engine
+from nermo_mjx.physics import resolve_engine
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Run
-
-from conftest import WALK_RUN, WALKS
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
 
@@ -73,7 +73,7 @@ def test_worlds_do_not_disturb_each_other(simulator):
 
 
 def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator):
-    """A world whose numbers are lost half-way is flagged, keeps what it had measured, and its neighbour does not notice."""
+    """A world whose numbers are lost half-way is flagged and keeps what it had measured; its neighbour does not notice."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare({name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1))
     broken, whole = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))
@@ -92,7 +92,11 @@ def test_new_values_never_recompile_on_the_c_engine(simulator, compilations):
     """After one run of a batch size, other values of any parameter, also of the body, compile nothing."""
     sim = simulator(spine="stride_extension")
     run = Run(cycles=2, warmup_cycles=1)
-    first = {"frequency": np.array([0.8, 0.7]), "spine.amplitude": np.array([0.1, 0.2]), "contact.friction": np.array([1.0, 1.1])}
+    first = {
+        "frequency": np.array([0.8, 0.7]),
+        "spine.amplitude": np.array([0.1, 0.2]),
+        "contact.friction": np.array([1.0, 1.1]),
+    }
     sim.run(first, run)
     compilations.clear()
     sim.run({name: 1.01 * values for name, values in first.items()}, Run(cycles=3, warmup_cycles=1))
@@ -134,7 +138,8 @@ def test_mjx_and_c_measure_the_same_gait(walks):
     for angle in ("roll", "pitch", "yaw"):
         for statistic in ("mean", "std", "min", "max"):
             name = f"{angle}_{statistic}"
-            np.testing.assert_allclose(mjx.metrics[name], c.metrics[name], rtol=0.03, atol=np.radians(0.1), err_msg=name)
+            ours, reference = mjx.metrics[name], c.metrics[name]
+            np.testing.assert_allclose(ours, reference, rtol=0.03, atol=np.radians(0.1), err_msg=name)
 
 
 @pytest.mark.slow
@@ -176,13 +181,12 @@ print(json.dumps({"hits": hits, "misses": misses}))
 
 def test_the_next_process_reuses_compiled_programs(tmp_path):
     """The first process compiles into the persistent cache, the second finds every program it wrote there."""
-    import json
-
     environment = {key: value for key, value in os.environ.items() if not key.startswith("JAX_")}
     environment |= {"NERMO_MJX_CACHE": str(tmp_path), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
 
     def run() -> dict[str, int]:
-        done = subprocess.run([sys.executable, "-c", CACHED], capture_output=True, text=True, env=environment, check=True)
+        command = [sys.executable, "-c", CACHED]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
         return json.loads(done.stdout)
 
     first, second = run(), run()

@@ -1,4 +1,4 @@
-"""One measurement an engine: the walking robot with its controller and metrics, against plain physics of the same model."""
+"""One measurement an engine: the walking robot with controller and metrics, against plain physics of its model."""
 
 from __future__ import annotations
 
@@ -57,16 +57,21 @@ def c_case(worlds: int) -> dict[str, Any]:
     data = [mujoco.MjData(simulator.robot.model) for _ in range(cores)]
 
     with rollout.Rollout(nthread=cores) as pool:
+
         def plain() -> None:
             pool.rollout(simulator.robot.model, data, state, control)
 
         plain()
         ours_s, plain_s, ratio = compare(lambda: session.advance(ticks), plain, ROUNDS["c"])
-    return _case("c", worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {"trace_s": 0.0, "compile_s": compile_s, "plain_compile_s": 0.0}
+    return _case("c", worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {
+        "trace_s": 0.0,
+        "compile_s": compile_s,
+        "plain_compile_s": 0.0,
+    }
 
 
 def mjx_case(worlds: int) -> dict[str, Any]:
-    """MJX engine against the scan a user would write: `mjx.step` carrying `mjx.Data`, same batch, same servo targets."""
+    """MJX engine against the scan a user would write: `mjx.step` carrying `mjx.Data`, same batch and targets."""
     simulator, batch = _walk("mjx", worlds)
     engine = simulator.engine
     assert isinstance(engine, MjxEngine)
@@ -134,7 +139,7 @@ def _compile(function: Any, *arguments: Any) -> _Compiled:
 @contextlib.contextmanager
 def _without_cache() -> Iterator[None]:
     """Compile in earnest, though the persistent cache may hold the program."""
-    directory = jax.config.jax_compilation_cache_dir
+    directory = getattr(jax.config, "jax_compilation_cache_dir")  # noqa: B009 (jax declares its options at run time)
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()
     try:

@@ -23,13 +23,15 @@ ENGINES = ("auto", "c", "mjx")
 class Loop(Protocol):
     """What runs between two ticks of physics, in one world; pure, jittable functions over pytrees."""
 
-    steps_per_tick: int
+    @property
+    def steps_per_tick(self) -> int:
+        """Physics steps in a control tick."""
 
     def init(self, params: Any, sensordata: Any) -> Any:
         """First state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
 
     def step(self, params: Any, state: Any, sensordata: Any) -> tuple[Any, Any]:
-        """New state and `ctrl` (n_servos,) from the sensors of the last tick's steps, (steps_per_tick, n_sensordata)."""
+        """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata)."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -28,7 +28,14 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
 #: Joints that a servo turns; its damping adds to theirs.
 SERVO_DRIVEN: Final = ("hip", "pulley")
 #: Constants that MuJoCo derives from masses (`mj_setConst`) and that MJX's step reads.
-DERIVED_FIELDS: Final = ("body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0", "tendon_invweight0", "actuator_acc0")
+DERIVED_FIELDS: Final = (
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+    "dof_M0",
+    "tendon_invweight0",
+    "actuator_acc0",
+)
 
 
 class Variation:
@@ -53,10 +60,12 @@ class Variation:
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
-        self._soles = np.array([i for i in range(model.npair) if model.pair(i).name.endswith(("left_contact", "right_contact"))])
+        self._soles = np.array(
+            [i for i in range(model.npair) if model.pair(i).name.endswith(("left_contact", "right_contact"))]
+        )
         self._front = np.array([i > 0 and is_front(model.body(i).name) for i in range(model.nbody)])
 
-    def fields(self, parameters: ModelParameters) -> dict[str, Float[Array, "..."]]:
+    def fields(self, parameters: ModelParameters) -> dict[str, Float[Array, ...]]:
         """Model fields of one world, shaped as in `mujoco.MjModel`; pure JAX, differentiable.
 
         Args:
@@ -70,7 +79,11 @@ class Variation:
 
         soles, contact = self._soles, p.contact
         friction = jnp.asarray(model.pair_friction).at[soles, :2].set(contact.friction)
-        solref = jnp.asarray(model.pair_solref).at[soles].set(jnp.stack([jnp.asarray(contact.time_constant), contact.damping_ratio]))
+        solref = (
+            jnp.asarray(model.pair_solref)
+            .at[soles]
+            .set(jnp.stack([jnp.asarray(contact.time_constant), contact.damping_ratio]))
+        )
         solimp = jnp.asarray(model.pair_solimp).at[soles, 1].set(contact.impedance).at[soles, 2].set(contact.width)
 
         stiffness, damping = jnp.asarray(model.jnt_stiffness), jnp.asarray(model.dof_damping)

@@ -14,11 +14,11 @@ from nermo_mjx.robot.parameters import LIMBS
 #: Actuators of the robot in the order of `ctrl`; the tail servo exists only with the articulated tail.
 SERVOS: Final = (*(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail")
 
-#: Range of each servo [rad], by kind of servo. A knee's is what its tendon can follow: the wrap stays between 40 and 175
-#: degrees.
+#: Range of each servo [rad], by kind of servo. A knee's is what its tendon can follow: the wrap stays between 40 and
+#: 175 degrees.
 SERVO_RANGE: Final = {
-    "hip": (-1.6, 1.6), "front_knee": (-1.25, 1.25), "rear_knee": (-0.8, 1.55), "spine": (-0.6, 0.6), "neck": (-1.0, 1.0),
-    "tail": (-1.0, 1.0),
+    "hip": (-1.6, 1.6), "front_knee": (-1.25, 1.25), "rear_knee": (-0.8, 1.55), "spine": (-0.6, 0.6),
+    "neck": (-1.0, 1.0), "tail": (-1.0, 1.0),
 }  # fmt: skip
 
 

@@ -39,7 +39,8 @@ class Part:
 TORSO: Final = Part(0.13160, (0.0, -0.01938, -0.03179), (0.026, 0.036, 0.016))
 HEAD: Final = Part(0.02310, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
 
-#: Parts behind the spine. Hip: frame of the spine end; includes the servos of spine, tail and rear legs, and the tail's base.
+#: Parts behind the spine. Hip: frame of the spine end; includes the servos of spine, tail and rear legs, and the
+#: tail's base.
 HIP: Final = Part(0.08230, (0.0, 0.02671, -0.02146), (0.030, 0.014, 0.012), site="end")
 TAIL_SEGMENT: Final = Part(0.00050, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
 TAIL_PULLEY: Final = Part(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))

@@ -9,8 +9,8 @@ import numpy as np
 def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Mirror a model at its y-z plane (x -> -x), in place; returns it.
 
-    Joints keep their axes, which must lie along x: both sides then share one sign convention (positive swings backward),
-    and a hinge along x is its own mirror image.
+    Joints keep their axes, which must lie along x: both sides then share one sign convention (positive swings
+    backward), and a hinge along x is its own mirror image.
 
     Raises:
         ValueError: a joint whose axis is not along x.

@@ -132,7 +132,7 @@ def _walk(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, int | None]]:
     for field in dataclasses.fields(tree):
         about = field.metadata.get("quantity")
         if about is None:
-            sub = getattr(tree, field.name, None) or field.default_factory  # type: ignore[misc]
+            sub = getattr(tree, field.name, None) or field.default_factory
             yield from _walk(sub, prefix + _prefix(field))
         elif about.labels:
             for i, label in enumerate(about.labels):

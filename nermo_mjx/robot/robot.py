@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+from typing import Any
 
 import jax
 import mujoco
@@ -83,10 +84,10 @@ class Robot:
             "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
         }
 
-    def sensors(self, sensordata: Float[Array, "*batch n"]) -> Sensors:
+    def sensors(self, sensordata: Float[Array, "*batch n"] | np.ndarray) -> Sensors:
         """Read MuJoCo's `sensordata` by meaning; leading axes are kept, NumPy arrays stay NumPy arrays."""
         data = sensordata if isinstance(sensordata, jax.Array) else np.asarray(sensordata)
-        parts = {name: data[..., span] for name, span in self._sensor_slices.items()}
+        parts: dict[str, Any] = {name: data[..., span] for name, span in self._sensor_slices.items()}
         for name in ("foot_position", "foot_velocity"):
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
         return Sensors(**parts)

@@ -54,7 +54,9 @@ class Setup:
         self.controller()
         ratio = 1.0 / (self.controller().control_rate * self.timestep)
         if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
-            raise ParameterError(f"timestep is {self.timestep}: allowed is the control period 0.01 s divided by a whole number.")
+            raise ParameterError(
+                f"timestep is {self.timestep}: allowed is the control period 0.01 s divided by a whole number."
+            )
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""

@@ -1,0 +1,238 @@
+"""Variation of the body: named parameters against the model fields, constants and motion they must give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.physics import Variation
+from nermo_mjx.physics.c_engine import CEngine
+from nermo_mjx.physics.mjx_engine import MjxEngine
+from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
+from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Robot, assemble, load_robot
+from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot.quantity import quantities, replace_quantities
+
+ALL = {name: float(about.default) for name, about in quantities(ModelParameters)}
+#: A value for every parameter that is not the default, and no two alike.
+OTHER = {name: value * (0.6 + 0.03 * i) for i, (name, value) in enumerate(ALL.items())}
+
+
+class Standing:
+    """A loop that holds the standing pose, and swings every servo a little."""
+
+    steps_per_tick = 5
+
+    def __init__(self, robot: Robot) -> None:
+        joints, model = robot.joints, robot.model
+        single = (joints.spine_pulley, joints.neck, *joints.tail_pulley)
+        self.stance = model.qpos0[[*joints.hip, *joints.pulley, *single]]
+
+    def init(self, params, sensordata):
+        return jnp.zeros(())
+
+    def step(self, params, state, sensordata):
+        return state + 1.0, jnp.asarray(self.stance) + params * jnp.sin(0.3 * state)
+
+
+def varied(robot: Robot, values: Mapping[str, np.ndarray], worlds: int) -> dict[str, np.ndarray]:
+    return Variation(robot).batch(replace_quantities(ModelParameters(), values), worlds, values)
+
+
+def assert_same_model(one: mujoco.MjModel, other: mujoco.MjModel, rtol: float = 1e-9) -> None:
+    """Every number in two compiled models is the same, derived constants included.
+
+    But for `stat.meaninertia`, which `mj_setConst` leaves alone: it only scales the solver's tolerance.
+    """
+    for name in (name for name in dir(one) if not name.startswith("_")):
+        value = getattr(one, name)
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f":
+            np.testing.assert_allclose(value, getattr(other, name), rtol=rtol, atol=1e-12, err_msg=name)
+
+
+def scaled(robot: Robot, front: float, rear: float) -> mujoco.MjModel:
+    """The robot compiled anew, with mass and inertia of all its bodies scaled by hand to these totals."""
+    spec = assemble(robot.config)
+    totals = {True: front / ALL["mass.front"], False: rear / ALL["mass.rear"]}
+    for body in spec.bodies[1:]:
+        share = totals[is_front(body.name)]
+        body.mass, body.inertia = body.mass * share, body.inertia * share
+    return spec.compile()
+
+
+def test_nothing_named_gives_no_fields():
+    """A batch that names no body parameter leaves the model alone, whatever else it names."""
+    variation = Variation(load_robot())
+    assert variation.batch(ModelParameters(), 4, ()) == {}
+    assert variation.batch(ModelParameters(), 4, ("frequency", "spine.phase", "start.yaw", "stance.front_z")) == {}
+
+
+@pytest.mark.parametrize("tail", ["rigid", "articulated"])
+def test_defaults_are_the_values_of_the_compiled_model(tail):
+    """Named with their defaults, the parameters give the numbers that assembly has written."""
+    robot = load_robot(tail=tail)
+    fields = varied(robot, ALL, 3)
+    for name, values in fields.items():
+        base = getattr(robot.model, name)
+        assert values.shape == (3, *base.shape)
+        np.testing.assert_allclose(values, np.broadcast_to(base, values.shape), rtol=1e-12, err_msg=name)
+    assert_same_model(compile_model(robot, ALL), robot.model)
+
+
+def test_which_fields_vary_depends_on_names_alone():
+    """A group's fields come with any of its names, also at the default: new values never change a program's inputs."""
+    robot = load_robot()
+    at_default = varied(robot, {"contact.friction": np.array([1.0, 1.0])}, 2)
+    other = varied(robot, {"contact.friction": np.array([0.5, 1.5])}, 2)
+    assert list(at_default) == list(other) == ["pair_friction", "pair_solref", "pair_solimp"]
+    assert set(varied(robot, {"mass.front": np.array([0.2])}, 1)) == {"body_mass", "body_inertia"}
+
+
+def test_contact_parameters_reach_the_soles_only():
+    """Friction, solref and solimp of the four soles change world by world; those of the trunk stay."""
+    robot, worlds = load_robot(), np.array([0.5, 1.5])
+    values = {
+        "contact.friction": worlds, "contact.time_constant": np.array([0.008, 0.02]), "contact.damping_ratio": worlds,
+        "contact.impedance": np.array([0.9, 0.99]), "contact.width": np.array([0.002, 0.003]),
+    }  # fmt: skip
+    fields = varied(robot, values, 2)
+    for i in range(robot.model.npair):
+        pair = robot.model.pair(i).name
+        if pair.removesuffix("_contact") in LIMBS:
+            np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([worlds, worlds], 1))
+            np.testing.assert_allclose(fields["pair_solref"][:, i], [(0.008, 0.5), (0.02, 1.5)])
+            np.testing.assert_allclose(fields["pair_solimp"][:, i, :3], [(0, 0.9, 0.002), (0, 0.99, 0.003)])
+        else:
+            for name in ("pair_friction", "pair_solref", "pair_solimp"):
+                np.testing.assert_array_equal(fields[name][:, i], [getattr(robot.model, name)[i]] * 2)
+
+
+def test_springs_and_dampers_reach_their_joints():
+    """Every spring and damper changes in the joints it names, left and right, and in no other."""
+    robot = load_robot(tail="articulated")
+    model, names = robot.model, [name for name in OTHER if name.startswith(("stiffness", "damping"))]
+    fields = varied(robot, {name: OTHER[name] for name in names}, 1)
+    kv = ALL["servo.kv"]
+    for i in range(1, model.njnt):
+        joint, dof = model.joint(i).name, model.jnt_dofadr[i]
+        kind = "spine" if joint.startswith("spine_joint") else joint.rsplit("_", 1)[-1]
+        spring = f"stiffness.{joint.split('_')[0]}_knee" if kind == "knee" else f"stiffness.{kind}"
+        wanted = OTHER.get(spring, model.jnt_stiffness[i])
+        assert fields["jnt_stiffness"][0, i] == pytest.approx(wanted, rel=1e-12), joint
+        # The servos' own damping acts on the joints that they turn.
+        damper = "damping.pulley" if kind == "neck" else f"damping.{kind}"
+        extra = kv if kind in ("hip", "pulley", "neck") else 0.0
+        wanted = OTHER[damper] + extra if damper in OTHER else model.dof_damping[dof]
+        assert fields["dof_damping"][0, dof] == pytest.approx(wanted, rel=1e-12), joint
+    assert fields["dof_damping"][0, :6] == pytest.approx(0.0)
+
+
+def test_servo_parameters_reach_all_servos():
+    """Gain, torque limit and damping of the servos change in every actuator and on every joint with a servo."""
+    robot = load_robot()
+    model = robot.model
+    fields = varied(robot, {"servo.kp": np.array([3.0, 9.0]), "servo.torque_limit": 0.1, "servo.kv": 0.05}, 2)
+    for world, kp in enumerate((3.0, 9.0)):
+        np.testing.assert_allclose(fields["actuator_gainprm"][world, :, 0], kp)
+        np.testing.assert_allclose(fields["actuator_biasprm"][world, :, 1], -kp)
+        np.testing.assert_allclose(fields["actuator_forcerange"][world], [[-0.1, 0.1]] * model.nu)
+        # Wherever the damping is applied, a servo turning at 1 rad/s is braked by 0.02 N m more than with the default.
+        dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+        braking = fields["dof_damping"][world][dofs] - fields["actuator_biasprm"][world][:, 2]
+        default = model.dof_damping[dofs] - model.actuator_biasprm[:, 2]
+        np.testing.assert_allclose(braking - default, 0.02, rtol=1e-9)
+
+
+def test_masses_scale_in_proportion():
+    """Front and rear take the wanted mass; parts keep their shares, inertias scale along."""
+    robot = load_robot()
+    model = robot.model
+    fields = varied(robot, {"mass.front": np.array([0.2, 0.1]), "mass.rear": np.array([0.1053, 0.2])}, 2)
+    front = np.array([is_front(model.body(i).name) for i in range(model.nbody)])
+    for world, (ahead, behind) in enumerate([(0.2, 0.1053), (0.1, 0.2)]):
+        mass, inertia = fields["body_mass"][world], fields["body_inertia"][world]
+        assert mass[front].sum() == pytest.approx(ahead)
+        assert mass[~front].sum() == pytest.approx(behind)
+        np.testing.assert_allclose(mass[front] / ahead, model.body_mass[front] / model.body_mass[front].sum())
+        np.testing.assert_allclose(inertia[1:] / mass[1:, None], model.body_inertia[1:] / model.body_mass[1:, None])
+
+
+def test_varied_masses_are_those_of_a_model_compiled_with_them():
+    """A varied model equals one whose bodies were scaled before compilation, derived constants included."""
+    robot = load_robot()
+    values = {"mass.front": 0.2, "mass.rear": 0.09}
+    assert_same_model(compile_model(robot, values), scaled(robot, 0.2, 0.09))
+    assert robot.model.body_mass.sum() == pytest.approx(0.270)  # the robot's own model is untouched
+
+
+@pytest.mark.parametrize("group", ["servo", "contact", "stiffness", "damping", "mass"])
+def test_varied_and_assembled_parameters_agree(group):
+    """Every parameter gives the same model whether it is varied in a batch or handed to assembly."""
+    robot = load_robot()
+    values = {name: value for name, value in OTHER.items() if name.startswith(group)}
+    assembled = assemble(robot.config, replace_quantities(ModelParameters(), values)).compile()
+    assert_same_model(compile_model(robot, values), assembled)
+
+
+def test_a_name_that_is_no_parameter_is_refused():
+    """One sentence names it."""
+    with pytest.raises(ParameterError, match=r"contact\.glue is not a parameter\."):
+        compile_model(load_robot(), {"contact.glue": 1.0})
+
+
+def test_c_engine_worlds_move_like_models_compiled_for_them():
+    """Worlds of different masses and friction are, bit for bit, `mj_step` of the models compiled with those values."""
+    robot = load_robot()
+    loop, worlds = Standing(robot), 3
+    values = {
+        "mass.front": np.array([0.15, 0.1647, 0.22]), "mass.rear": np.array([0.13, 0.1053, 0.08]),
+        "contact.friction": np.array([0.3, 1.0, 1.5]), "stiffness.rear_knee": np.array([0.15, 0.19, 0.25]),
+    }  # fmt: skip
+    qpos = np.tile(robot.model.qpos0, (worlds, 1))
+    swing = np.full(worlds, 0.2, np.float32)
+    trace = CEngine(robot, loop).open(swing, qpos, varied(robot, values, worlds)).record(30)
+    for world in range(worlds):
+        model = compile_model(robot, {name: value[world] for name, value in values.items()})
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        for tick in range(30):
+            data.ctrl[:] = trace.ctrl[world, tick]
+            mujoco.mj_step(model, data, loop.steps_per_tick)
+            np.testing.assert_array_equal(data.qpos, trace.qpos[world, tick])
+    assert np.abs(trace.qpos[0] - trace.qpos[2]).max() > 1e-3
+
+
+def test_mjx_worlds_have_the_constants_of_models_compiled_for_them():
+    """MJX has no `mj_setConst`: with varied masses its fields carry what MuJoCo derives from them, world by world."""
+    robot = load_robot()
+    engine = MjxEngine(robot, Standing(robot))
+    qpos, swing = np.tile(robot.model.qpos0, (2, 1)), np.zeros(2, np.float32)
+    masses = {"mass.front": np.array([0.12, 0.22]), "mass.rear": np.array([0.15, 0.08])}
+    session = engine.open(swing, qpos, varied(robot, masses, 2))
+    assert set(session.fields) == {"body_mass", "body_inertia", *DERIVED_FIELDS}
+    for world in range(2):
+        model = compile_model(robot, {name: value[world] for name, value in masses.items()})
+        for name, values in session.fields.items():
+            np.testing.assert_allclose(values[world], getattr(model, name), rtol=1e-5, atol=1e-9, err_msg=name)
+    # Nothing is derived from friction, and nothing varied leaves the model as it was compiled.
+    friction = engine.open(swing, qpos, varied(robot, {"contact.friction": np.array([0.5, 1.5])}, 2))
+    assert set(friction.fields) == {"pair_friction", "pair_solref", "pair_solimp"}
+    assert engine.open(swing, qpos, {}).fields == {}
+
+
+def test_no_constant_that_mjx_reads_is_left_out():
+    """What MuJoCo derives from masses is in `DERIVED_FIELDS`, but for cameras and lights that follow a centre of mass."""
+    robot = load_robot()
+    other = compile_model(robot, {"mass.front": 0.2, "mass.rear": 0.09})
+    changed = {
+        name
+        for name, value in ((name, getattr(other, name)) for name in dir(other) if not name.startswith("_"))
+        if isinstance(value, np.ndarray) and value.dtype.kind == "f"
+        if not np.allclose(value, getattr(robot.model, name), rtol=1e-9, atol=0.0)
+    }
+    physical = {name for name in changed if not name.startswith(("cam_", "light_"))}
+    assert physical == {"body_mass", "body_inertia", *DERIVED_FIELDS}
