@@ -73,7 +73,7 @@ def test_worlds_do_not_disturb_each_other(simulator):
 
 
 def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator):
-    """A world whose numbers are lost half-way is flagged and keeps what it had measured; its neighbour does not notice."""
+    """A world whose numbers are lost half-way is flagged and keeps what it had measured; its neighbour goes on."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare({name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1))
     broken, whole = (sim.engine.open(batch.params, batch.qpos, batch.fields) for _ in range(2))

@@ -225,7 +225,7 @@ def test_mjx_worlds_have_the_constants_of_models_compiled_for_them():
 
 
 def test_no_constant_that_mjx_reads_is_left_out():
-    """What MuJoCo derives from masses is in `DERIVED_FIELDS`, but for cameras and lights that follow a centre of mass."""
+    """What MuJoCo derives from masses is in `DERIVED_FIELDS`, save cameras and lights that follow a mass."""
     robot = load_robot()
     other = compile_model(robot, {"mass.front": 0.2, "mass.rear": 0.09})
     changed = {

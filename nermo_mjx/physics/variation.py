@@ -19,14 +19,12 @@ from nermo_mjx.robot.quantity import replace_quantities
 
 #: Model fields that each group of body parameters reaches.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
-    "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "dof_damping"),
+    "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
     "stiffness": ("jnt_stiffness",),
     "damping": ("dof_damping",),
     "mass": ("body_mass", "body_inertia"),
 }
-#: Joints that a servo turns; its damping adds to theirs.
-SERVO_DRIVEN: Final = ("hip", "pulley")
 #: Constants that MuJoCo derives from masses (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
     "body_subtreemass",
@@ -73,7 +71,7 @@ class Variation:
         """
         p, model = parameters, self.model
         gain = jnp.asarray(model.actuator_gainprm).at[:, 0].set(p.servo.kp)
-        bias = jnp.asarray(model.actuator_biasprm).at[:, 1].set(-p.servo.kp)
+        bias = jnp.asarray(model.actuator_biasprm).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
         limit = jnp.asarray(p.servo.torque_limit)
         force = jnp.broadcast_to(jnp.stack([-limit, limit]), model.actuator_forcerange.shape)
 
@@ -90,8 +88,7 @@ class Variation:
         for name, ids in self._springs.items():
             stiffness = stiffness.at[ids].set(getattr(p.stiffness, name))
         for name, ids in self._dampers.items():
-            servo = p.servo.kv if name in SERVO_DRIVEN else 0.0
-            damping = damping.at[ids].set(getattr(p.damping, name) + servo)
+            damping = damping.at[ids].set(getattr(p.damping, name))
 
         mass = jnp.asarray(model.body_mass)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()

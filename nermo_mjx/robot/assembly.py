@@ -192,7 +192,9 @@ def _pose(spec: mujoco.MjSpec) -> None:
 def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameters) -> None:
     option = spec.option
     option.timestep = config.timestep
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    # Euler is implicit in the joints' damping, which is stiff, and explicit in the servos', which is not. With implicitfast
+    # the engines differ while a servo saturates: MJX keeps the derivative of its damping, C drops it.
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
     option.impratio = 3.0
     # A world that diverges must stay diverged, to be flagged, not start anew.
@@ -227,7 +229,7 @@ def _site_in_body(file: str, site: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
-    stiffness, damping, servo = parameters.stiffness, parameters.damping, parameters.servo
+    stiffness, damping = parameters.stiffness, parameters.damping
     for joint in spec.joints:
         kind = joint.name.rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
@@ -240,9 +242,9 @@ def _set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         elif kind == "ankle":
             _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"])
         elif kind == "hip":
-            _compliant(joint, 0.0, damping.hip + servo.kv, ARMATURE["servo"])
+            _compliant(joint, 0.0, damping.hip, ARMATURE["servo"])
         elif kind in ("pulley", "neck"):
-            _compliant(joint, 0.0, damping.pulley + servo.kv, ARMATURE["servo"])
+            _compliant(joint, 0.0, damping.pulley, ARMATURE["servo"])
 
 
 def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0) -> None:
@@ -252,18 +254,14 @@ def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: 
 
 
 def _add_servos(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
-    """Proportional servos. Their damping is the joint's (`_set_joints`), outside the torque limit.
-
-    A motor slows with speed also at full torque; and a derivative gain inside the limit is integrated differently by C
-    and MJX while the servo saturates (`implicitfast` of MJX keeps its velocity derivative, C drops it).
-    """
+    """Proportional servos with a damped loop; the torque limit holds for both together, as in the servo's electronics."""
     servo = parameters.servo
     joints = {joint.name for joint in spec.joints}
     for name in SERVOS:
         target = servo_joint(name)
         if target in joints:
             actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-            actuator.set_to_position(kp=float(servo.kp))
+            actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
             actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name))
             limit = float(servo.torque_limit)
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])

@@ -47,7 +47,7 @@ METRICS: Final[dict[str, Metric]] = {
         for statistic in ("mean", "std", "min", "max")
     },
     "slip": Metric("m/s", "mean horizontal speed of loaded feet"),
-    **{f"duty_{limb}": Metric("1", f"share of time in which the {limb.replace('_', ' ')} foot was loaded") for limb in LIMBS},
+    **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},
     "servo_work": Metric("J", "positive mechanical work of all servos while measured"),
     "cost_of_transport": Metric("1", "servo work over weight and distance; NaN below 1 mm"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground"),
