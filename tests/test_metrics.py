@@ -158,7 +158,7 @@ def test_distance_is_along_the_heading(yaw):
 def test_sway_within_a_cycle_is_no_way():
     """A body that swings left and right at the gait's frequency while it walks gains no distance from it.
 
-    Of the heading's swing a 1 / (2 pi) passes the smoothing, and with it half of that share of the sideways speed: 0.2 %.
+    A sixth of the heading's swing passes the smoothing, and with it half of that share of the sideways speed: 0.2 %.
     """
     rate = 0.8
     swing = np.sin(2 * np.pi * rate * TIME)

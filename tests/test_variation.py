@@ -116,17 +116,15 @@ def test_springs_and_dampers_reach_their_joints():
     robot = load_robot(tail="articulated")
     model, names = robot.model, [name for name in OTHER if name.startswith(("stiffness", "damping"))]
     fields = varied(robot, {name: OTHER[name] for name in names}, 1)
-    kv = ALL["servo.kv"]
     for i in range(1, model.njnt):
         joint, dof = model.joint(i).name, model.jnt_dofadr[i]
         kind = "spine" if joint.startswith("spine_joint") else joint.rsplit("_", 1)[-1]
         spring = f"stiffness.{joint.split('_')[0]}_knee" if kind == "knee" else f"stiffness.{kind}"
         wanted = OTHER.get(spring, model.jnt_stiffness[i])
         assert fields["jnt_stiffness"][0, i] == pytest.approx(wanted, rel=1e-12), joint
-        # The servos' own damping acts on the joints that they turn.
+        # What else brakes a joint, as its servo may, stays.
         damper = "damping.pulley" if kind == "neck" else f"damping.{kind}"
-        extra = kv if kind in ("hip", "pulley", "neck") else 0.0
-        wanted = OTHER[damper] + extra if damper in OTHER else model.dof_damping[dof]
+        wanted = model.dof_damping[dof] + OTHER.get(damper, 0.0) - ALL.get(damper, 0.0)
         assert fields["dof_damping"][0, dof] == pytest.approx(wanted, rel=1e-12), joint
     assert fields["dof_damping"][0, :6] == pytest.approx(0.0)
 
@@ -136,13 +134,14 @@ def test_servo_parameters_reach_all_servos():
     robot = load_robot()
     model = robot.model
     fields = varied(robot, {"servo.kp": np.array([3.0, 9.0]), "servo.torque_limit": 0.1, "servo.kv": 0.05}, 2)
+    damping = fields.get("dof_damping", np.stack([model.dof_damping] * 2))
     for world, kp in enumerate((3.0, 9.0)):
         np.testing.assert_allclose(fields["actuator_gainprm"][world, :, 0], kp)
         np.testing.assert_allclose(fields["actuator_biasprm"][world, :, 1], -kp)
         np.testing.assert_allclose(fields["actuator_forcerange"][world], [[-0.1, 0.1]] * model.nu)
         # Wherever the damping is applied, a servo turning at 1 rad/s is braked by 0.02 N m more than with the default.
         dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
-        braking = fields["dof_damping"][world][dofs] - fields["actuator_biasprm"][world][:, 2]
+        braking = damping[world][dofs] - fields["actuator_biasprm"][world][:, 2]
         default = model.dof_damping[dofs] - model.actuator_biasprm[:, 2]
         np.testing.assert_allclose(braking - default, 0.02, rtol=1e-9)
 

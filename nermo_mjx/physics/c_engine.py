@@ -68,6 +68,6 @@ class CSession:
             # The worlds that failed kept their state; the loop sees them as diverged, the others are not touched.
             self.sensordata[error.ids] = np.nan
         # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
-        stopped = self.batch.warning.any(axis=-1)
+        stopped = self.batch.warning.reshape(len(self.qpos), -1).any(axis=1)
         if stopped.any():
             self.sensordata[stopped] = np.nan
