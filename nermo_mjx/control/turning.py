@@ -139,7 +139,7 @@ def smallest_radius(
 def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """Curvature without slip of the path walked at a turn rate [1/m], at the gait's commanded speed; positive left.
 
-    Legs (5.40-5.42) and spine (5.43) add, which the simulated robot does within 3 % at any turn rate of mix-based
+    Legs (5.40-5.42) and spine (5.43) add, which the simulated robot does within a tenth at any turn rate of mix-based
     turning. (The published theory of mix-based turning keeps the legs' formula and bends the diagonal, which changes
     the legs' part by 4 %; it predicts no turning by the spine while the legs' strides are alike.)
     """
