@@ -96,3 +96,13 @@ def test_a_table_is_compared_by_value():
 def test_a_table_that_does_not_fit_is_refused_with_a_sentence(time, speed, turn, message):
     with pytest.raises(ParameterError, match=message):
         pilot.tabulated(time, speed, turn)
+
+
+@pytest.mark.parametrize(("path", "direction"), [("straight", 1.0), ("arc", 1.0), ("arc", -1.0)])
+def test_the_tangent_points_along_the_path(path, direction):
+    """At the origin every path heads -y; a quarter of a circle on, it heads to the side it bends to."""
+    params = Pilot(radius=0.5, direction=direction)
+    np.testing.assert_allclose(pilot.tangent(path, params, jnp.zeros(3)), [0.0, -1.0], atol=1e-6)
+    if path == "arc":
+        quarter = jnp.array([0.5 * direction, -0.5, 0.05])
+        np.testing.assert_allclose(pilot.tangent(path, params, quarter), [direction, 0.0], atol=1e-6)

@@ -11,6 +11,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -63,6 +64,13 @@ def cross_track_error(path: str, pilot: Pilot, position: Float[Array, "*batch 3"
     if path not in PATHS:
         return jnp.zeros_like(position[..., 0])
     return PATHS[path](pilot, jnp.clip(position, -1e6, 1e6))
+
+
+def tangent(path: str, pilot: Pilot, position: Float[Array, " 3"]) -> Float[Array, " 2"]:
+    """Direction (x, y) of the named path beside a position: the error's gradient points left, its right is ahead."""
+    left = jax.grad(lambda point: cross_track_error(path, pilot, point))(position)
+    ahead = jnp.stack([left[1], -left[0]])
+    return ahead / jnp.sqrt(jnp.sum(ahead**2) + 1e-12)
 
 
 def steer(

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.robot.interface import SERVOS, servo_range
-from nermo_mjx.robot.masses import part_of
+from nermo_mjx.robot.masses import is_front, part_of
 from nermo_mjx.robot.mirror import mirror
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS, ROUTINGS
@@ -34,9 +34,15 @@ KNEE_REST: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
 TENDON_SOLREF: Final = (0.004, 1.0)
 TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 
-#: Joint angles of the published stance, hip, knee, pulley [rad]. The model's zero pose (qpos0) stands in it, so that
+#: Joint angles of the published stance, hip and knee [rad]. The model's zero pose (qpos0) stands in it, so that
 #: MuJoCo's reference inertias are those of the standing robot.
-STANCE: Final = {"front": (0.8165, 1.4782, 0.1315), "rear": (-0.9712, 2.1480, 0.6623)}
+STANCE: Final = {"front": (0.8165, 1.4782), "rear": (-0.9712, 2.1480)}
+#: Pulley angles that just tighten the tendons of that stance [rad], by routing.
+STANCE_PULLEY: Final = {
+    "type1": {"front": 2.0114, "rear": -1.1922},
+    "type2": {"front": 0.1208, "rear": 0.7110},
+    "type3": {"front": 0.1315, "rear": 0.6623},
+}
 #: Height of the spine base in that stance [m].
 STANCE_HEIGHT: Final = 0.0794
 
@@ -103,7 +109,7 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     _attach(spec, spec.frame("hip_tail_mount"), "tail")
     if config.tail == "rigid":
         _stiffen_tail(spec)
-    _pose(spec)
+    _pose(spec, config.routing)
     _finish(spec, config, parameters)
     _add_sensors(spec)
     _add_contacts(spec, parameters)
@@ -117,7 +123,7 @@ def assemble_leg(limb: str, routing: str = "type3", parameters: ModelParameters 
     config = RobotConfig(routing=routing)
     spec = _stand(f"{limb}_leg_stand")
     _attach_leg(spec, spec.worldbody, limb, routing)
-    _pose(spec)
+    _pose(spec, routing)
     _finish(spec, config, parameters or ModelParameters())
     return spec
 
@@ -175,9 +181,10 @@ def _stiffen_tail(spec: mujoco.MjSpec) -> None:
     spec.compiler.fusestatic = True
 
 
-def _pose(spec: mujoco.MjSpec) -> None:
+def _pose(spec: mujoco.MjSpec, routing: str) -> None:
     """Make the published stance the model's zero pose; joint values still count from the straight leg."""
-    for pair, (hip, knee, pulley) in STANCE.items():
+    for pair, (hip, knee) in STANCE.items():
+        pulley = STANCE_PULLEY[routing][pair]
         for joint in spec.joints:
             angle = {"hip": hip, "knee": knee, "pulley": pulley}.get(joint.name.rsplit("_", 1)[-1])
             if joint.name.startswith(pair) and angle is not None:
@@ -199,19 +206,22 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     option.impratio = 3.0
     # A world that diverges must stay diverged, to be flagged, not start anew.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    _set_masses(spec)
+    _set_masses(spec, parameters)
     _set_joints(spec, parameters)
     for tendon in spec.tendons:
         tendon.solref_limit = np.array(TENDON_SOLREF)
         tendon.solimp_limit = np.array(TENDON_SOLIMP)
-    _add_servos(spec, parameters)
+    _add_servos(spec, config, parameters)
 
 
-def _set_masses(spec: mujoco.MjSpec) -> None:
+def _set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+    default, mass = ModelParameters().mass, parameters.mass
+    share = {True: float(mass.front / default.front), False: float(mass.rear / default.rear)}
     for body in spec.bodies[1:]:
         part = part_of(body.name)
         body.explicitinertial = True
-        body.mass, body.inertia = part.mass, np.array(part.inertia)
+        scale = share[is_front(body.name)]
+        body.mass, body.inertia = scale * part.mass, scale * np.array(part.inertia)
         body.ipos, body.iquat = np.array(part.com), np.array([1.0, 0, 0, 0])
     for body in spec.bodies[1:]:
         site = part_of(body.name).site
@@ -253,7 +263,7 @@ def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: 
     joint.armature, joint.springref = armature, rest
 
 
-def _add_servos(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+def _add_servos(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameters) -> None:
     """Proportional servos with a damped loop; the torque limit holds for both together, as in the servo's electronics."""
     servo = parameters.servo
     joints = {joint.name for joint in spec.joints}
@@ -262,7 +272,7 @@ def _add_servos(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         if target in joints:
             actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
-            actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name))
+            actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name, config.routing))
             limit = float(servo.torque_limit)
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
 

@@ -22,9 +22,15 @@ SERVO_RANGE: Final = {
 }  # fmt: skip
 
 
-def servo_range(servo: str) -> tuple[float, float]:
+#: The same with routing type 1, whose servo angle contains the angle that the tendon wraps.
+KNEE_RANGE_TYPE1: Final = {"front_knee": (1.3, 2.8), "rear_knee": (-2.6, -0.35)}
+
+
+def servo_range(servo: str, routing: str = "type3") -> tuple[float, float]:
     """The range of one of `SERVOS` [rad]; commands outside it saturate."""
     kind = servo.replace("left_", "").replace("right_", "")
+    if routing == "type1" and kind in KNEE_RANGE_TYPE1:
+        return KNEE_RANGE_TYPE1[kind]
     return SERVO_RANGE["hip" if kind.endswith("hip") else kind]
 
 

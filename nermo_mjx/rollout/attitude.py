@@ -19,12 +19,6 @@ def attitude(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3"]:
     return jnp.stack([jnp.arctan2(-r20, r22), jnp.arctan2(r21, level), jnp.arctan2(-r01, r11)], axis=-1)
 
 
-def heading(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 2"]:
-    """Horizontal direction (x, y) in which the head points; its length is the cosine of the torso's slope."""
-    w, x, y, z = (quaternion[..., i] for i in range(4))
-    return -jnp.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z)], axis=-1)
-
-
 def uprightness(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch"]:
     """Cosine of the torso's tilt: 1 upright, 0 on its side."""
     return 1 - 2 * (quaternion[..., 1] ** 2 + quaternion[..., 2] ** 2)

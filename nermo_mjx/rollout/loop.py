@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from nermo_mjx.control import pilot
 from nermo_mjx.control.controller import Controller, ControllerState
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.robot import Robot
@@ -57,8 +58,12 @@ class ClosedLoop:
         """See `Loop.step`. Metrics see the tick that has just ended, the controller its last reading."""
         sensors = self.robot.sensors(sensordata)
         cycle_rate = params.control.gait.frequency / params.control.tracking.clock_ratio
+        path = None
+        if self.controller.pilot in pilot.PATHS:
+            position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
+            path = pilot.tangent(self.controller.pilot, params.control.pilot, position)
         measured = metrics.update(
-            params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate
+            params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path
         )
         # A diverged world keeps walking in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.diverged, 0.0, leaf[-1]), sensors)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.robot import LIMBS, Sensors
-from nermo_mjx.rollout.attitude import attitude, heading, uprightness
+from nermo_mjx.rollout.attitude import attitude, uprightness
 from nermo_mjx.rollout.parameters import Window
 
 #: A foot is loaded above this force [N]: 3 % of the robot's weight on one foot of four is far below any stance.
@@ -38,9 +38,9 @@ class Metric:
 
 METRICS: Final[dict[str, Metric]] = {
     "speed": Metric("m/s", "distance over duration"),
-    "distance": Metric("m", "way travelled along the heading, smoothed over a gait cycle, while measured"),
+    "distance": Metric("m", "way along the pilot's path, or along the smoothed heading, while measured"),
     "duration": Metric("s", "time measured"),
-    "lateral_drift": Metric("m", "displacement to the left of the initial heading, while measured"),
+    "lateral_drift": Metric("m", "displacement along x, left of the straight pilot's line, while measured"),
     **{
         f"{angle}_{statistic}": Metric("rad", f"{statistic} of the torso's {angle}")
         for angle in ANGLES
@@ -65,8 +65,8 @@ class MetricState:
         travelled: way since the start, warm-up included [m].
         mean, square: Welford's running mean and sum of squared deviations of (roll, pitch, yaw).
         low, high: extremes of (roll, pitch, yaw).
-        course: smoothed heading (2,).
-        position: IMU at the last tick; origin: where measuring began (3,) each.
+        course, turning: smoothed yaw [rad] and its rate [rad/s].
+        position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
         loaded, slid: time each foot was loaded, and the way it slid meanwhile (4,) each.
         turns: whole turns of yaw, so that it does not jump at +-pi; yaw: the last reading.
         fell, diverged, begun, finished: flags.
@@ -80,9 +80,11 @@ class MetricState:
     square: Float[Array, " 3"]
     low: Float[Array, " 3"]
     high: Float[Array, " 3"]
-    course: Float[Array, " 2"]
+    course: Float[Array, ""]
+    turning: Float[Array, ""]
     position: Float[Array, " 3"]
     origin: Float[Array, " 3"]
+    end: Float[Array, " 3"]
     loaded: Float[Array, " 4"]
     slid: Float[Array, " 4"]
     turns: Float[Array, ""]
@@ -95,18 +97,24 @@ class MetricState:
 
 def init(sensors: Sensors) -> MetricState:
     """Accumulators before the first tick, from the readings at rest."""
-    position = sensors.position
+    position, yaw = sensors.position, attitude(sensors.orientation)[2]
     zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
     no = jnp.zeros((), bool)
     return MetricState(
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, low=three + jnp.inf,
-        high=three - jnp.inf, course=heading(sensors.orientation), position=position, origin=position, loaded=four,
-        slid=four, turns=zero, yaw=attitude(sensors.orientation)[2], fell=no, diverged=no, begun=no, finished=no,
+        high=three - jnp.inf, course=yaw, turning=zero, position=position, origin=position, end=position, loaded=four,
+        slid=four, turns=zero, yaw=yaw, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
 
 def update(
-    window: Window, state: MetricState, sensors: Sensors, time: Float[Array, ""], dt: float, cycle_rate: Any
+    window: Window,
+    state: MetricState,
+    sensors: Sensors,
+    time: Float[Array, ""],
+    dt: float,
+    cycle_rate: Any,
+    path: Float[Array, " 2"] | None = None,
 ) -> MetricState:
     """Add one control tick.
 
@@ -116,7 +124,8 @@ def update(
         sensors: readings of the tick's physics steps, leading axis (steps,).
         time: at the end of the tick [s].
         dt: length of the tick [s].
-        cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading.
+        cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
+        path: unit vector (x, y) along the pilot's path, where it follows one.
     """
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(sensors)]).all()
     diverged = state.diverged | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
@@ -129,16 +138,18 @@ def update(
     inside = (time > window.begin + 0.5 * dt) & (time <= window.end + 0.5 * dt) & ~state.finished & ~fell & ~diverged
     weight = jnp.where(inside, dt, 0.0)
 
-    smoothing = -jnp.expm1(-dt * cycle_rate)
-    course = state.course + smoothing * (heading(last.orientation) - state.course)
-    unit = course / jnp.sqrt(jnp.sum(course**2) + 1e-12)
-    step = jnp.where(diverged, 0.0, (last.position - state.position)[:2] @ unit)
-    travelled = state.travelled + step
-
     angles = attitude(last.orientation)
     jump = angles[2] - state.yaw
     turns = state.turns - jnp.round(jump / (2 * jnp.pi))
     angles = angles.at[2].add(2 * jnp.pi * turns)
+
+    # Critically damped tracking of yaw and its rate: no lag in a steady turn, little of the spine's sway.
+    expected = state.course + dt * state.turning
+    surprise = jnp.where(diverged, 0.0, dt * cycle_rate * (angles[2] - expected))
+    course, turning = expected + 2.0 * surprise, state.turning + cycle_rate * surprise
+    ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path
+    step = jnp.where(diverged, 0.0, (last.position - state.position)[:2] @ ahead)
+    travelled = state.travelled + step
     elapsed = state.time + weight
     share = weight / jnp.maximum(elapsed, dt)
     deviation = angles - state.mean
@@ -157,7 +168,9 @@ def update(
         low=jnp.where(inside, jnp.minimum(state.low, angles), state.low),
         high=jnp.where(inside, jnp.maximum(state.high, angles), state.high),
         course=course,
-        position=jnp.where(inside | ~state.begun, last.position, state.position),
+        turning=turning,
+        position=jnp.where(diverged, state.position, last.position),
+        end=jnp.where(inside | ~state.begun, last.position, state.end),
         origin=jnp.where(state.begun, state.origin, jnp.where(inside, state.position, last.position)),
         loaded=state.loaded + weight * contact.mean(axis=0),
         slid=state.slid + weight * (contact * speed).mean(axis=0),
@@ -185,7 +198,7 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
         "speed": distance / time,
         "distance": distance,
         "duration": state.time,
-        "lateral_drift": jnp.where(state.begun, state.position[0] - state.origin[0], jnp.nan),
+        "lateral_drift": jnp.where(state.begun, state.end[0] - state.origin[0], jnp.nan),
         "slip": state.slid.sum() / jnp.where(loaded > 0, loaded, jnp.nan),
         "servo_work": state.work,
         "cost_of_transport": state.work / jnp.where(distance > 1e-3, mass * GRAVITY * distance, jnp.nan),
