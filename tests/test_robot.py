@@ -13,7 +13,8 @@ import pytest
 
 from nermo_mjx.kinematics import body, leg, spine
 from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, assemble, load_robot
-from nermo_mjx.robot.assembly import STANCE_HEIGHT, TRUNK, servo_joint
+from nermo_mjx.robot.assembly import STANCE_HEIGHT
+from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.masses import PARTS, part_of
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 

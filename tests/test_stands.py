@@ -15,7 +15,7 @@ import pytest
 
 from nermo_mjx.kinematics import leg, spine
 from nermo_mjx.robot import LIMBS, ParameterError, assemble_leg, assemble_spine
-from nermo_mjx.robot.assembly import KNEE_REST
+from nermo_mjx.robot.equipment import KNEE_REST
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, SPINE
 
 GEOMETRY = {"front": FRONT_LEG, "rear": REAR_LEG}

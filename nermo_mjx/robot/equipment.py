@@ -1,0 +1,149 @@
+"""What the assembled robot is equipped with: masses, springs and dampers, servos, sensors, and contact pairs.
+
+The numbers come from the table of masses and the parameter trees; the functions here write them into a specification.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from nermo_mjx.robot.files import load_file
+from nermo_mjx.robot.interface import SERVOS, servo_range
+from nermo_mjx.robot.masses import is_front, part_of
+from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.parameters import LIMBS
+
+#: Rotor and gear inertia seen at the joint [kg m^2], as in the author's model.
+ARMATURE: Final = {"servo": 0.00065, "knee": 0.000065, "ankle": 0.000065, "spine": 0.00065, "tail": 0.00065}
+TAIL_STIFFNESS: Final = 1.2
+TAIL_DAMPING: Final = 0.01
+#: Knee angle at which the torsion spring rests [rad].
+KNEE_REST: Final = {"front": np.radians(50.0), "rear": np.radians(75.0)}
+#: Tendons are massless and inextensible: their limit is as stiff as the time step allows.
+TENDON_SOLREF: Final = (0.004, 1.0)
+TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
+#: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
+TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
+
+
+def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+    """Give every moving body the mass, centre of mass and inertia of its part; geoms weigh nothing."""
+    default, mass = ModelParameters().mass, parameters.mass
+    share = {True: float(mass.front / default.front), False: float(mass.rear / default.rear)}
+    for body in spec.bodies[1:]:
+        part = part_of(body.name)
+        body.explicitinertial = True
+        scale = share[is_front(body.name)]
+        body.mass, body.inertia = scale * part.mass, scale * np.array(part.inertia)
+        body.ipos, body.iquat = np.array(part.com), np.array([1.0, 0, 0, 0])
+    for body in spec.bodies[1:]:
+        site = part_of(body.name).site
+        if site is not None:
+            pos, quat = _site_in_body("spine", site)
+            turned = np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, np.array(body.ipos), quat)
+            body.ipos, body.iquat = pos + turned, quat
+
+
+def _site_in_body(file: str, site: str) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of a site in its body, as the compiler resolves it from the nested frames of one file."""
+    model = load_file(file).compile()
+    return model.site(site).pos, model.site(site).quat
+
+
+def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+    """Springs, dampers and rotor inertias (Table A.1)."""
+    stiffness, damping = parameters.stiffness, parameters.damping
+    for joint in spec.joints:
+        kind = joint.name.rstrip("_0123456789").rsplit("_", 1)[-1]
+        if joint.name.startswith("tail_joint"):
+            _compliant(joint, TAIL_STIFFNESS, TAIL_DAMPING, ARMATURE["tail"])
+        elif kind == "joint":
+            _compliant(joint, stiffness.spine, damping.spine, ARMATURE["spine"])
+        elif kind == "knee":
+            pair = joint.name.split("_")[0]
+            _compliant(joint, getattr(stiffness, f"{pair}_knee"), damping.knee, ARMATURE["knee"], KNEE_REST[pair])
+        elif kind == "ankle":
+            _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"])
+        elif kind == "hip":
+            _compliant(joint, 0.0, damping.hip, ARMATURE["servo"])
+        elif kind in ("pulley", "neck"):
+            _compliant(joint, 0.0, damping.pulley, ARMATURE["servo"])
+
+
+def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0) -> None:
+    # Coefficients of a polynomial in the angle; only the linear one is used.
+    joint.stiffness, joint.damping = np.array([stiffness, 0.0, 0.0]), np.array([damping, 0.0, 0.0])
+    joint.armature, joint.springref = armature, rest
+
+
+def set_tendons(spec: mujoco.MjSpec) -> None:
+    """Make every tendon's length limit stiff."""
+    for tendon in spec.tendons:
+        tendon.solref_limit = np.array(TENDON_SOLREF)
+        tendon.solimp_limit = np.array(TENDON_SOLIMP)
+
+
+def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -> None:
+    """Proportional servos with a damped loop; the torque limit holds for both together."""
+    servo = parameters.servo
+    joints = {joint.name for joint in spec.joints}
+    for name in SERVOS:
+        target = servo_joint(name)
+        if target in joints:
+            actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
+            actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name, routing))
+            limit = float(servo.torque_limit)
+            actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
+
+
+def servo_joint(servo: str) -> str:
+    """The joint a servo turns: a limb's hip directly, the others through their pulley."""
+    if servo.endswith("_knee"):
+        return servo.removesuffix("knee") + "pulley"
+    return {"spine": "spine_pulley", "tail": "tail_pulley"}.get(servo, servo)
+
+
+def add_sensors(spec: mujoco.MjSpec) -> None:
+    """Everything that `Sensors` reads, in its order."""
+    kind, objects = mujoco.mjtSensor, mujoco.mjtObj
+    site, actuator = objects.mjOBJ_SITE, objects.mjOBJ_ACTUATOR
+
+    def add(name: str, sensor: Any, objtype: Any, target: str) -> None:
+        spec.add_sensor(name=name, type=sensor, objtype=objtype, objname=target)
+
+    add("position", kind.mjSENS_FRAMEPOS, site, "imu")
+    add("orientation", kind.mjSENS_FRAMEQUAT, site, "imu")
+    add("linear_velocity", kind.mjSENS_FRAMELINVEL, site, "imu")
+    add("gyro", kind.mjSENS_GYRO, site, "imu")
+    add("accelerometer", kind.mjSENS_ACCELEROMETER, site, "imu")
+    for reading in ("angle", "velocity", "torque"):
+        sensor = {"angle": "ACTUATORPOS", "velocity": "ACTUATORVEL", "torque": "ACTUATORFRC"}[reading]
+        for servo in spec.actuators:
+            add(f"{servo.name}_{reading}", getattr(kind, f"mjSENS_{sensor}"), actuator, servo.name)
+    for limb in LIMBS:
+        add(f"{limb}_knee_angle", kind.mjSENS_JOINTPOS, objects.mjOBJ_JOINT, f"{limb}_knee")
+    for limb in LIMBS:
+        add(f"{limb}_foot_force", kind.mjSENS_TOUCH, site, f"{limb}_touch")
+    for limb in LIMBS:
+        add(f"{limb}_foot_position", kind.mjSENS_FRAMEPOS, site, f"{limb}_foot")
+    for limb in LIMBS:
+        add(f"{limb}_foot_velocity", kind.mjSENS_FRAMELINVEL, site, f"{limb}_foot")
+
+
+def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+    """Declare the few contact pairs that matter; nothing else collides."""
+    contact = parameters.contact
+    solref = np.array([float(contact.time_constant), float(contact.damping_ratio)])
+    solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
+    slide = float(contact.friction)
+    for limb in LIMBS:
+        pair = spec.add_pair(name=f"{limb}_contact", geomname1="floor", geomname2=f"{limb}_sole", condim=3)
+        pair.solref, pair.solimp = solref, solimp
+        pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
+    for geom in TRUNK:
+        spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)

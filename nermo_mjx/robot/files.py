@@ -1,0 +1,24 @@
+"""Where the MJCF files are, and how one is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+
+
+def mjcf_directory() -> Path:
+    """Where the MJCF files are: inside the installed package, or at the top of a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    inside = package / "mjcf"
+    return inside if inside.is_dir() else package.parent / "mjcf"
+
+
+def scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package."""
+    return tuple(sorted(path.stem for path in (mjcf_directory() / "scenes").glob("*.xml")))
+
+
+def load_file(name: str) -> mujoco.MjSpec:
+    """The specification in `mjcf/NAME.xml`, editable."""
+    return mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
