@@ -305,9 +305,8 @@ def test_legs_are_where_the_kinematics_puts_them():
             trunk = data.body("torso").xmat if limb.startswith("front") else data.site("spine_end").xmat
             axis = data.site(f"{limb}_axis").xpos
             with jax.enable_x64(True):
-                # The joint counts the ankle's deflection about +x; `points` adds it to theta_3, against that.
                 geometry = leg.leg_of(GEOMETRY[pair_of(limb)])
-                wanted = leg.points(geometry, angles["hip"][i], angles["knee"][i], -angles["ankle"][i])
+                wanted = leg.points(geometry, angles["hip"][i], angles["knee"][i], angles["ankle"][i])
             for point in ("foot", "attachment"):
                 place = seen_from(data, axis, trunk, f"{limb}_{point}")
                 np.testing.assert_allclose(place, [0.0, *getattr(wanted, point)], atol=1e-6, err_msg=f"{limb} {point}")
