@@ -8,7 +8,8 @@ from matplotlib.image import imread
 from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.sweep import draw_plots, run_sweep
-from nermo_mjx.sweep.figures import heat_maps, shown
+from nermo_mjx.sweep.figures import STYLE, heat_maps, shown
+from nermo_mjx.sweep.plots import _figures
 
 
 def plots_of(spec, out, simulator=None):
@@ -22,13 +23,14 @@ def grid(tmp_path_factory):
 
 
 def test_three_parameters_give_a_heat_map_for_each_pair(grid):
-    """PNG and SVG of each of the three pairs; the PNG is a picture of some size."""
+    """PNG and SVG of each of the three pairs, and of the spine's gain; the PNG is a picture of some size."""
     assert set(grid) == {
-        f"speed-over-{pair}.{form}"
-        for pair in (
-            "frequency-and-spine.amplitude",
-            "frequency-and-spine.phase",
-            "spine.amplitude-and-spine.phase",
+        f"speed-{name}.{form}"
+        for name in (
+            "over-frequency-and-spine.amplitude",
+            "over-frequency-and-spine.phase",
+            "over-spine.amplitude-and-spine.phase",
+            "gain-over-spine.amplitude-and-spine.phase",
         )
         for form in ("png", "svg")
     }
@@ -105,6 +107,68 @@ def test_repeats_share_a_cell_as_their_mean():
     z = shown("c", "1", np.array([1.0, 3.0, 5.0, 5.0, 7.0, np.nan]))
     mesh = meshes(heat_maps(x, y, z, [("", np.full(6, True))], "t", ""))[0]
     assert np.ma.filled(mesh.get_array(), -1).tolist() == [[2.0, 5.0], [7.0, -1.0]]
+
+
+GAIN = "speed-gain-over-spine.amplitude-and-spine.phase"
+
+
+def gain_figure(table):
+    with matplotlib.rc_context(STYLE):
+        return next(figure for name, figure in _figures(table, "speed") if name == GAIN)
+
+
+def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path):
+    """Each panel is 100 (v / v at amplitude 0 - 1) of its own frequency; white is 0; marks carry their percentage."""
+    vary = SPEC["vary"] | {"spine.phase": [-3.0, 0.0, 1.0]}
+    result = run_sweep(SPEC | {"vary": vary}, tmp_path / "run", simulator=FakeSimulator())
+    figure = gain_figure(result.table)
+    expected = 50 * np.array(AMPLITUDES)[None, :] * np.cos(vary["spine.phase"])[:, None]
+    found = meshes(figure)
+    assert len(found) == 4
+    for mesh in found:
+        np.testing.assert_allclose(np.asarray(mesh.get_array()), expected, atol=1e-4)
+        assert mesh.get_clim() == pytest.approx((-20, 20), abs=1e-4)
+        assert mesh.get_cmap()(0.5)[:3] == pytest.approx((1, 1, 1), abs=0.05)
+    marks = [(note.xy, note.get_text()) for ax in figure.axes for note in ax.texts]
+    assert marks == [(pytest.approx((np.degrees(0.4), 0.0)), "+20 %")] * 4
+    assert [ax.get_title() for ax in figure.axes[:4]] == [f"frequency = {value:g} Hz" for value in FREQUENCIES]
+    svg = next(path for path in draw_plots(result.table, tmp_path) if path.name == f"{GAIN}.svg").read_text()
+    for text in ("spine.amplitude [deg]", "spine.phase [deg]", "speed relative to the stiff spine [%]", "+20 %"):
+        assert text in svg
+
+
+def test_gain_figure_agrees_with_the_summary(tmp_path):
+    """With repeats that differ, the marked percentage is the best ratio that the summary reports."""
+    spec = SPEC | {"randomize": {"repeats": 3, "contact.friction": {"uniform": [0.5, 1.5]}}}
+    result = run_sweep(spec, tmp_path, simulator=FakeSimulator())
+    best = [100 * (line["best"]["ratio"] - 1) for line in result.summary["spine_gain"]]
+    marks = [note.get_text() for ax in gain_figure(result.table).axes for note in ax.texts]
+    assert marks == [f"{value:+.1f}".removesuffix(".0") + " %" for value in best]
+
+
+def test_a_spine_that_only_slows_down_marks_its_least_loss(tmp_path):
+    """The stiff spine itself is never the mark; far losses do not take the scale from the gains."""
+    vary = SPEC["vary"] | {"spine.phase": [2.5, 3.1]}
+    figure = gain_figure(run_sweep(SPEC | {"vary": vary}, tmp_path, simulator=FakeSimulator()).table)
+    assert {note.get_text() for ax in figure.axes for note in ax.texts} == {"−8 %"}
+    values = shown("gain", "%", np.array([0.0, 0.0, 5.0, -80.0]))
+    x, y = shown("a", "1", np.array([0, 0, 1, 1])), shown("b", "1", np.array([0, 1, 0, 1]))
+    figure = heat_maps(x, y, values, [("", np.full(4, True))], "t", "", gain=x.values > 0)
+    assert meshes(figure)[0].get_clim() == (-25, 25)
+
+
+@pytest.mark.parametrize(
+    "vary",
+    [
+        {"spine.amplitude": [0.1, 0.2], "spine.phase": [0.0, 1.0]},
+        {"spine.amplitude": [0.0, 0.2], "frequency": [0.5, 1.0]},
+        {"spine.amplitude": [0.0], "spine.phase": [0.0, 1.0], "frequency": [0.5, 1.0]},
+    ],
+)
+def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
+    """Amplitude and phase must both vary, and amplitude 0 be among the values."""
+    result = run_sweep(SPEC | {"vary": vary}, tmp_path, simulator=FakeSimulator())
+    assert GAIN not in [name for name, _ in _figures(result.table, "speed")]
 
 
 @pytest.mark.parametrize(

@@ -114,3 +114,13 @@ def test_as_published_profile_walks(simulator):
     result = simulator(gait="trt", profile="as_published").run({"frequency": 0.8}, LONG)
     assert result.status[0] == "ok"
     assert 0.05 < result.metrics["speed"][0] < 0.096
+
+
+def test_servos_turn_no_faster_than_their_speed(simulator):
+    """No servo's target changes by more than its speed allows, and a slow servo shortens the stride."""
+    speed = np.array([1.0, 15.0])
+    result = simulator(gait="trt").run({"frequency": 0.8, "servo.speed": speed}, Run(cycles=4), record=True)
+    fastest = np.abs(np.diff(result.trace.ctrl, axis=1)).max(axis=(1, 2)) / 0.01
+    assert fastest[0] == pytest.approx(1.0, rel=1e-3)
+    assert fastest[1] < 15.0
+    assert result.metrics["speed"][0] < 0.9 * result.metrics["speed"][1]

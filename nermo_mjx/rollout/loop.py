@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,20 +20,22 @@ from nermo_mjx.rollout.parameters import Start, Window
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopParameters:
-    """Parameters of one world's loop."""
+    """Parameters of one world's loop; `servo_speed` is how fast a servo's target may change [rad/s]."""
 
     control: ControlParameters
     start: Start
     window: Window
+    servo_speed: Any
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopState:
-    """What the loop carries from tick to tick in one world."""
+    """What the loop carries from tick to tick in one world; `ctrl` is what the servos aim at [rad]."""
 
     control: ControllerState
     metrics: metrics.MetricState
+    ctrl: Float[Array, " n_servos"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,7 +53,9 @@ class ClosedLoop:
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
-        return LoopState(self.controller.init(params.control, sensors, params.start.phase), metrics.init(sensors))
+        control = self.controller.init(params.control, sensors, params.start.phase)
+        servo = self.controller.servo_angles(control)
+        return LoopState(control, metrics.init(sensors), servo.vector(self.robot.n_servos))
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -68,4 +73,6 @@ class ClosedLoop:
         # A diverged world keeps walking in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.diverged, 0.0, leaf[-1]), sensors)
         control, servo = self.controller.update(params.control, state.control, last)
-        return LoopState(control, measured), servo.vector(self.robot.n_servos)
+        reach = params.servo_speed * self.controller.dt
+        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)
+        return LoopState(control, measured, ctrl), ctrl

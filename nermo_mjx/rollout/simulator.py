@@ -129,7 +129,7 @@ class Simulator:
         window = _window(run or Run(), params)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         return Batch(
-            params=_single(LoopParameters(params.control, params.start, window)),
+            params=_single(LoopParameters(params.control, params.start, window, params.model.servo.speed)),
             qpos=self.start.batch(params.control, params.start),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,

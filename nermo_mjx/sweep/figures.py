@@ -13,11 +13,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FormatStrFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-#: One look for all figures; viridis and blue on white read well for the colour-blind and in print.
+#: One look for all figures; viridis, blue on white, and red to blue about 0 read well for the colour-blind and in print.
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
@@ -34,7 +35,7 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "nermo",
     "svg.fonttype": "none",
 }
-COLOURS = "viridis"
+COLOURS, GAIN_COLOURS = "viridis", "RdBu"
 LINE, BAND, MISSING, BEST = "#23648f", "#9dc3de", "#d9d9d9", "#e4572e"
 _SHOWN_UNITS = {
     "rad": ("deg", 180 / math.pi),
@@ -76,33 +77,52 @@ def shown(name: str, unit: str, values: np.ndarray, *, log: bool = False) -> Qua
 
 
 def heat_maps(
-    x: Quantity, y: Quantity, z: Quantity, panels: Sequence[tuple[str, np.ndarray]], title: str, note: str
+    x: Quantity,
+    y: Quantity,
+    z: Quantity,
+    panels: Sequence[tuple[str, np.ndarray]],
+    title: str,
+    note: str,
+    *,
+    gain: np.ndarray | None = None,
 ) -> Figure:
     """One heat map a panel (its title, and a mask of the points in it) on a shared colour scale.
 
     Points that share a cell are averaged. The best cell of all is a star, that of each panel a ring; a cell without
     a run that went well is hatched grey.
+
+    With `gain`, z is a gain in percent: 0 is white, the scale reaches alike far to both sides (far losses are cut off
+    where they would leave the gains pale), marks carry their value, and only points where `gain` holds are marked.
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
     grids = [_cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
-    scale = Normalize(*_limits(np.concatenate([grid.ravel() for grid in grids])))
+    low, high = _limits(np.concatenate([grid.ravel() for grid in grids]))
+    marked, colours, scale, edge = grids, COLOURS, Normalize(low, high), "white"
+    if gain is not None:
+        chosen = np.where(gain, z.values, np.nan)
+        marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
+        colours, scale, edge = GAIN_COLOURS, _about_zero(low, high), "#222222"
     figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4, title)
-    best = max((float(np.nanmax(grid)) for grid in grids if np.isfinite(grid).any()), default=math.nan)
-    for ax, (name, _), grid in zip(axes, panels, grids, strict=False):
+    best = max((float(np.nanmax(grid)) for grid in marked if np.isfinite(grid).any()), default=math.nan)
+    for ax, (name, _), grid, candidates in zip(axes, panels, grids, marked, strict=False):
         ax.add_patch(matplotlib.patches.Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white",
                                                   hatch="////", lw=0, zorder=0))  # fmt: skip
-        ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS)
+        ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         _scales(ax, x, y)
         ax.set_title(name)
-        if np.isfinite(grid).any():
-            i, j = np.unravel_index(int(np.nanargmax(grid)), grid.shape)
-            marker, size = ("*", 190) if grid[i, j] == best else ("o", 34)
-            ax.scatter(xs[i], ys[j], s=size, marker=marker, fc=BEST if marker == "*" else "none", ec="white", lw=1.3,
-                       zorder=5, clip_on=False)  # fmt: skip
-    _outer_labels(figure, axes, len(panels), x.label, y.label)
-    _colour_bar(figure, axes, scale, z.label)
+        if np.isfinite(candidates).any():
+            i, j = np.unravel_index(int(np.nanargmax(candidates)), grid.shape)
+            star = candidates[i, j] == best
+            ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else "none",
+                       ec="white" if star else edge, lw=1.3, zorder=5, clip_on=False)  # fmt: skip
+            if gain is not None:
+                _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=i >= len(xs) / 2)
+    _outer_labels(axes, x.label, y.label)
+    bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
+    if gain is not None:
+        bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
     ring = "; ring: best of its panel" if len(panels) > 1 else ""
-    _note(figure, f"{note}star: best, {z.shown(best)}{ring}")
+    _note(figure, f"{note}star: best, {z.shown(best) if gain is None else _signed(best)}{ring}")
     return figure
 
 
@@ -163,7 +183,7 @@ def encode(figure: Figure, form: str) -> bytes:
 
 def _panels(count: int, size: float, title: str) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels of about `size` inches, and its axes, row by row."""
-    columns = min(count, 4 if count > 6 else 3)
+    columns = _columns(count)
     rows = math.ceil(count / columns)
     figure = Figure(figsize=(columns * size * 1.12 + 1.3, rows * size + 0.9), layout="constrained")
     FigureCanvasAgg(figure)
@@ -175,10 +195,33 @@ def _panels(count: int, size: float, title: str) -> tuple[Figure, list[Axes]]:
     return figure, axes[:count]
 
 
-def _colour_bar(figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str) -> None:
-    bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=list(axes), shrink=0.9, aspect=28, pad=0.02)
+def _columns(count: int) -> int:
+    """Panels in a row."""
+    return min(count, 4 if count > 6 else 3)
+
+
+def _colour_bar(
+    figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str, colours: str = COLOURS, *, cut: bool = False
+) -> Colorbar:
+    extend = "min" if cut else "neither"  # an arrow
+    bar = figure.colorbar(ScalarMappable(scale, colours), ax=list(axes), shrink=0.9, aspect=28, pad=0.02, extend=extend,
+                          extendfrac=0.03)  # fmt: skip
     bar.set_label(label)
     bar.outline.set_visible(False)
+    return bar
+
+
+def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
+    """A text next to a mark, that many points apart."""
+    ax.annotate(text, (x, y), (-apart if left else apart, 0), textcoords="offset points", ha="right" if left else "left",
+                va="center", fontsize=8.5, fontweight="bold", color="#222222", zorder=6,
+                bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0})  # fmt: skip
+
+
+def _signed(percent: float) -> str:
+    """A gain with its sign: +14.5 %."""
+    text = f"{percent:+.3g}" if abs(percent) >= 100 else f"{round(percent, 1) + 0.0:+g}"
+    return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
 
 
 def _note(figure: Figure, text: str) -> None:
@@ -186,16 +229,13 @@ def _note(figure: Figure, text: str) -> None:
     figure.text(0.01, 0.005, text, fontsize=8, color="#555555", va="bottom")
 
 
-def _outer_labels(figure: Figure, axes: Sequence[Axes], count: int, x: str, y: str) -> None:
-    """Axis labels once for all panels; tick labels only at the outside."""
-    if count == 1:
-        axes[0].set(xlabel=x, ylabel=y)
-        return
-    columns = min(count, 4 if count > 6 else 3)
+def _outer_labels(axes: Sequence[Axes], x: str, y: str) -> None:
+    """Axis and tick labels at the outside of the panels only."""
+    columns = _columns(len(axes))
     for i, ax in enumerate(axes):
-        ax.tick_params(labelbottom=i + columns >= count, labelleft=i % columns == 0)
-    figure.supxlabel(x, fontsize=9.5)
-    figure.supylabel(y, fontsize=9.5)
+        bottom, left = i + columns >= len(axes), i % columns == 0
+        ax.tick_params(labelbottom=bottom, labelleft=left)
+        ax.set(xlabel=x if bottom else "", ylabel=y if left else "")
 
 
 def _scales(ax: Axes, x: Quantity, y: Quantity | None = None) -> None:
@@ -246,6 +286,12 @@ def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
         middle = (c[1:] + c[:-1]) / 2
         edges = np.concatenate([[2 * c[0] - middle[0]], middle, [2 * c[-1] - middle[-1]]])
     return np.exp(edges) if log else edges
+
+
+def _about_zero(low: float, high: float) -> Normalize:
+    """A scale that reaches alike far to both sides of 0; losses beyond 25 % and three times the best gain are cut."""
+    far = max(high, min(-low, max(3 * high, 25.0)))
+    return Normalize(-far, far)
 
 
 def _limits(values: np.ndarray) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from nermo_mjx.sweep.figures import STYLE, Quantity, encode, heat_maps, line, pair_scatters, scatters, shown
+from nermo_mjx.sweep.summary import LEADING, spine_ratio
 from nermo_mjx.sweep.table import columns_of, meta
 
 #: A figure has no more panels than this; more values are thinned evenly.
@@ -67,7 +68,7 @@ def _figures(table: pa.Table, metric: str) -> list[tuple[str, Figure]]:
         if len(varied) == 1:
             x = varied[0]
             return [(f"{metric}-over-{x.name}", line(x, z, f"{_title(metric)} over {x.name}", note))]
-        return _heat_map_figures(varied, z, metric, note)
+        return _heat_map_figures(varied, z, metric, note) + _gain_figures(table, metric)
     drawn = varied or [_quantity(table, name) for name in columns_of(table, "randomized")]
     return _scatter_figures(drawn, z, metric)
 
@@ -76,17 +77,30 @@ def _heat_map_figures(varied: list[Quantity], z: Quantity, metric: str, note: st
     """A heat map a pair; with a third parameter, one panel for each of its values."""
     figures = []
     for x, y in itertools.combinations(varied[:MOST_PAIRED], 2):
-        rest = [other for other in varied if other.name not in (x.name, y.name)]
-        panels, remark = [("", np.full(len(z.values), True))], note
-        if len(rest) == 1:
-            panels, left_out = _slices(rest[0])
-            remark += f"{left_out} more values of {rest[0].name} not shown; " if left_out else ""
-        elif rest:
-            remark += f"mean over {', '.join(other.name for other in rest)}; "
+        panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
         title = f"{_title(metric)} over {x.name} and {y.name}"
         name = f"{metric}-over-{x.name}-and-{y.name}"
-        figures.append((name, heat_maps(x, y, z, panels, title, remark)))
+        figures.append((name, heat_maps(x, y, z, panels, title, note + remark)))
     return figures
+
+
+def _gain_figures(table: pa.Table, metric: str) -> list[tuple[str, Figure]]:
+    """Speed relative to the stiff spine, where a grid varies the spine's phase, and its amplitude from 0."""
+    names = columns_of(table, "varied")
+    if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
+        return []
+    data = spine_ratio(table)
+    about = {name: meta(table.schema.field(name)) for name in names}
+    varied = {n: shown(n, about[n]["unit"], data[n], log=about[n].get("scale") == "log") for n in names}
+    x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
+    z = Quantity("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
+    bends = x.values > 0
+    if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
+        return []
+    panels, remark = _panels([other for other in varied.values() if len(np.unique(other.values)) > 1], len(z.values))
+    title, note = f"Speed gain over {x.name} and {y.name}", f"{remark}stiff: mean at {x.name} 0; "
+    figure = heat_maps(x, y, z, panels, title, note, gain=bends)
+    return [(f"{metric}-gain-over-{x.name}-and-{y.name}", figure)]
 
 
 def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str) -> list[tuple[str, Figure]]:
@@ -110,6 +124,15 @@ def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str) -> list[tu
         title = f"{_title(metric)} over pairs of the parameters that matter most"
         figures.append((f"{metric}-over-pairs", pair_scatters(pairs, z, title, f"{len(z.values)} runs; ")))
     return figures
+
+
+def _panels(rest: list[Quantity], count: int) -> tuple[list[tuple[str, np.ndarray]], str]:
+    """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
+    if len(rest) == 1:
+        panels, left_out = _slices(rest[0])
+        return panels, f"{left_out} more values of {rest[0].name} not shown; " if left_out else ""
+    remark = f"mean over {', '.join(other.name for other in rest)}; " if rest else ""
+    return [("", np.full(count, True))], remark
 
 
 def _slices(third: Quantity) -> tuple[list[tuple[str, np.ndarray]], int]:

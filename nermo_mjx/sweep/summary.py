@@ -50,6 +50,20 @@ def summarize(table: pa.Table, chunks: Sequence[pa.Table]) -> dict[str, Any]:
     }
 
 
+def spine_ratio(table: pa.Table) -> dict[str, np.ndarray]:
+    """How fast each variant walks relative to the stiff spine.
+
+    Returns:
+        One entry a variant with a run that went well: the varied parameters, `ratio` (speed over the mean speed at
+        amplitude 0, all else but the spine's phase alike; nan without such a run), and `base` (that mean speed).
+    """
+    frame = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
+    varied = columns_of(table, "varied")
+    variants = _variants(frame, frame["status"] == "ok", varied, [LEADING])
+    ratio, base = _spine_ratio(variants, varied)
+    return {**{name: variants[name] for name in varied}, "ratio": ratio, "base": base}
+
+
 def to_json(summary: Mapping[str, Any]) -> bytes:
     """JSON text; what is not finite becomes null."""
     return (json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n").encode()
@@ -118,19 +132,25 @@ def _correlations(table: pa.Table, frame: Mapping[str, np.ndarray], well: np.nda
     return result
 
 
-def _spine_gain(variants: Mapping[str, np.ndarray], varied: Sequence[str]) -> list[dict[str, Any]]:
-    """Speed with the spine over speed at amplitude 0, all else but its phase alike; best and worst a frequency."""
-    if "spine.amplitude" not in varied:
-        return []
-    amplitude, speed = variants["spine.amplitude"], variants["speed"]
+def _spine_ratio(variants: Mapping[str, np.ndarray], varied: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Speed over speed at amplitude 0, all else but the spine's phase alike, and that speed at amplitude 0."""
+    amplitude, speed = variants["spine.amplitude"], variants[LEADING]
     alike = [name for name in varied if name not in ("spine.amplitude", "spine.phase")]
     keys = list(zip(*(variants[name] for name in alike), strict=True)) if alike else [()] * len(speed)
     still: dict[tuple[float, ...], list[float]] = {key: [] for key in keys}
     for key, value in zip(keys, np.where(amplitude == 0, speed, math.nan).tolist(), strict=True):
         still[key] += [value] if math.isfinite(value) else []
     base = np.array([np.mean(still[key]) if still[key] else math.nan for key in keys])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(amplitude > 0, speed / base, math.nan)
+    return speed / np.where(base > 0, base, math.nan), base
+
+
+def _spine_gain(variants: Mapping[str, np.ndarray], varied: Sequence[str]) -> list[dict[str, Any]]:
+    """Speed with the spine relative to the stiff spine; best and worst a frequency."""
+    if "spine.amplitude" not in varied:
+        return []
+    speed = variants[LEADING]
+    ratio, base = _spine_ratio(variants, varied)
+    ratio = np.where(variants["spine.amplitude"] > 0, ratio, math.nan)
     lines = []
     for frequency in np.unique(variants["frequency"]) if "frequency" in varied else [None]:
         here = np.isfinite(ratio) & (True if frequency is None else variants["frequency"] == frequency)
