@@ -189,7 +189,10 @@ def test_ctrl_c_is_exit_code_1_and_says_what_to_do(monkeypatch: pytest.MonkeyPat
 def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
     spec.write_text("run: {cycles: 3, warmup_cycles: 1}\nvary: {frequency: {linspace: [0.4, 1.2, 40]}}\nchunk: 2\n")
-    command = [sys.executable, "-m", "nermo_mjx", "sweep", str(spec), "--out", str(out), "--engine", "c"]
+    # A shell starts background jobs with Ctrl-C ignored, and the tests may run in one.
+    heed = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    start = f"{heed}; runpy.run_module('nermo_mjx', run_name='__main__', alter_sys=True)"
+    command = [sys.executable, "-c", start, "sweep", str(spec), "--out", str(out), "--engine", "c"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 120
     while not list(out.glob("results/*.parquet")) and time.monotonic() < until:

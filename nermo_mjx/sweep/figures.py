@@ -18,7 +18,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-#: One look for all figures; viridis, blue on white, and red to blue about 0 read well for the colour-blind and in print.
+#: One look for all figures; viridis, blue on white and red to blue read well for the colour-blind and in print.
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
@@ -116,7 +116,7 @@ def heat_maps(
             ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else "none",
                        ec="white" if star else edge, lw=1.3, zorder=5, clip_on=False)  # fmt: skip
             if gain is not None:
-                _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=i >= len(xs) / 2)
+                _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=bool(i >= len(xs) / 2))
     _outer_labels(axes, x.label, y.label)
     bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
     if gain is not None:
@@ -213,8 +213,8 @@ def _colour_bar(
 
 def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
     """A text next to a mark, that many points apart."""
-    ax.annotate(text, (x, y), (-apart if left else apart, 0), textcoords="offset points", ha="right" if left else "left",
-                va="center", fontsize=8.5, fontweight="bold", color="#222222", zorder=6,
+    ax.annotate(text, (x, y), (-apart if left else apart, 0), textcoords="offset points",
+                ha="right" if left else "left", va="center", fontsize=8.5, fontweight="bold", color="#222222", zorder=6,
                 bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0})  # fmt: skip
 
 
