@@ -97,11 +97,11 @@ def heat_maps(
     xs, ys = np.unique(x.values), np.unique(y.values)
     grids = [_cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
     low, high = _limits(np.concatenate([grid.ravel() for grid in grids]))
-    marked, colours, scale, edge = grids, COLOURS, Normalize(low, high), "white"
+    marked, colours, scale, fill, edge = grids, COLOURS, Normalize(low, high), "none", "white"
     if gain is not None:
         chosen = np.where(gain, z.values, np.nan)
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
-        colours, scale, edge = GAIN_COLOURS, _about_zero(low, high), "#222222"
+        colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", "#222222"
     figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4, title)
     best = max((float(np.nanmax(grid)) for grid in marked if np.isfinite(grid).any()), default=math.nan)
     for ax, (name, _), grid, candidates in zip(axes, panels, grids, marked, strict=False):
@@ -113,7 +113,7 @@ def heat_maps(
         if np.isfinite(candidates).any():
             i, j = np.unravel_index(int(np.nanargmax(candidates)), grid.shape)
             star = candidates[i, j] == best
-            ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else "none",
+            ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else fill,
                        ec="white" if star else edge, lw=1.3, zorder=5, clip_on=False)  # fmt: skip
             if gain is not None:
                 _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=bool(i >= len(xs) / 2))
