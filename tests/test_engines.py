@@ -73,7 +73,7 @@ def test_worlds_do_not_disturb_each_other(simulator):
     np.testing.assert_allclose(alone.qpos[0, :40], together.qpos[4, :40], atol=1e-5)
 
 
-def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator):
+def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator, tmp_path, monkeypatch, capfd):
     """A world whose numbers are lost half-way is flagged and keeps what it had measured; its neighbour goes on."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare({name: values[:2] for name, values in WALKS.items()}, Run(cycles=3, warmup_cycles=1))
@@ -81,8 +81,11 @@ def test_a_world_that_diverges_is_flagged_and_leaves_the_others_alone(simulator)
     for session in (broken, whole):
         session.advance(200)
     broken.batch.bind("qvel")[1] = np.nan
+    monkeypatch.chdir(tmp_path)
     for session in (broken, whole):
         session.advance(100)
+    assert list(tmp_path.iterdir()) == []  # no log file of MuJoCo's
+    assert capfd.readouterr().err == ""
     np.testing.assert_array_equal(broken.loop_state.metrics.diverged, [False, True])
     np.testing.assert_array_equal(broken.qpos[0], whole.qpos[0])
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(broken.loop_state.metrics))

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
+from collections.abc import Iterator
 from typing import Any
 
 import jax
+import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.robot import Robot
+
+
+@contextlib.contextmanager
+def _warnings_logged() -> Iterator[None]:
+    """Log what MuJoCo warns of, at level debug; by itself it prints, and leaves a file in the working directory."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 class CEngine:
@@ -48,15 +63,17 @@ class CSession:
 
     def advance(self, ticks: int) -> None:
         """See `Session.advance`."""
-        for _ in range(ticks):
-            self._tick()
+        with _warnings_logged():
+            for _ in range(ticks):
+                self._tick()
 
     def record(self, ticks: int) -> Trace:
         """See `Session.record`."""
         rows: list[tuple[np.ndarray, ...]] = []
-        for _ in range(ticks):
-            self._tick()
-            rows.append((self.qpos.copy(), self.qvel.copy(), self.ctrl.copy(), self.sensordata[:, -1].copy()))
+        with _warnings_logged():
+            for _ in range(ticks):
+                self._tick()
+                rows.append((self.qpos.copy(), self.qvel.copy(), self.ctrl.copy(), self.sensordata[:, -1].copy()))
         return Trace(*(np.stack(column, axis=1) for column in zip(*rows, strict=True)))
 
     def _tick(self) -> None:

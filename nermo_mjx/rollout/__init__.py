@@ -2,6 +2,6 @@
 
 from nermo_mjx.rollout.metrics import METRICS, Metric
 from nermo_mjx.rollout.setup import Run, Setup, all_parameters
-from nermo_mjx.rollout.simulator import Recording, RunResult, Simulator
+from nermo_mjx.rollout.simulator import History, RunResult, Simulator
 
-__all__ = ["METRICS", "Metric", "Recording", "Run", "RunResult", "Setup", "Simulator", "all_parameters"]
+__all__ = ["METRICS", "History", "Metric", "Run", "RunResult", "Setup", "Simulator", "all_parameters"]

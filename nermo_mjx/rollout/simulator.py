@@ -26,7 +26,7 @@ BLOCK = 25
 
 
 @dataclasses.dataclass(frozen=True)
-class Recording:
+class History:
     """What happened in every world, one entry a control tick.
 
     Attributes:
@@ -62,7 +62,7 @@ class RunResult:
     steps: int
     wall_seconds: float
     compile_seconds: float
-    trace: Recording | None = None
+    trace: History | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,6 +103,7 @@ class Simulator:
         self.engine = make_engine(engine, self.robot, self.loop)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
+        self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
         self._results = jax.jit(jax.vmap(metrics.result))
 
     @functools.cached_property
@@ -151,15 +152,17 @@ class Simulator:
             run: length and warm-up; eight gait cycles, two of them warm-up, by default.
             record: keep every tick of every world (memory: about 1.5 kB a tick and world).
             progress: called with the share done, in [0, 1].
-            notify: called with a sentence when a program is compiled.
+            notify: called with a sentence before a program is compiled that this simulator has not run yet.
 
         Raises:
             ParameterError: see `parameters`.
         """
         began = time.perf_counter()
         batch = self.prepare(values, run)
-        if notify:
+        program = (len(batch.qpos), tuple(batch.fields), record)
+        if notify and program not in self._compiled:
             notify(f"compiling the {self.engine.name} program, once per machine")
+        self._compiled.add(program)
         session = self.engine.open(batch.params, batch.qpos, batch.fields)
         # Whole blocks only: a recorded block of another length would be another program.
         ticks = -(-batch.ticks // BLOCK) * BLOCK if record else batch.ticks
@@ -186,10 +189,10 @@ class Simulator:
             steps=ticks * self.loop.steps_per_tick,
             wall_seconds=time.perf_counter() - began,
             compile_seconds=compiled or 0.0,
-            trace=self._recording(traces, batch.ticks) if record else None,
+            trace=self._history(traces, batch.ticks) if record else None,
         )
 
-    def _recording(self, traces: list[Trace], ticks: int) -> Recording:
+    def _history(self, traces: list[Trace], ticks: int) -> History:
         qpos, qvel, ctrl, sensordata = (
             np.concatenate([getattr(trace, name) for trace in traces], axis=1)[:, :ticks]
             for name in ("qpos", "qvel", "ctrl", "sensordata")
@@ -197,7 +200,7 @@ class Simulator:
         sensors: Sensors = self.robot.sensors(sensordata)
         named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
         time_axis = (1 + np.arange(qpos.shape[1])) * self.controller.dt
-        return Recording(time_axis, qpos, qvel, ctrl, named)
+        return History(time_axis, qpos, qvel, ctrl, named)
 
 
 def _blocks(ticks: int) -> list[tuple[int, int]]:
