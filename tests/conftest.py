@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import functools
+import os
 
 import numpy as np
 import pytest
 
 import nermo_mjx  # noqa: F401  (settles threads, cache and GL before JAX and MuJoCo start)
+from nermo_mjx import runtime
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 
 
 @functools.cache
 def _simulator(setup: Setup, engine: str) -> Simulator:
     return Simulator(setup, engine)
+
+
+@pytest.fixture(scope="session")
+def drawing():
+    """Skips, with the remedy, where nothing can draw; in CI, which installs a library, that is a failure."""
+    try:
+        runtime.require_gl()
+    except runtime.RenderingUnavailable as missing:
+        if os.environ.get("CI"):
+            raise
+        pytest.skip(str(missing))
 
 
 @pytest.fixture(scope="session")

@@ -267,6 +267,7 @@ def test_quiet_says_nothing(tmp_path: Path) -> None:
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
 
 
+@pytest.mark.usefixtures("drawing")
 def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     record, video = tmp_path / "walk.npz", tmp_path / "walk.gif"
     report = json_of(*SHORT, "--record", record, "--tail", "articulated")

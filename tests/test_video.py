@@ -44,6 +44,7 @@ def walk(model: mujoco.MjModel, seconds: float = 0.3, rate: float = 100.0, speed
     return Recording(time, qpos, np.zeros((len(time), model.nv)), np.zeros((len(time), 0)))
 
 
+@pytest.mark.usefixtures("drawing")
 def test_an_mp4_has_the_size_and_length_asked_for_and_moves(model: mujoco.MjModel, tmp_path: Path) -> None:
     calls: list[tuple[int, int]] = []
     path = render(
@@ -58,6 +59,7 @@ def test_an_mp4_has_the_size_and_length_asked_for_and_moves(model: mujoco.MjMode
     assert [file.name for file in path.parent.iterdir()] == ["walk.mp4"]
 
 
+@pytest.mark.usefixtures("drawing")
 def test_players_can_play_the_mp4(model: mujoco.MjModel, tmp_path: Path) -> None:
     path = render(walk(model), model, tmp_path / "walk.mp4", fps=20, width=128, height=96)
     with imageio.get_reader(path) as reader:
@@ -67,6 +69,7 @@ def test_players_can_play_the_mp4(model: mujoco.MjModel, tmp_path: Path) -> None
     assert meta["fps"] == 20
 
 
+@pytest.mark.usefixtures("drawing")
 def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path) -> None:
     path = render(walk(model), model, tmp_path / "walk.gif", fps=20, width=63, height=49, speed=0.5, camera="side")
     frames = imageio.mimread(path)
@@ -74,6 +77,7 @@ def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path
     assert frames[0].shape[:2] == (49, 63)
 
 
+@pytest.mark.usefixtures("drawing")
 @pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "front", "rear"])
 def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjModel, tmp_path: Path, camera: str) -> None:
     path = render(walk(model, seconds=4.0), model, tmp_path / "w.gif", fps=1, width=64, height=48, camera=camera)
@@ -86,6 +90,7 @@ def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjMode
         assert abs(rows.mean() - 24) < 13
 
 
+@pytest.mark.usefixtures("drawing")
 def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Path) -> None:
     assert render(walk(model), model, tmp_path / "w.gif", fps=5, width=64, height=48, camera="own").exists()
     with pytest.raises(ParameterError, match=r"camera is 'nose': allowed is one of three_quarter, .*own"):
