@@ -1,4 +1,4 @@
-"""Batched, differentiable digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine.
+"""Batched digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine, on MuJoCo and MJX.
 
 The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
 `METRICS` and `all_parameters`; `control_parameters` (a pytree of arrays); `Sweep`, `run_sweep` and `read_table`;
