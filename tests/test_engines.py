@@ -147,6 +147,24 @@ def test_mjx_and_c_measure_the_same_gait(walks):
 
 
 @pytest.mark.slow
+def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
+    """Masses with the constants MuJoCo derives from them, friction, springs, dampers and servos, world by world."""
+    values = {
+        "frequency": 0.8,
+        "contact.friction": np.array([0.6, 1.0, 1.4]),
+        "mass.front": np.array([0.2, 0.1647, 0.15]),
+        "stiffness.spine": np.array([1.0, 1.2, 1.5]),
+        "damping.knee": np.array([0.004, 0.005, 0.008]),
+        "servo.kp": np.array([5.0, 6.3, 8.0]),
+    }
+    run = Run(cycles=2, warmup_cycles=1)
+    c, mjx = (simulator(engine, spine="stride_extension").run(values, run).metrics for engine in ("c", "mjx"))
+    for name in ("speed", "servo_work", "roll_std"):
+        np.testing.assert_allclose(mjx[name], c[name], rtol=0.01, err_msg=name)
+        assert np.ptp(c[name]) > 0.05 * c[name].mean()
+
+
+@pytest.mark.slow
 def test_new_values_never_recompile_on_mjx(walks, simulator, compilations):
     """Other parameters, and another length of the run, use the program that is there."""
     walks("mjx")
