@@ -5,6 +5,7 @@ The numbers come from the table of masses and the parameter trees; the functions
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Final
 
 import mujoco
@@ -27,6 +28,14 @@ TENDON_SOLREF: Final = (0.004, 1.0)
 TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
+#: Geoms of a scene whose names start so are obstacles: they touch the robot, and nothing else.
+OBSTACLE: Final = "obstacle"
+#: Geoms whose names end so touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
+#: slip into a box: these spheres and capsules complete them to the robot's outline, but for its tail and 2 mm of the
+#: soft paws. A scene without obstacles is built without them, so that they cost it nothing.
+BUMPER: Final = "_bumper"
+#: Plastic and printed parts on wood.
+OBSTACLE_FRICTION: Final = 0.4
 
 
 def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
@@ -147,3 +156,18 @@ def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
     for geom in TRUNK:
         spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)
+    _add_obstacle_contacts(spec)
+
+
+def _add_obstacle_contacts(spec: mujoco.MjSpec) -> None:
+    """Declare a contact pair of every obstacle with every part of the robot's outline."""
+    obstacles = [geom.name for geom in spec.geoms if geom.name.startswith(OBSTACLE)]
+    bumpers = [geom for geom in spec.geoms if geom.name.endswith(BUMPER)]
+    if not obstacles:
+        for geom in bumpers:
+            spec.delete(geom)
+        return
+    outline = (*TRUNK, *(f"{limb}_sole" for limb in LIMBS), *(geom.name for geom in bumpers))
+    for obstacle, part in itertools.product(obstacles, outline):
+        pair = spec.add_pair(name=f"{obstacle}_{part}", geomname1=obstacle, geomname2=part, condim=3)
+        pair.friction = np.array([OBSTACLE_FRICTION, OBSTACLE_FRICTION, 0.005, 0.0001, 0.0001])

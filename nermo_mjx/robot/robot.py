@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble
+from nermo_mjx.robot.equipment import OBSTACLE
 from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.masses import is_front
@@ -108,6 +109,11 @@ class Robot:
         front_mass, front_com = share(front, base.xpos, base.xmat)
         rear_mass, rear_com = share(~front, end.xpos, end.xmat)
         return MassModel(front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com)
+
+    @functools.cached_property
+    def obstacles(self) -> tuple[int, ...]:
+        """Ids of the geoms that the robot may run into, in the scene's order; empty in an open scene."""
+        return tuple(i for i in range(self.model.ngeom) if self.model.geom(i).name.startswith(OBSTACLE))
 
     def mass_table(self) -> list[dict[str, float | str]]:
         """Mass of every body [kg], and whether it counts to the front or the rear."""
