@@ -21,7 +21,7 @@ from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantit
 #: 61 % front, 39 % rear (erratum 9), at the places of Table A.5.
 MASSES = MassModel(0.1647, 0.1053, np.array([0.0, -0.0317, -0.0270]), np.array([0.0, 0.0310, -0.0160]))
 TICKS = 300
-PUBLISHED_GAINS = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0}
+PUBLISHED_GAINS = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0, "pilot.guidance": 0.0}
 
 
 def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
@@ -249,7 +249,7 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
 
     A PD has no integral: a circle of radius R needs the turn rate 0.15/R, which takes a steady error of 0.15/R/40.
     """
-    values = {"pilot.radius": radius, "pilot.direction": side, "pilot.feed_forward": 0.0, **PUBLISHED_GAINS}
+    values = {"pilot.radius": radius, "pilot.direction": side, **PUBLISHED_GAINS}
     error = unicycle(Controller(pilot=pilot), control_parameters(**values), lambda turn_rate: turn_rate / 0.15)
     steady = -side * 0.15 / radius / 40.0 if pilot == "arc" else 0.0
     np.testing.assert_allclose(error[-500:], steady, atol=2e-3)
@@ -257,11 +257,46 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
 
 @pytest.mark.parametrize("radius", [0.5, 1.0])
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
-def test_a_unicycle_that_obeys_the_theory_stays_on_its_arc(steering, radius):
-    """The feed-forward takes the PD's steady error, (turn rate that the arc needs)/gain: 79 mm for legs at 0.5 m."""
+def test_a_unicycle_that_turns_as_expected_stays_on_its_arc(steering, radius):
+    """Where the published PD would need an error of 16 mm (legs, 0.5 m) to turn at all."""
     params = control_parameters(steering=steering, **{"pilot.radius": radius, "pilot.direction": -1.0})
     error = unicycle(Controller(pilot="arc"), params, lambda turn_rate: turning.path_curvature(params, turn_rate), 0.0)
-    np.testing.assert_allclose(error, 0.0, atol=1e-3)
+    np.testing.assert_allclose(error, 0.0, atol=2e-3)
+
+
+@pytest.mark.parametrize("grip", [0.6, 1.3])
+@pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
+def test_guidance_finds_out_how_much_the_robot_really_turns(steering, grip):
+    """A unicycle that turns less or more than expected, from 3 cm beside its arc, has no error left in the end."""
+    params = control_parameters(steering=steering, **{"pilot.radius": 1.0})
+    robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
+    error = unicycle(Controller(pilot="arc"), params, robot)
+    np.testing.assert_allclose(error[-500:], 0.0, atol=3e-3)
+    assert np.abs(error).max() < 0.045
+
+
+@pytest.mark.parametrize("steering", ["leg", "mix"])
+def test_guidance_does_not_steer_against_the_sway(steering):
+    """On a line, with a sway of 1 cm at the gait's frequency: in the end the turn rate has no part at that frequency.
+
+    The published gains answer to such a sway with a turn rate of 0.7 and more.
+    """
+    params = control_parameters(steering=steering, frequency=0.5)
+    controller = Controller()
+    time = np.arange(2000) / 100
+
+    def step(state, x):
+        state, _ = controller.update(
+            params, state, dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
+        )
+        return state, (state.turn_rate, state.guidance.error)
+
+    start = controller.init(params, sensors_at())
+    sway = jnp.asarray(0.01 * np.cos(2 * np.pi * 0.5 * time + 0.3), jnp.float32)
+    _, (turn, error) = jax.jit(lambda start: jax.lax.scan(step, start, sway))(start)
+    curvature = turning.path_curvature(params, turn[-400:])
+    assert np.abs(curvature).max() < 0.05
+    assert np.abs(error[-400:]).max() < 3e-4
 
 
 def unicycle(controller, params, curvature, beside=0.03):
@@ -277,7 +312,7 @@ def unicycle(controller, params, curvature, beside=0.03):
             state, x, y, yaw = carry
             state, _ = controller.update(params, state, seen_at(x, y))
             yaw = yaw + dt * speed * curvature(state.turn_rate)
-            return (state, x + dt * speed * jnp.sin(yaw), y - dt * speed * jnp.cos(yaw), yaw), state.cross_track
+            return (state, x + dt * speed * jnp.sin(yaw), y - dt * speed * jnp.cos(yaw), yaw), state.path_point.error
 
         start = controller.init(params, seen_at(*place))
         return jax.lax.scan(step, (start, *place, jnp.zeros(())), None, length=4000)[1]
@@ -287,7 +322,7 @@ def unicycle(controller, params, curvature, beside=0.03):
 
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_an_arc_starts_in_the_posture_of_its_feed_forward(steering, side):
+def test_an_arc_starts_in_the_posture_of_its_guidance(steering, side):
     """So that nothing jumps at the first tick of a robot that stands on its path."""
     params = control_parameters(steering=steering, **{"pilot.radius": 0.5, "pilot.direction": side})
     controller = Controller(pilot="arc")
@@ -298,7 +333,7 @@ def test_an_arc_starts_in_the_posture_of_its_feed_forward(steering, side):
     assert after.spine == pytest.approx(float(start.spine), abs=1e-6)
 
 
-def test_the_published_pilot_has_no_feed_forward():
+def test_the_published_pilot_has_no_guidance():
     params = control_parameters(profile="as_published", **{"pilot.radius": 0.5})
     assert Controller(pilot="arc").init(params, sensors_at()).turn_rate == 0.0
 

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.control.path import straight
 from nermo_mjx.robot import LIMBS, Sensors
 from nermo_mjx.rollout import METRICS, metrics
 from nermo_mjx.rollout.attitude import attitude, uprightness
@@ -54,11 +56,12 @@ def every_step(values: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
-def _program() -> Any:
+def _program(on_line: bool) -> Any:
     def run(window, readings, rate):
         def tick(carry, sensors):
             state, time = carry
-            state = metrics.update(window, state, sensors, time, DT, rate)
+            beside = straight(Pilot(), sensors.position[-1]) if on_line else None
+            state = metrics.update(window, state, sensors, time, DT, rate, beside)
             return (state, time + DT), state
 
         # As in the loop: the first reading is that at rest, at time 0, and belongs to no tick.
@@ -69,12 +72,17 @@ def _program() -> Any:
     return jax.jit(run)
 
 
-def measure(readings: Sensors, rate: float = RATE, **window: float) -> tuple[dict[str, float], Any]:
-    """Metrics of a stream, and the accumulators after every tick; the first tick of a stream is the state at rest."""
+def measure(
+    readings: Sensors, rate: float = RATE, on_line: bool = False, **window: float
+) -> tuple[dict[str, float], Any]:
+    """Metrics of a stream, and the accumulators after every tick; the first tick of a stream is the state at rest.
+
+    `on_line`: beside the straight pilot's line, instead of without a path.
+    """
     with jax.enable_x64(True):
         limits = {field.name: np.float64(window.get(field.name, 1e6)) for field in dataclasses.fields(Window)}
         limits["begin"] = np.float64(window.get("begin", 0.0))
-        result, history = _program()(Window(**limits), readings, np.float64(rate))
+        result, history = _program(on_line)(Window(**limits), readings, np.float64(rate))
         return {name: float(value) for name, value in result.items()}, jax.tree.map(np.asarray, history)
 
 
@@ -288,16 +296,47 @@ def test_the_warm_up_is_not_measured():
     assert measure(wild_then_calm(153), begin=1.5, end=3.5)[0]["roll_max"] == pytest.approx(0.5)
 
 
-def test_measuring_stops_at_the_wanted_distance():
-    """The tick that covers the distance is the last; the warm-up's way counts towards it."""
+def test_measuring_stops_at_the_end_of_the_cycle_that_covers_the_distance():
+    """Angles are measured over whole gait cycles; the warm-up's way counts towards the distance."""
     readings = stream(401, position=path(0 * TIME, -0.08 * TIME))
-    whole, _ = measure(readings, distance=0.2)
-    assert whole["duration"] == pytest.approx(2.5, abs=DT + 1e-9)
-    assert whole["distance"] == pytest.approx(0.2, abs=0.08 * DT + 1e-9)
+    whole, _ = measure(readings, rate=2.0, distance=0.15)
+    assert whole["duration"] == pytest.approx(2.0, abs=DT + 1e-9)
+    assert whole["distance"] == pytest.approx(0.16, abs=0.08 * DT + 1e-9)
     assert whole["speed"] == pytest.approx(0.08)
-    late, _ = measure(readings, distance=0.2, begin=1.0)
+    late, _ = measure(readings, rate=2.0, distance=0.15, begin=0.8)
     assert late["duration"] == pytest.approx(1.5, abs=DT + 1e-9)
     assert late["speed"] == pytest.approx(0.08)
+
+
+# --- paths
+
+
+@pytest.mark.parametrize(("radius", "angle"), [(0.08, 3.0), (0.3, 2.0), (1.0, 0.6)])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_turning_radius_is_that_of_the_circle_walked(radius, angle, side):
+    turn = angle * TIME / TIME[-1]
+    x, y = side * radius * (1 - np.cos(turn)), -radius * np.sin(turn)
+    result, _ = measure(stream(401, position=path(3.0 + x, y - 5.0)))
+    assert result["turning_radius"] == pytest.approx(radius, rel=1e-5)
+
+
+def test_a_straight_way_has_no_turning_radius():
+    result, _ = measure(stream(401, position=path(0.3 * TIME, -0.08 * TIME)))
+    assert np.isnan(result["turning_radius"])
+    standing, _ = measure(stream(401))
+    assert np.isnan(standing["turning_radius"])
+
+
+def test_sway_counts_in_the_peak_of_the_error_and_not_in_the_way_walked():
+    """A drift of 2 mm a second and a sway of 10 mm at 2 cycles a second; the oracle is NumPy on the same numbers."""
+    error = 0.002 * TIME + 0.010 * np.cos(2 * np.pi * 2.0 * TIME)
+    result, _ = measure(stream(401, position=path(error, -0.08 * TIME)), rate=2.0, on_line=True)
+    assert result["cross_track_peak"] == pytest.approx(np.abs(error[1:]).max(), rel=1e-6)
+    means = error[1:].reshape(-1, 50).mean(axis=1)
+    assert result["cross_track_walked"] == pytest.approx(np.abs(means).max(), rel=1e-6)
+    free, _ = measure(stream(401, position=path(error, -0.08 * TIME)), rate=2.0)
+    assert np.isnan(free["cross_track_peak"])
+    assert np.isnan(free["cross_track_walked"])
 
 
 def test_a_run_that_was_never_measured_has_no_numbers():

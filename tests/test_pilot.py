@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.control import pilot
+from nermo_mjx.control.course import course_through
 from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.control.path import arc, straight
 from nermo_mjx.robot.quantity import ParameterError
 
 metres = st.floats(-5, 5)
@@ -20,10 +22,10 @@ def pilot_of(**values) -> Pilot:
 
 def test_a_robot_to_the_left_of_its_path_is_steered_to_the_right():
     """x is to the left, and a negative turn rate turns right."""
-    error = pilot.cross_track_error("straight", Pilot(), jnp.asarray([0.01, -1.0, 0.05]))
-    assert error == pytest.approx(0.01)
+    point = straight(Pilot(), jnp.asarray([0.01, -1.0, 0.05]))
+    assert point.error == pytest.approx(0.01)
     published = pilot_of(error_gain=40.0, change_gain=300.0)
-    assert pilot.steer(published, error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
+    assert pilot.steer(published, point.error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
     assert pilot.steer(published, jnp.zeros(()), jnp.float32(1e-3)) == pytest.approx(-0.3)
 
 
@@ -33,36 +35,38 @@ def test_the_arcs_error_is_the_distance_to_the_circle_with_a_sign(x, y, radius, 
     """The oracle is hypot in float64; left of a left arc is inside, left of a right arc is outside."""
     x, y = float(np.float32(x)), float(np.float32(y))
     expected = direction * (radius - np.hypot(x - direction * radius, y))
-    error = pilot.arc(pilot_of(radius=radius, direction=direction), jnp.asarray([x, y, 0.0]))
-    assert error == pytest.approx(expected, abs=5e-6, rel=1e-5)
+    point = arc(pilot_of(radius=radius, direction=direction), jnp.asarray([x, y, 0.0]))
+    assert point.error == pytest.approx(expected, abs=5e-6, rel=1e-5)
 
 
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_a_point_on_the_arc_has_no_error(direction):
     angle = np.linspace(0, np.pi / 2, 7)
     place = np.stack([direction * 0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle), 0 * angle], axis=-1)
-    error = pilot.arc(pilot_of(radius=0.5, direction=direction), jnp.asarray(place))
-    np.testing.assert_allclose(error, 0.0, atol=1e-7)
+    point = arc(pilot_of(radius=0.5, direction=direction), jnp.asarray(place))
+    np.testing.assert_allclose(point.error, 0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
-def test_the_arc_bends_to_its_direction_and_its_feed_forward_is_added_before_the_limit(direction):
+def test_the_arc_bends_to_its_direction_and_guidance_is_added_before_the_limit(direction):
     place = jnp.asarray([[0.3, -0.2, 0.0], [0.0, 0.0, 0.0]])
     given = pilot_of(radius=0.5, direction=direction, error_gain=10.0, output_limit=0.8)
-    np.testing.assert_allclose(pilot.arc_curvature(given, place), direction * 2.0)
+    np.testing.assert_allclose(arc(given, place).curvature, direction * 2.0)
     turns = [float(pilot.steer(given, jnp.float32(error), jnp.float32(0.0), 0.6)) for error in (0.0, 0.02, -0.1)]
     assert turns == pytest.approx([0.6, 0.4, 0.8])
 
 
 def test_the_arc_has_a_finite_gradient_at_its_centre():
-    slope = jax.grad(lambda place: pilot.arc(pilot_of(radius=0.5), place))(jnp.asarray([0.5, 0.0, 0.0]))
+    slope = jax.grad(lambda place: arc(pilot_of(radius=0.5), place).error)(jnp.asarray([0.5, 0.0, 0.0]))
     assert np.isfinite(slope).all()
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-1e30, 1e30), st.floats(-1e30, 1e30), st.sampled_from(pilot.PILOTS))
 def test_the_turn_rate_is_limited_for_any_position(x, y, name):
-    error = pilot.cross_track_error(name, Pilot(), jnp.asarray([x, y, 0.0], jnp.float32))
+    position = jnp.asarray([x, y, 0.0], jnp.float32)
+    course = course_through([(0.0, 0.0), (0.0, -1.0), (0.5, -2.0)]) if name == "waypoints" else None
+    error = pilot.path_point(name, course, Pilot(), position, jnp.zeros(())).error
     assert abs(pilot.steer(pilot_of(output_limit=0.5), error, error)) <= 0.5
 
 
@@ -98,11 +102,20 @@ def test_a_table_that_does_not_fit_is_refused_with_a_sentence(time, speed, turn,
         pilot.tabulated(time, speed, turn)
 
 
-@pytest.mark.parametrize(("path", "direction"), [("straight", 1.0), ("arc", 1.0), ("arc", -1.0)])
+@pytest.mark.parametrize(("path", "direction"), [(straight, 1.0), (arc, 1.0), (arc, -1.0)])
 def test_the_tangent_points_along_the_path(path, direction):
     """At the origin every path heads -y; a quarter of a circle on, it heads to the side it bends to."""
     params = Pilot(radius=0.5, direction=direction)
-    np.testing.assert_allclose(pilot.tangent(path, params, jnp.zeros(3)), [0.0, -1.0], atol=1e-6)
-    if path == "arc":
+    np.testing.assert_allclose(path(params, jnp.zeros(3)).tangent, [0.0, -1.0], atol=1e-6)
+    if path is arc:
         quarter = jnp.array([0.5 * direction, -0.5, 0.05])
-        np.testing.assert_allclose(pilot.tangent(path, params, quarter), [direction, 0.0], atol=1e-6)
+        np.testing.assert_allclose(path(params, quarter).tangent, [direction, 0.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("path", [straight, arc])
+def test_the_error_grows_to_the_left_of_the_tangent(path):
+    """The oracle is the slope of the error: it points to the left of the way ahead."""
+    params, place = pilot_of(radius=0.7, direction=-1.0), jnp.asarray([0.1, -0.3, 0.05])
+    slope = jax.grad(lambda point: path(params, point).error)(place)
+    ahead = path(params, place).tangent
+    np.testing.assert_allclose(slope[:2], [-ahead[1], ahead[0]], atol=1e-5)

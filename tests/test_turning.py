@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from nermo_mjx.control import control_parameters, turning
 from nermo_mjx.control.parameters import STEERING, Gait, Stance, Turning
+from nermo_mjx.control.trajectory import neutral_feet
+from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
 from nermo_mjx.robot.quantity import replace_quantities
@@ -159,12 +161,23 @@ def test_left_and_right_paths_need_opposite_turn_rates_and_a_straight_one_none(s
     np.testing.assert_array_equal(turn_rates_for(params, 1 / np.float32([np.inf, -np.inf])), 0.0)
 
 
-def test_the_curvature_of_theory_is_that_of_its_radii_and_legs_and_spine_add():
-    legs, spine, mix = (turning.path_curvature(steered(name), jnp.float32([1.0, -1.0])) for name in STEERING)
-    assert legs == pytest.approx(np.array([1.0, -1.0]) / 0.151, rel=5e-3)
+def test_the_expected_curvature_is_that_of_least_slip_and_of_the_spines_radius():
+    """Oracle for the legs: the rigid motion of two feet of a diagonal that slip least, by least squares."""
+    share = 0.3
+    rate = jnp.float32(share**0.2)
+    feet = np.asarray(feet_positions(0.0, neutral_feet(Stance())))[[0, 3], :2]
+    # The left foot steps 1 - share, the right 1; on the ground they slide by what the body's motion does not take up.
+    rows = np.array([[[1, 0, -y], [0, 1, x]] for x, y in feet], float).reshape(4, 3)
+    motion, *_ = np.linalg.lstsq(rows, -np.array([0.0, 1 - share, 0.0, 1.0]), rcond=None)
+    legs = float(turning.path_curvature(steered("leg"), rate))
+    assert legs == pytest.approx(motion[2] / -motion[1], rel=0.08)
+    assert float(turning.path_curvature(steered("leg"), -rate)) == pytest.approx(-legs, rel=1e-5)
+
+    full = jnp.float32([1.0, -1.0])
+    spine, mix = (turning.path_curvature(steered(name), full) for name in ("spine", "mix"))
     shoulder, _ = turning.spine_radius(joint_angle(jnp.float32(0.4)), *turning.spine_lengths())
     np.testing.assert_allclose(spine, jnp.asarray([1.0, -1.0]) / shoulder, rtol=1e-5)
-    np.testing.assert_allclose(mix, legs + spine, rtol=1e-6)
+    np.testing.assert_allclose(mix, turning.path_curvature(steered("leg"), full) + spine, rtol=1e-6)
 
 
 def test_no_turn_rate_turns_without_legs_and_spine():

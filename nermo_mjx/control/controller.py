@@ -11,15 +11,18 @@ chosen by name is a field of `Controller` and fixed before tracing. Values are u
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from nermo_mjx.control import clock, fusion, pilot, trajectory, turning
+from nermo_mjx.control import clock, fusion, guidance, pilot, trajectory, turning
+from nermo_mjx.control.course import Course, course_through
 from nermo_mjx.control.parameters import ControlParameters, choice
+from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.state import ControllerState, canonical, with_dtypes_of
 from nermo_mjx.kinematics.leg import four_legs, inverse
@@ -31,14 +34,24 @@ from nermo_mjx.robot.quantity import ParameterError
 NO_MODE: Final = "none"
 
 
+class _Command(NamedTuple):
+    """What the pilot decides at a tick; the fields are those of `ControllerState`."""
+
+    speed: Array
+    turn_rate: Array
+    path_point: PathPoint
+    guidance: guidance.Guidance
+
+
 @dataclasses.dataclass(frozen=True)
 class Controller:
     """Static choices of the controller; hashable by value, so it can be closed over or a static argument of `jit`.
 
     Attributes:
         spine: auxiliary modes, "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names).
-        pilot: "open_loop" holds `pilot.turn_rate`, "straight" and "arc" follow a path, "external" asks `command`. All
-            but the last command `gait.speed`.
+        pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" asks
+            `command`. All but the last command `gait.speed`.
+        waypoints: (x, y) of the points that the pilot "waypoints" passes [m], see `course.course_through`.
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
         trajectory: form of the foot path, "cubic", "linear" or "parabolic".
         routing: knee tendon routing of the legs.
@@ -52,6 +65,7 @@ class Controller:
 
     spine: str | tuple[str, ...] = NO_MODE
     pilot: str = "straight"
+    waypoints: tuple[tuple[float, float], ...] | None = None
     command: Command | None = None
     trajectory: str = "cubic"
     routing: str = "type3"
@@ -71,6 +85,15 @@ class Controller:
             raise ParameterError(
                 f"command is {state}: the pilot 'external', and no other, takes one (pilot is {self.pilot!r})."
             )
+        if (self.pilot == pilot.WAYPOINTS) != (self.waypoints is not None):
+            state = "missing" if self.waypoints is None else "given"
+            raise ParameterError(
+                f"waypoints is {state}: the pilot 'waypoints', and no other, takes them (pilot is {self.pilot!r})."
+            )
+        if self.waypoints is not None:
+            points = tuple(tuple(map(float, point)) for point in self.waypoints)
+            object.__setattr__(self, "waypoints", points)
+            _course_through(points)
         if "balance" in self.modes and self.masses is None:
             raise ParameterError(f"masses is None: the spine mode {self.spine!r} needs the robot's mass model.")
         if self.masses is not None:
@@ -82,6 +105,10 @@ class Controller:
     def modes(self) -> tuple[str, ...]:
         """The auxiliary modes that are on."""
         return tuple(name for name in fusion.MODES if name in str(self.spine).split("+"))
+
+    @property
+    def _course(self) -> Course | None:
+        return None if self.waypoints is None else _course_through(self.waypoints)
 
     @property
     def dt(self) -> float:
@@ -104,8 +131,19 @@ class Controller:
             phase: of the gait cycle; taken modulo 1.
         """
         state = self._start(params, phase)
-        error = pilot.cross_track_error(self.pilot, params.pilot, sensors.position)
-        return with_dtypes_of(state, dataclasses.replace(state, cross_track=error))
+        point = self.locate(params, sensors.position, state.path_point.progress)
+        located = dataclasses.replace(state, path_point=point, guidance=guidance.start(point.error))
+        return with_dtypes_of(state, located)
+
+    def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Float[Array, ""]) -> PathPoint:
+        """The point of the pilot's path beside a position; on the line straight ahead for a pilot without a path.
+
+        Args:
+            params: unbatched parameters.
+            position: in the world [m].
+            progress: of the last point, for a path that comes near itself [m].
+        """
+        return pilot.path_point(self.pilot, self._course, params.pilot, position, progress)
 
     def initial_servo(self, params: ControlParameters, phase: Float[Array, ""] | float = 0.0) -> ServoAngles:
         """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
@@ -115,7 +153,8 @@ class Controller:
         self, params: ControlParameters, state: ControllerState, sensors: Sensors
     ) -> tuple[ControllerState, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
-        speed, turn_rate, error = self._command(params, state, sensors)
+        command = self._command(params, state, sensors)
+        speed, turn_rate = command.speed, command.turn_rate
         phase = clock.advance(state.phase, params.gait.frequency, self.dt / params.tracking.clock_ratio)
         limbs = clock.limb_states(params.gait, phase)
 
@@ -132,7 +171,7 @@ class Controller:
         tick = state.tick + 1
         after = ControllerState(
             tick=tick, time=tick * self.dt, phase=phase, stance=limbs.stance, points=points, path=path, foot=foot,
-            speed=speed, turn_rate=turn_rate, spine=spine, cross_track=error,
+            spine=spine, **command._asdict(),
         )  # fmt: skip
         after = with_dtypes_of(state, after)
         return after, self.servo_angles(after)
@@ -146,7 +185,8 @@ class Controller:
     def _start(self, params: ControlParameters, phase: Float[Array, ""] | float) -> ControllerState:
         phase = clock.wrap(jnp.asarray(phase, dtype=float))
         limbs = clock.limb_states(params.gait, phase)
-        speed, turn_rate = self._given_command(params, jnp.zeros(()), jnp.zeros(3))
+        point = self.locate(params, jnp.zeros(3), jnp.zeros(()))
+        speed, turn_rate = self._given_command(params, jnp.zeros(()), point.curvature)
         points = trajectory.nominal_points(params.stance, limbs.stance, self._strides(params, speed, turn_rate))
         path = trajectory.position(points, limbs.progress, self.trajectory)
         spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
@@ -154,39 +194,54 @@ class Controller:
         zero = jnp.zeros(())
         state = ControllerState(
             tick=jnp.zeros((), dtype=jnp.int32), time=zero, phase=phase, stance=limbs.stance, points=points,
-            path=path, foot=foot, speed=speed, turn_rate=turn_rate, spine=spine, cross_track=zero,
+            path=path, foot=foot, speed=speed, turn_rate=turn_rate, spine=spine, path_point=point,
+            guidance=guidance.start(zero),
         )  # fmt: skip
         return canonical(state)
 
     def _given_command(
-        self, params: ControlParameters, time: Float[Array, ""], position: Float[Array, " 3"]
+        self, params: ControlParameters, time: Float[Array, ""], curvature: Float[Array, ""]
     ) -> tuple[Array, Array]:
-        """Speed and turn rate without feedback: as commanded, or as the path needs at `position`."""
+        """Speed and turn rate as commanded, or as the guidance's curvature [1/m] needs."""
         speed, turn_rate = params.gait.speed, jnp.zeros(())
         if self.pilot == "open_loop":
             turn_rate = params.pilot.turn_rate
-        elif self.pilot in pilot.CURVATURES:
-            needed = turning.turn_rate_for(params, pilot.CURVATURES[self.pilot](params.pilot, position))
-            turn_rate = params.pilot.feed_forward * needed
+        elif self.pilot in pilot.FOLLOWERS:
+            turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature)
         elif self.command is not None:
             speed, turn_rate = self.command(time)
         return jnp.maximum(jnp.asarray(speed), 0.0), jnp.clip(jnp.asarray(turn_rate), -1.0, 1.0)
 
-    def _command(
-        self, params: ControlParameters, state: ControllerState, sensors: Sensors
-    ) -> tuple[Array, Array, Array]:
-        """(speed, turn rate, cross-track error), new at a pilot tick and held between two of them."""
-        speed, turn_rate = self._given_command(params, state.time, sensors.position)
-        error = pilot.cross_track_error(self.pilot, params.pilot, sensors.position)
-        if self.pilot in pilot.PATHS:
+    def _command(self, params: ControlParameters, state: ControllerState, sensors: Sensors) -> _Command:
+        """The pilot's output, new at a pilot tick and held between two of them."""
+        point = self.locate(params, sensors.position, state.path_point.progress)
+        estimate, curvature = state.guidance, point.curvature
+        if self.pilot in pilot.FOLLOWERS:
+            estimate, curvature = self._guide(params, state, point)
+        speed, turn_rate = self._given_command(params, state.time, curvature)
+        if self.pilot in pilot.FOLLOWERS:
             published_ticks = pilot.PUBLISHED_PILOT_RATE / (self.pilot_rate * params.tracking.clock_ratio)
-            turn_rate = pilot.steer(params.pilot, error, (error - state.cross_track) / published_ticks, turn_rate)
+            change = (point.error - state.path_point.error) / published_ticks
+            turn_rate = pilot.steer(params.pilot, point.error, change, turn_rate)
         due = state.tick % self.ticks_per_pilot_tick == 0
-        return (
-            jnp.where(due, speed, state.speed),
-            jnp.where(due, turn_rate, state.turn_rate),
-            jnp.where(due, error, state.cross_track),
+        new, held = (
+            _Command(speed, turn_rate, point, estimate),
+            _Command(state.speed, state.turn_rate, state.path_point, state.guidance),
         )
+        return jax.tree.map(lambda now, before: jnp.where(due, now, before), new, held)
+
+    def _guide(
+        self, params: ControlParameters, state: ControllerState, point: PathPoint
+    ) -> tuple[guidance.Guidance, Array]:
+        """The guidance's estimate, and the curvature that it wants [1/m]."""
+        strides = self._strides(params, state.speed, state.turn_rate)
+        speed = turning.body_speed(params.gait, jnp.mean(strides)) / params.tracking.clock_ratio
+        turned = speed**2 * (turning.path_curvature(params, state.turn_rate) - point.curvature)
+        cycle_rate = params.gait.frequency / params.tracking.clock_ratio
+        estimate = guidance.observe(
+            params.pilot, state.guidance, point.error, state.phase, turned, cycle_rate, 1.0 / self.pilot_rate
+        )
+        return estimate, point.curvature + guidance.correction(params.pilot, estimate, speed)
 
     @staticmethod
     def _strides(params: ControlParameters, speed: Array, turn_rate: Array) -> Float[Array, " 4"]:
@@ -205,6 +260,9 @@ class Controller:
             masses = jax.tree.map(jnp.asarray, self.masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
             auxiliary += fusion.balance(params.spine, masses, feet, stance)
         return fusion.fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
+
+
+_course_through = functools.lru_cache(maxsize=32)(course_through)
 
 
 def _mode_names(spine: str | tuple[str, ...]) -> str:

@@ -14,10 +14,10 @@ from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree
 #: Control rate of the published foot tracking lag [Hz], and what it closed of the foot error per tick.
 PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
 PUBLISHED_CLOCK_RATIO = 0.4
-#: The published gain on the cross-track error limit-cycles: with 300 on the change per tick it aims at a point 12 mm
-#: ahead at 0.08 m/s, a tenth of the trunk. The profile `exact` lowers it, to look 48 mm ahead, and makes up for the
-#: larger error on an arc with a feed-forward, which the published pilot does not have.
-PUBLISHED_ERROR_GAIN, PUBLISHED_FEED_FORWARD = 40.0, 0.0
+#: The published pilot is a PD from the cross-track error to the turn rate, and limit-cycles: it aims at a point 12 mm
+#: ahead at 0.08 m/s, a tenth of the trunk, answers to the torso's sway, and cannot see that a turn rate of 0.4 turns the
+#: legs' strides by 1 %. The profile `exact` is guided by curvature instead (`guidance`).
+PUBLISHED_PILOT = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0, "pilot.guidance": 0.0}
 
 
 @parameter_tree
@@ -91,18 +91,27 @@ class Turning:
 
 @parameter_tree
 class Pilot:
-    """The high-level controller: a feed-forward of the path, a PD on the cross-track error, and the path it follows."""
+    """The high-level controller: guidance by curvature, the published PD, and the path that is followed."""
 
-    error_gain: Any = quantity(10.0, unit="1/m", low=0.0, high=1000.0, doc="turn rate per metre of cross-track error")
+    guidance: Any = quantity(
+        1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate for the curvature that leads back to the path"
+    )
+    look_ahead: Any = quantity(
+        0.16, unit="m", low=0.02, high=10.0, doc="way on which the guidance takes back most of a cross-track error"
+    )
+    damping: Any = quantity(1.2, unit="1", low=0.0, high=10.0, doc="damping ratio of the way back to the path")
+    bandwidth: Any = quantity(
+        1.5, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
+    )
+    error_gain: Any = quantity(
+        0.0, unit="1/m", low=0.0, high=1000.0, doc="PD: turn rate per metre of cross-track error"
+    )
     change_gain: Any = quantity(
-        300.0,
+        0.0,
         unit="1/m",
         low=0.0,
         high=10000.0,
-        doc="turn rate per metre of its change per 1/50 s of the controller's clock",
-    )
-    feed_forward: Any = quantity(
-        1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate that the path's curvature needs without slip"
+        doc="PD: turn rate per metre of its change per 1/50 s of the controller's clock",
     )
     output_limit: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="largest turn rate")
     turn_rate: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="turn rate held by the pilot 'open_loop'")
@@ -159,7 +168,7 @@ def published_values(gait: str, *, steering: str = "leg", profile: str = "exact"
     values |= {f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)}
     if profile == "as_published":
         values |= {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO}
-        values |= {"pilot.error_gain": PUBLISHED_ERROR_GAIN, "pilot.feed_forward": PUBLISHED_FEED_FORWARD}
+        values |= PUBLISHED_PILOT
     return values
 
 

@@ -1,9 +1,4 @@
-"""The pilot, the high-level controller: speed and turn rate from the sensors, or from a command given beforehand.
-
-A path is a function from a position to its cross-track error, positive where the robot is to the **left** of the path,
-and one to its curvature there, positive where it bends to the left. Paths are fixed in the world and start at its
-origin, heading -y.
-"""
+"""The pilot, the high-level controller: turn rate from the cross-track error, or a command given beforehand."""
 
 from __future__ import annotations
 
@@ -11,12 +6,13 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.control.course import Course, locate
 from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.control.path import PATHS, PathPoint
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Rate on the controller's clock for which the published gain on the change of the error holds [Hz].
@@ -26,68 +22,45 @@ PUBLISHED_PILOT_RATE: Final = 50.0
 Command = Callable[[Any], tuple[Any, Any]]
 
 
-def straight(pilot: Pilot, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-    """Cross-track error of the line x = 0, heading -y [m]."""
-    return position[..., 0]
+WAYPOINTS: Final = "waypoints"
+#: Pilots that follow a path, and all of them.
+FOLLOWERS: Final = (*PATHS, WAYPOINTS)
+PILOTS: Final = ("open_loop", *FOLLOWERS, "external")
 
 
-def arc(pilot: Pilot, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-    """Cross-track error of the circle that leaves the origin along -y and bends to `direction` [m].
+def path_point(
+    name: str, course: Course | None, pilot: Pilot, position: Float[Array, " 3"], progress: Float[Array, ""]
+) -> PathPoint:
+    """The point of the named pilot's path beside a position; of the line straight ahead for a pilot without a path.
 
-    With the centre at (s R, 0), s = +1 left: e = s (R - |p - centre|), written without the difference of two large
-    numbers, so that a radius of a kilometre keeps its millimetres in float32.
+    Args:
+        name: of `PILOTS`.
+        course: of the pilot `waypoints`.
+        pilot: parameters of the paths.
+        position: in the world [m].
+        progress: of the last point on the course [m].
     """
-    x, y = position[..., 0], position[..., 1]
-    side = _side(pilot)
-    squared = (x - side * pilot.radius) ** 2 + y**2
-    distance = jnp.sqrt(jnp.maximum(squared, 1e-12))
-    return side * (2.0 * side * pilot.radius * x - x**2 - y**2) / (pilot.radius + distance)
-
-
-def arc_curvature(pilot: Pilot, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-    """1/radius with the sign of `direction` [1/m], wherever the robot is."""
-    return jnp.broadcast_to(_side(pilot) / pilot.radius, position.shape[:-1])
-
-
-def _side(pilot: Pilot) -> Array:
-    return jnp.where(jnp.asarray(pilot.direction) >= 0.0, 1.0, -1.0)
-
-
-#: The paths that a pilot can follow, by the pilot's name, and the curvature of those that are not straight.
-PATHS: Final[dict[str, Callable[[Pilot, Array], Array]]] = {"straight": straight, "arc": arc}
-CURVATURES: Final[dict[str, Callable[[Pilot, Array], Array]]] = {"arc": arc_curvature}
-PILOTS: Final = ("open_loop", *PATHS, "external")
-
-
-def cross_track_error(path: str, pilot: Pilot, position: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-    """Signed distance to the left of the named path [m]; zero for a pilot that follows none."""
-    if path not in PATHS:
-        return jnp.zeros_like(position[..., 0])
-    return PATHS[path](pilot, jnp.clip(position, -1e6, 1e6))
-
-
-def tangent(path: str, pilot: Pilot, position: Float[Array, " 3"]) -> Float[Array, " 2"]:
-    """Direction (x, y) of the named path beside a position: the error's gradient points left, its right is ahead."""
-    left = jax.grad(lambda point: cross_track_error(path, pilot, point))(position)
-    ahead = jnp.stack([left[1], -left[0]])
-    return ahead / jnp.sqrt(jnp.sum(ahead**2) + 1e-12)
+    if name == WAYPOINTS:
+        assert course is not None
+        return locate(course, progress, position)
+    return PATHS.get(name, PATHS["straight"])(pilot, position)
 
 
 def steer(
     pilot: Pilot,
     error: Float[Array, "*batch"],
     change: Float[Array, "*batch"],
-    ahead: Float[Array, "*batch"] | float = 0.0,
+    guided: Float[Array, "*batch"] | float = 0.0,
 ) -> Float[Array, "*batch"]:
-    """PD on the cross-track error: a robot to the left of its path is steered to the right.
+    """Turn rate of the published PD on the cross-track error, added to the guidance's; left of the path it is negative.
 
     Args:
         pilot: gains and output limit.
         error: cross-track error, positive to the left of the path [m].
         change: its change in 1/50 s of the controller's clock [m].
-        ahead: turn rate of the feed-forward, to which the PD adds.
+        guided: turn rate of the guidance.
     """
-    wanted = ahead - (pilot.error_gain * error + pilot.change_gain * change)
+    wanted = guided - (pilot.error_gain * error + pilot.change_gain * change)
     return jnp.clip(wanted, -pilot.output_limit, pilot.output_limit)
 
 

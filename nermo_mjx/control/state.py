@@ -8,6 +8,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from nermo_mjx.control.guidance import Guidance
+from nermo_mjx.control.path import PathPoint
+
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
@@ -25,7 +28,8 @@ class ControllerState:
         speed: commanded speed [m/s of the controller's clock].
         turn_rate: held between two pilot ticks, in [-1, 1], positive left.
         spine: commanded spine servo angle, positive left [rad].
-        cross_track: error at the last pilot tick, positive to the left of the path [m].
+        path_point: of the pilot's path, at the last pilot tick.
+        guidance: the pilot's estimate of its course beside the path.
     """
 
     tick: Int[Array, ""]
@@ -38,7 +42,8 @@ class ControllerState:
     speed: Float[Array, ""]
     turn_rate: Float[Array, ""]
     spine: Float[Array, ""]
-    cross_track: Float[Array, ""]
+    path_point: PathPoint
+    guidance: Guidance
 
 
 def canonical(state: ControllerState) -> ControllerState:

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from nermo_mjx.control import pilot
 from nermo_mjx.control.controller import Controller, ControllerState
 from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.pilot import FOLLOWERS
 from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.parameters import Start, Window
@@ -64,9 +64,9 @@ class ClosedLoop:
         sensors = self.robot.sensors(sensordata)
         cycle_rate = params.control.gait.frequency / params.control.tracking.clock_ratio
         path = None
-        if self.controller.pilot in pilot.PATHS:
+        if self.controller.pilot in FOLLOWERS:
             position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
-            path = pilot.tangent(self.controller.pilot, params.control.pilot, position)
+            path = self.controller.locate(params.control, position, state.control.path_point.progress)
         measured = metrics.update(
             params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path
         )

@@ -1,7 +1,8 @@
 """Gait metrics, reduced as the run goes: a pair `init`, `update` over one world, and `result` at the end.
 
-Angles are defined in `attitude`. Measuring starts after the warm-up and stops at the end of the run, when the wanted
-distance is covered, or when the robot falls or diverges; what was measured until then stays.
+Angles are defined in `attitude`. Measuring starts after the warm-up and stops at the end of the run, at the end of the
+gait cycle in which the wanted distance is covered, or when the robot falls or diverges; what was measured until then
+stays.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot import LIMBS, Sensors
+from nermo_mjx.rollout import path_metrics
 from nermo_mjx.rollout.attitude import attitude, uprightness
 from nermo_mjx.rollout.parameters import Window
 
@@ -46,6 +49,9 @@ METRICS: Final[dict[str, Metric]] = {
         for angle in ANGLES
         for statistic in ("mean", "std", "min", "max")
     },
+    "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one"),
+    "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path"),
+    "turning_radius": Metric("m", "radius of the circle fitted to the torso's way; NaN for a straight one"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet"),
     **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},
     "servo_work": Metric("J", "positive mechanical work of all servos while measured"),
@@ -69,6 +75,8 @@ class MetricState:
         position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
         loaded, slid: time each foot was loaded, and the way it slid meanwhile (4,) each.
         turns: whole turns of yaw, so that it does not jump at +-pi; yaw: the last reading.
+        path: how the path was followed.
+        on_path: whether the pilot has a path.
         fell, diverged, begun, finished: flags.
     """
 
@@ -89,6 +97,8 @@ class MetricState:
     slid: Float[Array, " 4"]
     turns: Float[Array, ""]
     yaw: Float[Array, ""]
+    path: path_metrics.PathState
+    on_path: Bool[Array, ""]
     fell: Bool[Array, ""]
     diverged: Bool[Array, ""]
     begun: Bool[Array, ""]
@@ -103,7 +113,8 @@ def init(sensors: Sensors) -> MetricState:
     return MetricState(
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, low=three + jnp.inf,
         high=three - jnp.inf, course=yaw, turning=zero, position=position, origin=position, end=position, loaded=four,
-        slid=four, turns=zero, yaw=yaw, fell=no, diverged=no, begun=no, finished=no,
+        slid=four, turns=zero, yaw=yaw, path=path_metrics.init(position), on_path=no,
+        fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
 
@@ -114,7 +125,7 @@ def update(
     time: Float[Array, ""],
     dt: float,
     cycle_rate: Any,
-    path: Float[Array, " 2"] | None = None,
+    path: PathPoint | None = None,
 ) -> MetricState:
     """Add one control tick.
 
@@ -125,7 +136,7 @@ def update(
         time: at the end of the tick [s].
         dt: length of the tick [s].
         cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
-        path: unit vector (x, y) along the pilot's path, where it follows one.
+        path: point of the pilot's path beside the torso, where it follows one.
     """
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(sensors)]).all()
     diverged = state.diverged | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
@@ -147,13 +158,19 @@ def update(
     expected = state.course + dt * state.turning
     surprise = jnp.where(diverged, 0.0, dt * cycle_rate * (angles[2] - expected))
     course, turning = expected + 2.0 * surprise, state.turning + cycle_rate * surprise
-    ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path
+    ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path.tangent
     step = jnp.where(diverged, 0.0, (last.position - state.position)[:2] @ ahead)
     travelled = state.travelled + step
     elapsed = state.time + weight
     share = weight / jnp.maximum(elapsed, dt)
     deviation = angles - state.mean
     mean = state.mean + share * deviation
+
+    origin = jnp.where(state.begun, state.origin, jnp.where(inside, state.position, last.position))
+    # Half a tick early, or rounding would decide whether a cycle of whole ticks has ended.
+    cycle_ends = jnp.floor((elapsed + 0.5 * dt) * cycle_rate) > jnp.floor((state.time + 0.5 * dt) * cycle_rate)
+    error = jnp.zeros(()) if path is None else jnp.where(diverged, 0.0, path.error)
+    followed = path_metrics.update(state.path, (last.position - origin)[:2], error, weight, cycle_ends)
 
     power = jnp.maximum(sensors.servo_torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean()
     contact = sensors.foot_force > LOADED
@@ -171,15 +188,17 @@ def update(
         turning=turning,
         position=jnp.where(diverged, state.position, last.position),
         end=jnp.where(inside | ~state.begun, last.position, state.end),
-        origin=jnp.where(state.begun, state.origin, jnp.where(inside, state.position, last.position)),
+        origin=origin,
         loaded=state.loaded + weight * contact.mean(axis=0),
         slid=state.slid + weight * (contact * speed).mean(axis=0),
         turns=turns,
         yaw=angles[2] - 2 * jnp.pi * turns,
+        path=jax.tree.map(lambda new, old: jnp.where(inside, new, old), followed, state.path),
+        on_path=jnp.asarray(path is not None),
         fell=fell,
         diverged=diverged,
         begun=state.begun | inside,
-        finished=state.finished | (travelled >= window.distance),
+        finished=state.finished | (cycle_ends & (travelled >= window.distance)),
     )
 
 
@@ -199,6 +218,9 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
         "distance": distance,
         "duration": state.time,
         "lateral_drift": jnp.where(state.begun, state.end[0] - state.origin[0], jnp.nan),
+        "cross_track_peak": jnp.where(state.on_path & state.begun, state.path.peak, jnp.nan),
+        "cross_track_walked": jnp.where(state.on_path & state.begun, state.path.walked, jnp.nan),
+        "turning_radius": jnp.where(state.begun, path_metrics.radius(state.path), jnp.nan),
         "slip": state.slid.sum() / jnp.where(loaded > 0, loaded, jnp.nan),
         "servo_work": state.work,
         "cost_of_transport": state.work / jnp.where(distance > 1e-3, mass * GRAVITY * distance, jnp.nan),

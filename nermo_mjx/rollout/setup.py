@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,8 @@ class Setup:
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
         profile: `exact` or `as_published`.
-        pilot: `straight`, `arc`, `open_loop`, or `external` with `command`.
+        pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
+        waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
         trajectory: `cubic`, `linear` or `parabolic` foot paths.
 
@@ -45,6 +45,7 @@ class Setup:
     steering: str = "leg"
     profile: str = "exact"
     pilot: str = "straight"
+    waypoints: tuple[tuple[float, float], ...] | None = None
     command: Command | None = None
     trajectory: str = "cubic"
 
@@ -66,8 +67,9 @@ class Setup:
         """The controller with these choices."""
         robot = self.load()
         return Controller(
-            spine=self.spine, pilot=self.pilot, command=self.command, trajectory=self.trajectory, routing=self.routing,
-            masses=robot.mass_model, n_servos=robot.n_servos,
+            spine=self.spine, pilot=self.pilot, waypoints=self.waypoints, command=self.command,
+            trajectory=self.trajectory, routing=self.routing, masses=robot.mass_model,
+            n_servos=robot.n_servos,
         )  # fmt: skip
 
     def defaults(self) -> dict[str, float]:
@@ -82,44 +84,57 @@ def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
     return {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(WorldParameters)}
 
 
+Length = float | np.ndarray
+
+
 @dataclasses.dataclass(frozen=True)
 class Run:
     """How long a run lasts and what part of it is measured: gait cycles, or seconds.
 
+    Each number holds for all worlds, or is an array (n,) with one entry a world.
+
     Attributes:
         cycles, warmup_cycles: length of the run, and of its unmeasured start, in gait cycles.
         duration, warmup: the same in simulated seconds; `duration` excludes `cycles`.
-        distance: measuring stops once the robot has walked this far [m].
+        distance: measuring stops at the end of the gait cycle in which the robot has walked this far [m].
 
     Raises:
         ParameterError: neither or both lengths, a warm-up as long as the run, a value that is not finite.
     """
 
-    cycles: float | None = None
-    warmup_cycles: float | None = None
-    duration: float | None = None
-    warmup: float | None = None
-    distance: float | None = None
+    cycles: Length | None = None
+    warmup_cycles: Length | None = None
+    duration: Length | None = None
+    warmup: Length | None = None
+    distance: Length | None = None
 
     def __post_init__(self) -> None:
         for name in ("cycles", "warmup_cycles", "duration", "warmup", "distance"):
             value, zero_ok = getattr(self, name), name.startswith("warmup")
-            if value is not None and not (math.isfinite(value) and (value > 0 or (zero_ok and value == 0))):
-                raise ParameterError(f"run.{name} is {value!r}: allowed is {'[' if zero_ok else '('}0, inf).")
+            if value is None:
+                continue
+            bad = ~(np.isfinite(value) & ((np.asarray(value) > 0) | (zero_ok & (np.asarray(value) == 0))))
+            if bad.any():
+                shown = np.asarray(value)[bad].flat[0]
+                raise ParameterError(f"run.{name} is {float(shown)!r}: allowed is {'[' if zero_ok else '('}0, inf).")
         if self.duration is not None and (self.cycles is not None or self.warmup_cycles is not None):
             raise ParameterError("run.duration is given beside run.cycles: give either seconds or gait cycles.")
         if self.duration is None and self.warmup is not None:
             raise ParameterError("run.warmup is given without run.duration: with cycles, give run.warmup_cycles.")
-        length, warmup = self._lengths()
-        if warmup >= length:
+        length, warmup = np.broadcast_arrays(*self._lengths())
+        late = warmup >= length
+        if late.any():
             name = "warmup_cycles" if self.duration is None else "warmup"
-            raise ParameterError(f"run.{name} is {warmup:g}: allowed is less than the run's length, {length:g}.")
+            raise ParameterError(
+                f"run.{name} is {warmup[late].flat[0]:g}: allowed is less than the run's length, "
+                f"{length[late].flat[0]:g}."
+            )
 
-    def _lengths(self) -> tuple[float, float]:
+    def _lengths(self) -> tuple[Length, Length]:
         if self.duration is not None:
-            return self.duration, self.warmup or 0.0
+            return self.duration, 0.0 if self.warmup is None else self.warmup
         cycles = 8.0 if self.cycles is None else self.cycles
-        default = 2.0 if cycles > 2.0 else 0.0
+        default = np.where(np.asarray(cycles) > 2.0, 2.0, 0.0)
         return cycles, default if self.warmup_cycles is None else self.warmup_cycles
 
     def seconds(self, frequency: Any, clock_ratio: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:

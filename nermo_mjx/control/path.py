@@ -1,0 +1,68 @@
+"""Paths that a pilot can follow: from a position to the nearest point of the path.
+
+Paths are fixed in the world, start at its origin and head -y there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from nermo_mjx.control.parameters import Pilot
+
+#: Positions farther out than this count as this far [m]: what diverges stays finite.
+FARTHEST: Final = 1e6
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class PathPoint:
+    """The point of a path beside the robot.
+
+    Attributes:
+        error: cross-track error, positive where the robot is to the **left** of the path [m].
+        curvature: of the path there, positive where it bends to the left [1/m].
+        tangent: unit vector (x, y) ahead.
+        progress: arc length from the path's start, where the path keeps count of it, else 0 [m].
+    """
+
+    error: Float[Array, "*batch"]
+    curvature: Float[Array, "*batch"]
+    tangent: Float[Array, "*batch 2"]
+    progress: Float[Array, "*batch"]
+
+
+def straight(pilot: Pilot, position: Float[Array, "*batch 3"]) -> PathPoint:
+    """The line x = 0."""
+    x = _near(position)[..., 0]
+    ahead = jnp.broadcast_to(jnp.asarray([0.0, -1.0], x.dtype), (*x.shape, 2))
+    return PathPoint(x, jnp.zeros_like(x), ahead, jnp.zeros_like(x))
+
+
+def arc(pilot: Pilot, position: Float[Array, "*batch 3"]) -> PathPoint:
+    """The circle of `pilot.radius` that bends to `pilot.direction`.
+
+    With the centre at (s R, 0), s = +1 left: e = s (R - |p - centre|), written without the difference of two large
+    numbers, so that a radius of a kilometre keeps its millimetres in float32.
+    """
+    near = _near(position)
+    x, y = near[..., 0], near[..., 1]
+    side = jnp.where(jnp.asarray(pilot.direction) >= 0.0, 1.0, -1.0)
+    across = x - side * pilot.radius
+    distance = jnp.sqrt(jnp.maximum(across**2 + y**2, 1e-12))
+    error = side * (2.0 * side * pilot.radius * x - x**2 - y**2) / (pilot.radius + distance)
+    tangent = jnp.stack([-side * y, side * across], axis=-1) / distance[..., None]
+    return PathPoint(error, jnp.broadcast_to(side / pilot.radius, x.shape), tangent, jnp.zeros_like(x))
+
+
+def _near(position: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    return jnp.clip(position, -FARTHEST, FARTHEST)
+
+
+#: The paths without way points, by the pilot's name.
+PATHS: Final[dict[str, Callable[[Pilot, Array], PathPoint]]] = {"straight": straight, "arc": arc}
