@@ -60,6 +60,7 @@ class CSession:
         self.batch.forward()
         self.loop_state = engine.init(self.params, at_rest)
         self.sensordata = np.repeat(at_rest[:, None], self.steps, axis=1)
+        self._moving: np.ndarray | None = None
 
     def advance(self, ticks: int) -> None:
         """See `Session.advance`."""
@@ -76,14 +77,23 @@ class CSession:
                 rows.append((self.qpos.copy(), self.qvel.copy(), self.ctrl.copy(), self.sensordata[:, -1].copy()))
         return Trace(*(np.stack(column, axis=1) for column in zip(*rows, strict=True)))
 
+    def retire(self, done: np.ndarray) -> None:
+        """See `Session.retire`."""
+        self._moving = np.flatnonzero(~done) if done.any() else None
+
     def _tick(self) -> None:
         self.loop_state, ctrl = self.engine.step(self.params, self.loop_state, self.sensordata)
         self.ctrl[...] = np.asarray(ctrl)
+        moving, failed = self._moving, []
+        out = self.sensordata if moving is None else self.sensordata[moving]
         try:
-            self.batch.rollout(self.steps, record=("sensordata",), out={"sensordata": self.sensordata})
+            self.batch.rollout(self.steps, record=("sensordata",), ids=moving, out={"sensordata": out})
         except SimulationError as error:
             # The worlds that failed kept their state; the loop sees them as diverged, the others are not touched.
-            self.sensordata[error.ids] = np.nan
+            failed = error.ids
+        if moving is not None:
+            self.sensordata[moving] = out
+        self.sensordata[failed] = np.nan
         # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
         stopped = self.batch.warning.reshape(len(self.qpos), -1).any(axis=1)
         if stopped.any():

@@ -63,6 +63,9 @@ class Session(Protocol):
     def record(self, ticks: int) -> Trace:
         """Like `advance`, and return what happened."""
 
+    def retire(self, done: np.ndarray) -> None:
+        """Nothing more is wanted of the worlds in the mask (n,): their physics may stand still from now on."""
+
 
 class Engine(Protocol):
     """Opens sessions for one robot and one loop; programs compiled for it are shared by its sessions."""

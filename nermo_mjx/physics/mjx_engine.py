@@ -126,6 +126,9 @@ class MjxSession:
         columns = zip(*(rows for _, rows in parts), strict=True)
         return Trace(*(np.concatenate([np.moveaxis(np.asarray(part), 0, 1) for part in column]) for column in columns))
 
+    def retire(self, done: np.ndarray) -> None:
+        """See `Session.retire`; all worlds are one program here, so there is nothing to save."""
+
     def _part(self, span: slice) -> tuple[Any, Any, Any]:
         if len(self.slices) == 1:
             return self.params, self.fields, self.carry

@@ -74,6 +74,7 @@ class Batch:
         qpos: start poses (n, nq).
         fields: model fields that differ between worlds, (n, ...) each.
         ticks: control ticks until the last world is done.
+        may_end_early: whether worlds are done when they have walked their distance.
         mass: of each robot (n,) [kg].
     """
 
@@ -81,6 +82,7 @@ class Batch:
     qpos: np.ndarray
     fields: dict[str, np.ndarray]
     ticks: int
+    may_end_early: bool
     mass: np.ndarray
 
 
@@ -134,6 +136,7 @@ class Simulator:
             qpos=self.start.batch(params.control, params.start),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
+            may_end_early=run is not None and run.distance is not None,
             mass=mass,
         )
 
@@ -176,8 +179,17 @@ class Simulator:
             if compiled is None:
                 jax.block_until_ready(session.loop_state)
                 compiled = time.perf_counter() - began
+            if batch.may_end_early:
+                finished = _finished(
+                    session.loop_state.metrics, batch.params.window, (done + size) * self.controller.dt
+                )
+                ticks = done + size if finished.all() else ticks
+                if not record:
+                    session.retire(finished)
             if progress:
                 progress((done + size) / ticks)
+            if done + size >= ticks:
+                break
 
         measured = self._results(session.loop_state.metrics, batch.mass)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
@@ -203,6 +215,12 @@ class Simulator:
         return History(time_axis, qpos, qvel, ctrl, named)
 
 
+def _finished(state: metrics.MetricState, window: Window, time: float) -> np.ndarray:
+    """Worlds (n,) of which nothing more is measured."""
+    flags = (state.finished, state.fell, state.diverged)
+    return np.logical_or.reduce([np.asarray(flag) for flag in flags]) | (time > np.asarray(window.end) + 1e-6)
+
+
 def _blocks(ticks: int) -> list[tuple[int, int]]:
     return [(start, min(BLOCK, ticks - start)) for start in range(0, ticks, BLOCK)]
 
@@ -225,7 +243,7 @@ def _batched(params: WorldParameters, values: Mapping[str, Any]) -> tuple[WorldP
 
 def _window(run: Run, params: WorldParameters) -> Window:
     begin, end = run.seconds(params.control.gait.frequency, params.control.tracking.clock_ratio)
-    distance = np.full(begin.shape, 1e6 if run.distance is None else run.distance)
+    distance = np.broadcast_to(1e6 if run.distance is None else run.distance, begin.shape)
     return Window(begin=begin, end=end, distance=distance)
 
 
