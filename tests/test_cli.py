@@ -18,13 +18,14 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from experiment_fake import Fake
 
 from nermo_mjx.cli import choices, main, options
 from nermo_mjx.cli.output import plain
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.version import __version__
 
-COMMANDS = ("sweep", "walk", "render", "model", "bench")
+COMMANDS = ("sweep", "experiment", "identify", "walk", "render", "model", "bench")
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
 
@@ -98,6 +99,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
 def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.control.fusion import MODES
     from nermo_mjx.control.parameters import PROFILES, STEERING
+    from nermo_mjx.experiments.catalogue import EXPERIMENTS
     from nermo_mjx.physics.engine import ENGINES
     from nermo_mjx.robot import GAITS
     from nermo_mjx.robot.assembly import ROBOTS, TAILS
@@ -113,6 +115,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     assert set(choices.TAILS) == set(TAILS)
     assert set(choices.PILOTS) == set(PILOT_OPTIONS)
     assert set(choices.VIEWS) == set(CAMERAS)
+    assert tuple(EXPERIMENTS) == choices.EXPERIMENTS
 
 
 # --- wrong use
@@ -128,7 +131,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["walk", "--frequency", "fast"], "not a valid float"),
         (["walk", "--frequency", "50"], "frequency is 50: allowed is (0, 5] Hz."),
         (["walk", "--frequency", "nan"], "frequency is nan"),
-        (["walk", "--scene", "moon"], "scene is 'moon': allowed is 'flat'"),
+        (["walk", "--scene", "moon"], "scene is 'moon': allowed is 'balance_stand' or 'flat'"),
         (["walk", "--spine-amplitude", "0.2"], "--spine-amplitude does nothing with --spine none"),
         (["walk", "--turn-rate", "0.2", "--pilot", "arc"], "--turn-rate does nothing with --pilot arc"),
         (["walk", "--set", "frequency"], "expected NAME=VALUE"),
@@ -142,6 +145,22 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["sweep"], "A sweep needs SPEC.yaml and --out DIR"),
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
         (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
+        (["experiment", "turning"], "Missing option '--out'"),
+        (["experiment", "turnin", "--out", "a"], "is not one of 'straight-line', 'turning', 'balance', 'maze', 'all'"),
+        (["experiment", "maze", "--out", "a", "--repeats", "0"], "x>=1"),
+        (["experiment", "maze", "--out", "a", "--profile", "exakt"], "'both', 'exact', 'as_published'"),
+        (["experiment", "maze", "--out", "a", "--set", "contact.fricton=1"], "did you mean contact.friction?"),
+        (
+            ["experiment", "maze", "--out", "a", "--set", "frequency=1"],
+            "is not a parameter of the body; allowed are servo.*",
+        ),
+        (["experiment", "maze", "--out", "a", "--set", "servo.kp"], "expected NAME=VALUE, such as servo.kp="),
+        (
+            ["experiment", "maze", "--out", "a", "--set", "contact.friction=9"],
+            "contact.friction is 9: allowed is [0.05, 5].",
+        ),
+        (["experiment", "maze", "--out", "/sys/kernel/nermo"], "cannot write in /sys/kernel/nermo: "),
+        (["identify", "--out", "a", "--population", "3"], "x>=4"),
         (["render", "missing.npz", "--out", "a.mp4"], "does not exist"),
         (["model", "--tail", "bushy"], "'rigid', 'articulated'"),
         (["bench", "--worlds", "0"], "x>=1"),
@@ -298,6 +317,112 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
     assert again.exit_code == 0
     assert "2 runs (2 ok)" in again.stdout
     assert str(out / "results") in again.stdout
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
+    """Experiments that simulate and draw nothing."""
+    from nermo_mjx.experiments import plots
+    from nermo_mjx.experiments.catalogue import EXPERIMENTS
+
+    made = {name: Fake(name) for name in choices.EXPERIMENTS}
+    for name, fake in made.items():
+        monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
+    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out: [])
+    return made
+
+
+def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = json_of("experiment", "all", "--out", out, "--quick", "--seed", "5", "--set", "contact.friction=0.8")
+    assert list(result["run"]) == list(choices.EXPERIMENTS)
+    assert len(result["lines"]) == 20
+    assert {"experiment", "figure", "published", "as_published", "exact", "holds"} <= set(result["lines"][0])
+    assert result["summary"]["hold"] == 8
+    assert result["lines"] == json.loads((out / "report.json").read_text())["lines"]
+    asked = fakes["maze"].asked[0]
+    assert (asked["seed"], asked["quick"], asked["repeats"], asked["values"]) == (5, True, 1, {"contact.friction": 0.8})
+    again = json_of("experiment", "maze", "--out", out, "--quick", "--seed", "5", "--set", "contact.friction=0.8")
+    assert again["run"] == {"maze": {"kept": True}}
+    assert len(fakes["maze"].asked) == 1
+
+
+def test_experiment_prints_figures_side_by_side_and_where_things_are(fakes: dict[str, Fake], tmp_path: Path) -> None:
+    result = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "exact")
+    assert result.exit_code == 0, "a figure that does not hold is no failure"
+    assert re.search(r"^figure +published +as published +exact +ratio +holds$", result.stdout, re.MULTILINE)
+    assert re.search(r"^speed at 0\.8 Hz \[mm/s\] +80 +– +81\.0 +1\.01 +yes$", result.stdout, re.MULTILINE)
+    assert "turning: 2 of 4 figures hold, 1 not measured (6 runs in " in result.stdout
+    assert str(tmp_path / "out" / "report.md") in result.stdout
+    assert "videos" not in result.stdout
+    quiet = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "exact", "--quiet")
+    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+def test_an_experiment_that_fails_or_is_stopped_says_what_is_kept(fakes: dict[str, Fake], tmp_path: Path) -> None:
+    from nermo_mjx.view import RecordingError
+
+    fakes["maze"].error = RecordingError("it cannot be written.")
+    result = call("experiment", "all", "--out", tmp_path, "--no-video", "--quiet")
+    assert result.exit_code == 1
+    kept = f"What was done before is kept in {tmp_path}."
+    assert result.stderr == f"nermo-mjx: maze failed: it cannot be written. {kept}\n"
+    fakes["maze"].error = KeyboardInterrupt()
+    result = call("experiment", "all", "--out", tmp_path, "--no-video", "--quiet")
+    assert result.exit_code == 1
+    assert result.stderr.endswith("To go on, run the same command again.\n")
+    assert len(json.loads((tmp_path / "report.json").read_text())["lines"]) == 15
+
+
+@pytest.fixture
+def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """An identification that finds what it began with; what it was asked for."""
+    from nermo_mjx.experiments import identification
+    from nermo_mjx.rollout import Setup
+
+    asked: dict[str, Any] = {}
+
+    def identify(**options: Any) -> identification.Identified:
+        asked.update(options)
+        options["progress"](1.0)
+        defaults = Setup().defaults()
+        names = [name for free in identification.FREE.values() for name in free.names]
+        figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
+        return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, (0.9, 10.0, 0.5))
+
+    monkeypatch.setattr("nermo_mjx.experiments.identification.report.identify", identify)
+    return asked
+
+
+def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp_path: Path) -> None:
+    from nermo_mjx.experiments.identification.search import FREE, TARGETS
+
+    out = tmp_path / "out"
+    result = json_of("identify", "--out", out, "--samples", "3", "--seed", "4", "--engine", "c")
+    assert identified["samples"] == 3
+    assert identified["seed"] == 4
+    assert result["objective"]["end"] == 0.5 < result["objective"]["start"]
+    assert set(result["targets"]) == set(TARGETS)
+    assert set(result["free"]) == set(FREE)
+    assert result["costs"] == [0.9, 10.0, 0.5]
+    assert result["targets"]["trt, 0.8 Hz, over lat"]["published"] == 1.27
+    stored = json.loads((out / "identification.json").read_text())
+    assert stored == {name: value for name, value in result.items() if name != "out"}
+    text = (out / "identification.md").read_text()
+    for link in re.findall(r"\]\(([^)]*)\)", text):
+        assert (out / link).stat().st_size > 0
+    assert "holds an identification" in refused("identify", "--out", out)
+
+
+def test_what_identify_prints_can_be_pasted(identified: dict[str, Any], tmp_path: Path) -> None:
+    from nermo_mjx.sweep import Sweep
+
+    text = call("identify", "--out", tmp_path).stdout
+    options = re.search(r"^  (--set .*)$", text, re.MULTILINE)
+    assert options is not None
+    assert json_of(*SHORT, *options[1].split())["parameters"]["contact.friction"] > 0
+    (tmp_path / "sweep.yaml").write_text(text[text.index("set:\n") :] + "vary: {frequency: [0.5]}\n")
+    assert "contact.friction" in Sweep.from_file(tmp_path / "sweep.yaml").fixed
 
 
 def test_list_parameters_shows_every_name_with_unit_default_and_range() -> None:

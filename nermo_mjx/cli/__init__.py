@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from nermo_mjx.cli import bench, model, render, sweep, walk
+from nermo_mjx.cli import bench, experiment, identify, model, render, sweep, walk
 from nermo_mjx.cli.group import CommandGroup
 from nermo_mjx.version import __version__
 
@@ -12,6 +12,7 @@ EPILOG = """\b
 First steps:
   nermo-mjx walk --video walk.mp4
   nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+  nermo-mjx experiment all --quick --out runs/look
 """
 
 
@@ -25,5 +26,5 @@ def main() -> None:
     """
 
 
-for module in (sweep, walk, render, model, bench):
+for module in (sweep, experiment, identify, walk, render, model, bench):
     main.add_command(module.command)

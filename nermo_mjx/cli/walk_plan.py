@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from nermo_mjx.cli.assignments import LISTED, assignment
 from nermo_mjx.cli.group import WrongUse
 
 if TYPE_CHECKING:
-    from nermo_mjx.robot import Quantity
     from nermo_mjx.rollout import Run, Setup
 
 #: Options that set one parameter, and what the setup must be for the parameter to matter.
@@ -77,7 +76,7 @@ def plan(
                 f"{flag} does nothing with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
             )
         values[name] = options[option]
-    values |= dict(_assignment(text, known) for text in assignments)
+    values |= dict(assignment(text, known, LISTED) for text in assignments)
     for name, value in values.items():
         known[name].check(name, value)
     parameters = {name: _scalar(about.default) for name, about in known.items()} | values
@@ -94,21 +93,6 @@ def _length(cycles: float | None, duration: float | None, warmup: float | None) 
     if before >= total:
         raise WrongUse(f"--warmup is {before:g}: it must be shorter than the run, {total:g}.")
     return Run(cycles=total, warmup_cycles=before) if duration is None else Run(duration=total, warmup=before)
-
-
-def _assignment(text: str, known: Mapping[str, Quantity]) -> tuple[str, float]:
-    name, equals, number = text.partition("=")
-    name = name.strip()
-    if not equals:
-        raise WrongUse(f"--set {text}: expected NAME=VALUE, such as frequency=0.8.")
-    if name not in known:
-        near = difflib.get_close_matches(name, known, n=1) or [n for n in known if n.rpartition(".")[2] == name]
-        hint = f"did you mean {near[0]}?" if near else "`nermo-mjx sweep --list-parameters` prints all."
-        raise WrongUse(f"--set {text}: {name} is not a parameter; {hint}")
-    try:
-        return name, float(number)
-    except ValueError:
-        raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {known[name].allowed()}.") from None
 
 
 def _shifted_start(seed: int) -> dict[str, float]:

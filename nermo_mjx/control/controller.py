@@ -207,7 +207,7 @@ class Controller:
         if self.pilot == "open_loop":
             turn_rate = params.pilot.turn_rate
         elif self.pilot in pilot.FOLLOWERS:
-            turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature)
+            turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature / params.pilot.grip)
         elif self.command is not None:
             speed, turn_rate = self.command(time)
         return jnp.maximum(jnp.asarray(speed), 0.0), jnp.clip(jnp.asarray(turn_rate), -1.0, 1.0)
@@ -236,7 +236,8 @@ class Controller:
         """The guidance's estimate, and the curvature that it wants [1/m]."""
         strides = self._strides(params, state.speed, state.turn_rate)
         speed = turning.body_speed(params.gait, jnp.mean(strides)) / params.tracking.clock_ratio
-        turned = speed**2 * (turning.path_curvature(params, state.turn_rate) - point.curvature)
+        expected = params.pilot.grip * turning.path_curvature(params, state.turn_rate)
+        turned = speed**2 * (expected - point.curvature)
         cycle_rate = params.gait.frequency / params.tracking.clock_ratio
         estimate = guidance.observe(
             params.pilot, state.guidance, point.error, state.phase, turned, cycle_rate, 1.0 / self.pilot_rate

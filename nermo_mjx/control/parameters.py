@@ -15,8 +15,8 @@ from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree
 PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
 PUBLISHED_CLOCK_RATIO = 0.4
 #: The published pilot is a PD from the cross-track error to the turn rate, and limit-cycles: it aims at a point 12 mm
-#: ahead at 0.08 m/s, a tenth of the trunk, answers to the torso's sway, and cannot see that a turn rate of 0.4 turns the
-#: legs' strides by 1 %. The profile `exact` is guided by curvature instead (`guidance`).
+#: ahead at 0.08 m/s, a tenth of the trunk, answers to the torso's sway, and cannot see that a turn rate of 0.4 changes
+#: the legs' strides by 1 % only. The profile `exact` is guided by curvature instead (`guidance`).
 PUBLISHED_PILOT = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0, "pilot.guidance": 0.0}
 
 
@@ -97,11 +97,14 @@ class Pilot:
         1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate for the curvature that leads back to the path"
     )
     look_ahead: Any = quantity(
-        0.16, unit="m", low=0.02, high=10.0, doc="way on which the guidance takes back most of a cross-track error"
+        0.3, unit="m", low=0.02, high=10.0, doc="way on which the guidance takes back most of a cross-track error"
     )
     damping: Any = quantity(1.2, unit="1", low=0.0, high=10.0, doc="damping ratio of the way back to the path")
     bandwidth: Any = quantity(
         1.5, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
+    )
+    grip: Any = quantity(
+        0.75, unit="1", low=0.1, high=2.0, doc="turn that the guidance expects of the robot, over that without slip"
     )
     error_gain: Any = quantity(
         0.0, unit="1/m", low=0.0, high=1000.0, doc="PD: turn rate per metre of cross-track error"

@@ -142,7 +142,8 @@ def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"])
     The legs' part is less than (5.40-5.42) say: two feet on the ground at different speeds can turn the body only by
     what is across the line that joins them, and slip along it. With w their lateral distance, the body turns by
     l_s |alpha_left - alpha_right| w / d_diag^2 while it walks the mean of both strides. The spine's part is (5.43).
-    Both add, which the simulated robot does within a tenth at any turn rate; it turns by 0.6 to 0.8 of this.
+    Both add, which the simulated robot does within a tenth at any turn rate. It turns by 0.6 (legs) to 0.8 (spine) of
+    this, which is the pilot's `grip`.
     """
     straight = jnp.zeros_like(turn_rate)
     shares = stride_shares(params.turning, turn_rate)

@@ -85,6 +85,8 @@ class CSession:
         self.loop_state, ctrl = self.engine.step(self.params, self.loop_state, self.sensordata)
         self.ctrl[...] = np.asarray(ctrl)
         moving, failed = self._moving, []
+        if moving is not None and not len(moving):
+            return
         out = self.sensordata if moving is None else self.sensordata[moving]
         try:
             self.batch.rollout(self.steps, record=("sensordata",), ids=moving, out={"sensordata": out})

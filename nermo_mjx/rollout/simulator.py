@@ -179,13 +179,12 @@ class Simulator:
             if compiled is None:
                 jax.block_until_ready(session.loop_state)
                 compiled = time.perf_counter() - began
+            over = (done + size) * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
             if batch.may_end_early:
-                finished = _finished(
-                    session.loop_state.metrics, batch.params.window, (done + size) * self.controller.dt
-                )
-                ticks = done + size if finished.all() else ticks
-                if not record:
-                    session.retire(finished)
+                over |= _finished(session.loop_state.metrics)
+                ticks = done + size if over.all() else ticks
+            if not record:
+                session.retire(over)
             if progress:
                 progress((done + size) / ticks)
             if done + size >= ticks:
@@ -215,10 +214,9 @@ class Simulator:
         return History(time_axis, qpos, qvel, ctrl, named)
 
 
-def _finished(state: metrics.MetricState, window: Window, time: float) -> np.ndarray:
-    """Worlds (n,) of which nothing more is measured."""
-    flags = (state.finished, state.fell, state.diverged)
-    return np.logical_or.reduce([np.asarray(flag) for flag in flags]) | (time > np.asarray(window.end) + 1e-6)
+def _finished(state: metrics.MetricState) -> np.ndarray:
+    """Worlds (n,) that have walked their distance, or can walk no more."""
+    return np.logical_or.reduce([np.asarray(flag) for flag in (state.finished, state.fell, state.diverged)])
 
 
 def _blocks(ticks: int) -> list[tuple[int, int]]:

@@ -8,12 +8,11 @@ DIR/summary.json, DIR/plots/      made from the table when it is complete
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import errno
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,6 +20,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nermo_mjx.sweep.files import StoreError, clear_errors, parquet_bytes, replace_file
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.spec import Sweep
 
@@ -31,10 +31,6 @@ except ImportError:  # Windows: a directory is not locked there
 
 #: Schema metadata that differs between the chunks of one table.
 CHUNK_KEYS = (b"chunk", b"chunks", b"steps", b"wall_seconds")
-
-
-class StoreError(RuntimeError):
-    """A result directory that cannot be used; the message is one sentence that says what to do."""
 
 
 class Store:
@@ -55,7 +51,7 @@ class Store:
         self._locks: list[int] = []
 
     def __enter__(self) -> Store:
-        with self._clear_errors():
+        with clear_errors(self.out):
             self.results.mkdir(parents=True, exist_ok=True)
             try:
                 self._lock()
@@ -85,24 +81,12 @@ class Store:
 
     def write_chunk(self, chunk: int, table: pa.Table) -> None:
         """Store a chunk whole: whoever looks sees all of it or nothing of it."""
-        sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, write_page_checksum=True)
-        self.write(self.chunk_path(chunk), sink.getvalue().to_pybytes())
+        self.write(self.chunk_path(chunk), parquet_bytes(table))
 
     def write(self, path: Path, content: bytes) -> None:
         """Replace a file of the directory by new content, atomically and durably."""
-        with self._clear_errors():
-            path.parent.mkdir(exist_ok=True)
-            temporary = path.parent / f".{path.name}{self._suffix}"
-            try:
-                with open(temporary, "wb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-                os.replace(temporary, path)
-            except BaseException:
-                temporary.unlink(missing_ok=True)
-                raise
+        with clear_errors(self.out):
+            replace_file(path, content, self._suffix)
 
     def note_session(self, session: dict[str, Any]) -> None:
         """Add what ran here, and where, to run.json."""
@@ -157,16 +141,6 @@ class Store:
     def _unlock(self) -> None:
         while self._locks:
             os.close(self._locks.pop())
-
-    @contextlib.contextmanager
-    def _clear_errors(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            kept = " What is finished is kept: run the same command again when there is room."
-            room = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-            reason = error.strerror or str(error)
-            raise StoreError(f"cannot write in {self.out}: {reason}.{kept if room else ''}") from error
 
 
 def read_chunk(path: Path) -> pa.Table | None:

@@ -23,6 +23,25 @@ _INDEX = {
 }
 
 
+class Columns:
+    """Collects the columns of a table; each field's metadata has its unit, its description and its role."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, pa.Array] = {}
+        self._fields: list[pa.Field] = []
+
+    def add(self, name: str, values: np.ndarray, role: str, unit: str, description: str, **more: str) -> None:
+        """Add a column of (n,) values."""
+        self._arrays[name] = pa.array(_plain(values))
+        metadata = {"unit": unit, "description": description, "role": role, **more}
+        self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))
+
+    def table(self, about: Mapping[str, Any]) -> pa.Table:
+        """The table, and what to note in its schema's metadata."""
+        metadata = {key: str(value) for key, value in about.items()}
+        return pa.table(self._arrays, schema=pa.schema(self._fields, metadata=metadata))
+
+
 def chunk_table(
     sweep: Sweep,
     rows: Rows,
@@ -38,27 +57,19 @@ def chunk_table(
         metrics: name -> (n,) results; status: (n,) texts, "ok" where a run went well.
         about: what to note about the chunk in the schema's metadata (engine, steps, ...).
     """
-    columns: dict[str, pa.Array] = {}
-    fields: list[pa.Field] = []
-
-    def add(name: str, values: np.ndarray, role: str, unit: str, description: str, **more: str) -> None:
-        columns[name] = pa.array(_plain(values))
-        metadata = {"unit": unit, "description": description, "role": role, **more}
-        fields.append(pa.field(name, columns[name].type, metadata=metadata))
-
+    columns = Columns()
     parameters = sweep.parameters
     forms = {axis.name: axis.form for axis in sweep.axes} | {draw.name: draw.form for draw in sweep.draws}
     varied = {axis.name for axis in sweep.axes}
     for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
-        add(name, values, "index", "1", _INDEX[name])
+        columns.add(name, values, "index", "1", _INDEX[name])
     for name, values in rows.values.items():
         role, scale = "varied" if name in varied else "randomized", "log" if forms[name].startswith("log") else "linear"
-        add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)
+        columns.add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)
     for name in sorted(metrics, key=list(METRICS).index):
-        add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
-    add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
-    metadata = {"sweep": sweep.digest(), "sampler": sweep.sampler, **{key: str(value) for key, value in about.items()}}
-    return pa.table(columns, schema=pa.schema(fields, metadata=metadata))
+        columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
+    columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
+    return columns.table({"sweep": sweep.digest(), "sampler": sweep.sampler, **about})
 
 
 def columns_of(table: pa.Table, *roles: str) -> list[str]:

@@ -1,0 +1,39 @@
+"""`--set NAME=X`: a parameter's name and its value."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from nermo_mjx.cli.group import WrongUse
+
+if TYPE_CHECKING:
+    from nermo_mjx.robot import Quantity
+
+LISTED = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
+
+
+def assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple[str, float]:
+    """Name and number of NAME=X; its range is not checked.
+
+    Args:
+        known: the parameters that may be named.
+        unknown: what is said of another name if none is near: what it is not, and what is allowed, joined by ";".
+
+    Raises:
+        WrongUse: the text is something else.
+    """
+    name, equals, number = text.partition("=")
+    name = name.strip()
+    if not equals:
+        example = next(iter(known.items()))
+        raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example[0]}={example[1].default:g}.")
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1) or [n for n in known if n.rpartition(".")[2] == name]
+        what, _, hint = unknown.partition("; ")
+        raise WrongUse(f"--set {text}: {name} {what}; {f'did you mean {near[0]}?' if near else hint}")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {known[name].allowed()}.") from None

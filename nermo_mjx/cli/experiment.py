@@ -1,0 +1,154 @@
+"""`nermo-mjx experiment`: the published experiments, figures side by side."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.assignments import assignment
+from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
+from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.progress import Progress, duration
+
+if TYPE_CHECKING:
+    from nermo_mjx.experiments.run import ExperimentsResult
+
+EPILOG = """\b
+Examples:
+  nermo-mjx experiment all --out runs/published
+  nermo-mjx experiment all --quick --out runs/look
+  nermo-mjx experiment turning --profile exact --repeats 5 --out runs/turns
+  nermo-mjx experiment maze --set contact.friction=0.8 --out runs/slippery
+"""
+ALL = "all"
+#: Longest text of a cell on the terminal; the names of figures are shorter.
+_WIDEST = 72
+
+
+@click.command("experiment", epilog=EPILOG)
+@click.argument("name", type=click.Choice((*EXPERIMENTS, ALL)))
+@click.option(
+    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
+)
+@options.choice("--profile", ("both", *PROFILES), "Controller as described, or as published.")
+@options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
+@options.number("--seed", "Of the shifts that tell repeats apart.", click.IntRange(0), default=0)
+@click.option("--quick", is_flag=True, help="A look: fewer cases, no videos; a minute.")
+@click.option("--no-video", is_flag=True, help="Draw no videos.")
+@click.option("--again", is_flag=True, help="Run again, and replace, what DIR holds of it.")
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="NAME=X",
+    help="A parameter of the body, such as contact.friction; repeatable.",
+)
+@options.engine
+@options.report
+def command(
+    name: str, out: Path, profile: str, repeats: int | None, seed: int, quick: bool, no_video: bool, again: bool,
+    assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Run a published experiment, or all of them, and compare.
+
+    Writes a table of every run, a report with the published figures beside
+    the simulated ones, plots, recordings and a video. DIR keeps what is
+    finished; the same command goes on.
+    """
+    with stdout_reserved():
+        from nermo_mjx.experiments.run import run_experiments
+
+        values = _values(assignments)
+        with _Stages(quiet) as stages:
+            result = run_experiments(
+                EXPERIMENTS if name == ALL else [name], out, engine=engine,
+                profiles=PROFILES if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
+                values=values, video=not no_video, again=again, progress=stages.share, notify=stages.say,
+            )  # fmt: skip
+    if as_json:
+        run = {each.name: {"kept": each.kept} for each in result.results}
+        print_json({"out": result.out, "run": run, **result.report})
+    elif not quiet:
+        _print(result)
+
+
+def _values(assignments: tuple[str, ...]) -> dict[str, float]:
+    """Model parameters by name; their ranges are checked with the other settings."""
+    from nermo_mjx.robot import ModelParameters
+    from nermo_mjx.robot.quantity import quantities
+
+    known = dict(quantities(ModelParameters))
+    groups = ", ".join(dict.fromkeys(f"{name.partition('.')[0]}.*" for name in known))
+    unknown = f"is not a parameter of the body; allowed are {groups} of `nermo-mjx sweep --list-parameters`."
+    return dict(assignment(text, known, unknown) for text in assignments)
+
+
+class _Stages:
+    """One progress display after the other: each experiment's, its plots', its video's."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet = quiet
+        self._what = ""
+        self._shown = contextlib.ExitStack()
+
+    def __enter__(self) -> _Stages:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._shown.close()
+
+    def share(self, what: str, share: float) -> None:
+        """So much is done of what is going on."""
+        if what != self._what:
+            self._shown.close()
+            self._what = what
+            self._progress = self._shown.enter_context(Progress(what, quiet=self._quiet, compiles="," not in what))
+        self._progress.share(share)
+
+    def say(self, sentence: str) -> None:
+        """A sentence on a line of its own."""
+        self._shown.close()
+        self._what = ""
+        if not self._quiet:
+            click.echo(sentence, err=True)
+
+
+def _print(result: ExperimentsResult) -> None:
+    from nermo_mjx.experiments.catalogue import EXPERIMENTS as CATALOGUE
+    from nermo_mjx.experiments.report import HEADINGS, cells
+
+    content = result.report
+    for each in result.results:
+        rows = [list(map(_short, cells(line))) for line in content["lines"] if line["experiment"] == each.name]
+        print_table(CATALOGUE[each.name].title, list(HEADINGS), rows)
+    for each in result.results:
+        about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
+        took = f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
+        click.echo(f"{each.name}: {_counted(summary)} ({took}{', kept' if each.kept else ''})")
+    for sentence in content["differences"]:
+        click.echo(sentence)
+    for name, place in _places(result).items():
+        click.echo(f"{name:<10} {place}")
+
+
+def _short(text: str) -> str:
+    """A cell that leaves room for the others; the report has all of it."""
+    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…"
+
+
+def _counted(summary: dict[str, Any]) -> str:
+    compared = summary["hold"] + summary["do_not_hold"]
+    missing = f", {summary['not_measured']} not measured" if summary["not_measured"] else ""
+    return f"{summary['hold']} of {compared} figures hold{missing}"
+
+
+def _places(result: ExperimentsResult) -> dict[str, Path]:
+    """Where the files are, by what they are."""
+    made = {"plots": "plots", "recordings": "recordings", "videos": "videos"}
+    folders = {name: result.out / folder for name, folder in made.items()
+               if any(getattr(each, name) for each in result.results)}  # fmt: skip
+    return {"report": result.out / "report.md", "tables": result.out / "results", **folders}

@@ -1,0 +1,70 @@
+"""`nermo-mjx identify`: contact, servo gains and damping that the publication does not give."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.progress import Progress, duration
+
+EPILOG = """\b
+Examples:
+  nermo-mjx identify --out runs/identified
+  nermo-mjx identify --samples 8 --generations 2 --out runs/look
+"""
+
+
+@click.command("identify", epilog=EPILOG)
+@click.option(
+    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
+)
+@options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=96)
+@options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=18)
+@options.number("--population", "Candidates of a generation.", click.IntRange(4), default=12)
+@options.number("--seed", "Of both searches.", click.IntRange(0), default=0)
+@options.engine
+@options.report
+def command(
+    out: Path, samples: int, generations: int, population: int, seed: int, engine: str, as_json: bool, quiet: bool
+) -> None:
+    """Identify the body's parameters that the publication does not give.
+
+    Searches friction, contact, servo gains and damping within physical
+    bounds for the published speeds on the straight line, and nothing else.
+    The result is printed as options of `experiment` and `walk`, and as the
+    `set` line of a sweep.
+    """
+    with stdout_reserved():
+        from nermo_mjx.experiments.identification.report import run_identification
+
+        with Progress("identify", quiet=quiet, compiles=True) as progress:
+            content = run_identification(
+                out, engine=engine, samples=samples, generations=generations, population=population, seed=seed,
+                progress=progress.share,
+            )  # fmt: skip
+    if as_json:
+        print_json({"out": out, **content})
+    elif not quiet:
+        _print(content, out)
+
+
+def _print(content: dict[str, Any], out: Path) -> None:
+    from nermo_mjx.experiments.identification.report import (
+        PARAMETER_HEADINGS,
+        TARGET_HEADINGS,
+        parameter_rows,
+        target_rows,
+    )
+
+    print_table("Published speeds", list(TARGET_HEADINGS), target_rows(content))
+    print_table("Parameters", list(PARAMETER_HEADINGS), parameter_rows(content))
+    objective = content["objective"]
+    took = f"{content['candidates']} candidates in {duration(content['wall_seconds'])}, engine {content['engine']}"
+    click.echo(f"objective  {objective['start']:.3f} before, {objective['end']:.3f} after ({took})")
+    click.echo(f"report     {out / 'identification.md'}\n")
+    click.echo(f"Options of experiment and walk:\n  {content['options']}\n")
+    click.echo(f"In a sweep file:\n{content['yaml']}", nl=False)

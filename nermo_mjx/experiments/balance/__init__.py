@@ -1,0 +1,5 @@
+"""The balance experiment: its protocol, what is measured, and the run."""
+
+from nermo_mjx.experiments.balance.experiment import NAME, run
+
+__all__ = ["NAME", "run"]

@@ -1,0 +1,100 @@
+"""Cases of an experiment, and the one batch of worlds that they become."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from nermo_mjx.control.parameters import PROFILES, choice, published_values
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.spec import START_SPREAD
+
+#: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
+AMPLITUDE: Final = 0.4
+FREQUENCIES: Final = (0.5, 0.67, 0.8)
+Label = str | float | bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One case before profiles and repeats.
+
+    Attributes:
+        labels: what tells it from the others, by column.
+        gait, steering: named choices of `published_values`.
+        values: parameters by name, on top of those.
+    """
+
+    labels: Mapping[str, Label]
+    gait: str
+    steering: str = "leg"
+    values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class Worlds:
+    """A batch of n worlds.
+
+    Attributes:
+        labels: the cases' columns, and `profile` and `repeat`, (n,) each.
+        values: parameter name -> (n,), for `Simulator.run`.
+    """
+
+    labels: dict[str, np.ndarray]
+    values: dict[str, np.ndarray]
+
+    def all_values(self, defaults: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """`values`, and the default of every parameter that is not among them, (n,) each."""
+        n = len(next(iter(self.labels.values())))
+        return {name: np.full(n, value) for name, value in defaults.items()} | self.values
+
+
+def worlds(
+    cases: Sequence[Case],
+    defaults: Mapping[str, float],
+    *,
+    profiles: Sequence[str] = PROFILES,
+    repeats: int = 1,
+    seed: int = 0,
+    common: Mapping[str, float] | None = None,
+) -> Worlds:
+    """Every case in every profile, `repeats` times from starts that differ by a seeded shift.
+
+    The shift of a repeat is the same for all cases, so that cases are compared from like starts; the first repeat is
+    shifted too.
+
+    Args:
+        cases: all with the same labels.
+        defaults: value of every parameter that no case names.
+        profiles: of `PROFILES`.
+        repeats: at least 1.
+        seed: of the shifts.
+        common: parameters for all worlds, such as an identified contact.
+
+    Raises:
+        ParameterError: an unknown profile, or no repeat.
+    """
+    if repeats < 1:
+        raise ParameterError(f"repeats is {repeats}: allowed is 1 or more.")
+    for profile in profiles:
+        choice("profile", profile, PROFILES)
+    shifts = [_shift(seed, repeat) for repeat in range(repeats)]
+    labels: list[dict[str, Label]] = []
+    rows: list[dict[str, float]] = []
+    for profile in profiles:
+        for case in cases:
+            named = published_values(case.gait, steering=case.steering, profile=profile)
+            for repeat, shift in enumerate(shifts):
+                labels.append({"profile": profile, **case.labels, "repeat": repeat})
+                rows.append({**shift, **(common or {}), **named, **case.values})
+    names = dict.fromkeys(name for row in rows for name in row)
+    values = {name: np.array([row.get(name, defaults[name]) for row in rows]) for name in names}
+    return Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
+
+
+def _shift(seed: int, repeat: int) -> dict[str, float]:
+    random = np.random.default_rng((seed, repeat))
+    return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}

@@ -1,0 +1,130 @@
+"""The published experiments by name: how each is run, what a reader must know of it, and what its video shows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from nermo_mjx.control.parameters import choice
+from nermo_mjx.experiments import balance, maze, published, straight_line, turning
+from nermo_mjx.experiments.line import Figure
+from nermo_mjx.experiments.maze_course import maze_course
+from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.videos import Shot
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment:
+    """A published experiment.
+
+    Attributes:
+        name: as on the command line.
+        run: simulates all its cases, see `straight_line.run`.
+        figures: what was published, and how the same is measured.
+        title: for the report.
+        description: what is done and when it counts, in sentences.
+        quick: what a quick run leaves out.
+        metrics: columns that the report shows of every case, the theory's beside the simulation's.
+        needs: column -> the column that must be a number for it to mean anything.
+        shot: what the video shows.
+    """
+
+    name: str
+    run: Callable[..., Outcome]
+    figures: tuple[Figure, ...]
+    title: str
+    description: str
+    quick: str = "one repeat"
+    metrics: tuple[str, ...] = ()
+    needs: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    shot: Shot = dataclasses.field(default_factory=Shot)
+
+
+_STRAIGHT_LINE: Final = f"""\
+The robot walks {straight_line.DISTANCE:g} m straight ahead: trot (trt) and walking trot (trt1) without and with the \
+spine's stride extension (0.1 rad in each joint), lateral sequence walk (lat) without it, each at 0.5, 0.67 and \
+0.8 Hz; trot at 0.8 Hz with shorter strides down to none; trot at 0.67 Hz with offset compensation. Speed and \
+orientation are measured after the start-up transient of two gait cycles, over whole gait cycles. The theory is the \
+speed of feet that do not slip (5.21, 5.22, 5.33)."""
+_TURNING: Final = f"""\
+Quarter circles of {" and ".join(f"{r:g}" for r in turning.RADII)} m, and full lock (radius 0), at 0.5, 0.67 and \
+0.8 Hz in the gaits trt, trt1 and lat, turned by the legs, by the spine, or by both (mix), to the left; trt and trt1 \
+at 0.67 Hz to the right as well. A path counts as *followed* if the torso, with all its sway, stays within \
+{turning.BOUND_SHARE:.0%} of the radius of it, or {1e3 * turning.LEAST_BOUND:g} mm if that is more, and its end is \
+reached in time. The smallest radius is that of the circle fitted to the torso's steady path at full lock; the theory \
+is the radius without slip (5.40 to 5.44)."""
+_BALANCE: Final = """\
+From its own static stance the robot lifts one leg, compresses it fully with the knee servo, and swings it through the \
+whole range of hip or shoulder, -0.7 to 0.7 rad; each leg without and with spine balance compensation (SBC). It \
+*passes* if it does not tip over its stability diagonal and the lifted foot never touches the ground during the swing. \
+The theory is the distance of the centre of mass from that diagonal (5.35): positive inside."""
+_MAZE: Final = f"""\
+Trot at {maze.FREQUENCY:g} Hz through the published maze, along way points of {maze_course().length:.2f} m: without \
+the spine, turned by the legs alone; with the spine, turned by legs and spine, with longer strides. The published path \
+is not available; this one was drawn once, clear of the boxes, and is the same in all runs. A touch is a contact of \
+any part of the robot with a box."""
+
+EXPERIMENTS: Final[dict[str, Experiment]] = {
+    experiment.name: experiment
+    for experiment in (
+        Experiment(
+            straight_line.NAME,
+            straight_line.run,
+            published.FIGURES[straight_line.NAME],
+            f"Straight line, {straight_line.DISTANCE:.1f} m",
+            _STRAIGHT_LINE,
+            quick="0.8 Hz and the offset compensation only, over half a metre",
+            metrics=("speed", "theory_speed", "slip", "roll_std", "pitch_mean", "pitch_std", "yaw_std"),
+            shot=Shot("with spine"),
+        ),
+        Experiment(
+            turning.NAME,
+            turning.run,
+            published.FIGURES[turning.NAME],
+            "Turning",
+            _TURNING,
+            quick="trot at 0.67 Hz only, on 0.5 m and at full lock",
+            metrics=("speed", "time", "followed", "cross_track_peak", "turning_radius", "theory_radius"),
+            needs={"followed": "cross_track_peak"},
+            shot=Shot("mix", speed=2.0, until="time"),
+        ),
+        Experiment(
+            "balance",
+            balance.run,
+            published.FIGURES["balance"],
+            "Balance",
+            _BALANCE,
+            metrics=(
+                "passed",
+                "upright",
+                "clear",
+                "tilt_max",
+                "pitch_rest",
+                "theory_margin",
+                "com_margin_lift",
+                "com_margin_swing",
+            ),
+            shot=Shot("rear_left sbc"),
+        ),
+        Experiment(
+            maze.NAME,
+            maze.run,
+            published.FIGURES[maze.NAME],
+            "Maze",
+            _MAZE,
+            quick="the first metre only, so that no run reaches the end",
+            metrics=("reached", "time", "mean_speed", "roll_std", "pitch_std", "touched", "boxes"),
+            shot=Shot("exact, with spine", camera="overview", speed=8.0, until="time"),
+        ),
+    )
+}
+
+
+def experiment(name: str) -> Experiment:
+    """An experiment by name.
+
+    Raises:
+        ParameterError: there is none of that name; the message has the nearest one.
+    """
+    return EXPERIMENTS[choice("experiment", name, EXPERIMENTS)]

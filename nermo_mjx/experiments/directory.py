@@ -1,0 +1,153 @@
+"""The directory of the published experiments: what each one left, and with which settings it was run.
+
+DIR/results/<experiment>.parquet    one row a world; the settings and the provenance are in the schema's metadata
+DIR/results/<experiment>.json       its lines of the report, and what was run
+DIR/recordings/<experiment>-*.npz   runs that plots and videos show
+DIR/plots/, DIR/videos/             made from the above
+DIR/report.json, DIR/report.md      all experiments that the directory holds
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.table import outcome_of, table_of
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.sweep.store import read_chunk
+from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.view.recording import Recording
+
+_NOTES = b"about"
+
+
+@dataclasses.dataclass(frozen=True)
+class Stored:
+    """An experiment that a directory holds.
+
+    Attributes:
+        outcome: its table; recordings are read when they are looked at.
+        about: `settings`, `engine`, `wall_seconds`, and `started`, `command`, `versions`, `machine` of the run.
+        table: the file of the table; recordings: those of the recordings.
+    """
+
+    outcome: Outcome
+    about: dict[str, Any]
+    table: Path
+    recordings: tuple[Path, ...]
+
+
+class Directory:
+    """Files of a directory; paths in `entry`s are relative to it."""
+
+    def __init__(self, out: str | os.PathLike[str]) -> None:
+        self.out = Path(out)
+
+    def prepare(self) -> None:
+        """Make the directory, and see that it can be written and holds nothing else.
+
+        Raises:
+            ParameterError: it cannot, or it is a sweep's.
+        """
+        if (self.out / "sweep.yaml").exists():
+            raise ParameterError(f"{self.out} holds the results of a sweep; choose another directory.")
+        make_writable(self.out)
+        make_writable(self.out / "results")
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Replace a file of the directory, whole or not at all.
+
+        Raises:
+            StoreError: it cannot be written.
+        """
+        # Two commands may fill one directory, each with its experiment: their temporary files are told apart.
+        with clear_errors(self.out):
+            replace_file(path, content, f".{os.getpid()}.tmp")
+
+    def relative(self, path: Path) -> str:
+        """A path for links within the directory."""
+        return Path(os.path.relpath(path, self.out)).as_posix()
+
+    def save(self, outcome: Outcome, about: Mapping[str, Any]) -> Stored:
+        """Store an experiment's results in the place of former ones; the table comes last, and makes them valid."""
+        table = self._table(outcome.experiment)
+        with clear_errors(self.out):
+            table.unlink(missing_ok=True)
+            for leftover in (*self._recordings(outcome.experiment), self.out / "videos" / f"{outcome.experiment}.mp4"):
+                leftover.unlink(missing_ok=True)
+        files: dict[str, Path] = {}
+        for name, recording in outcome.recordings.items():
+            path = self.out / "recordings" / f"{outcome.experiment}-{_slug(name, outcome.experiment)}.npz"
+            files[name] = path if path not in files.values() else path.with_stem(f"{path.stem}-{len(files)}")
+            recording.save(files[name])
+        notes = {**about, "recordings": {name: path.name for name, path in files.items()}}
+        self.write(table, parquet_bytes(table_of(outcome, {"about": to_json(notes).decode()})))
+        stored = self.load(outcome.experiment)
+        if stored is None:
+            raise StoreError(f"{table} was written but cannot be read back: run the same command again.")
+        return stored
+
+    def load(self, experiment: str) -> Stored | None:
+        """What the directory holds of an experiment; None if that is nothing, or damaged."""
+        path = self._table(experiment)
+        table = read_chunk(path)
+        if table is None:
+            return None
+        try:
+            about = json.loads(table.schema.metadata[_NOTES])
+            files = {name: self.out / "recordings" / file for name, file in about["recordings"].items()}
+        except (KeyError, TypeError, ValueError):
+            return None
+        if not all(file.exists() for file in files.values()):
+            return None
+        return Stored(outcome_of(table, _Recordings(files)), about, path, tuple(files.values()))
+
+    def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
+        """Store an experiment's lines and what was run."""
+        self.write(self.out / "results" / f"{experiment}.json", to_json(entry))
+
+    def entry(self, experiment: str) -> dict[str, Any] | None:
+        """What `write_entry` stored, or None."""
+        try:
+            entry = json.loads((self.out / "results" / f"{experiment}.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        return entry if isinstance(entry, dict) and "lines" in entry else None
+
+    def _table(self, experiment: str) -> Path:
+        return self.out / "results" / f"{experiment}.parquet"
+
+    def _recordings(self, experiment: str) -> list[Path]:
+        return list((self.out / "recordings").glob(f"{experiment}-*.npz"))
+
+
+class _Recordings(Mapping[str, Recording]):
+    """Recordings by name, each read from its file when it is first looked at."""
+
+    def __init__(self, files: Mapping[str, Path]) -> None:
+        self._files = files
+        self._read: dict[str, Recording] = {}
+
+    def __getitem__(self, name: str) -> Recording:
+        if name not in self._read:
+            self._read[name] = Recording.load(self._files[name])
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._files)
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+
+def _slug(name: str, experiment: str) -> str:
+    """A recording's name as part of a file's: "trt, 0.67 Hz, with spine" is trt-0.67-hz-with-spine."""
+    slug = re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.")
+    return slug.removeprefix(f"{experiment}-") or "run"

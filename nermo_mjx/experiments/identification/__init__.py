@@ -1,0 +1,1 @@
+"""Identification of what the publication does not give, and its report."""

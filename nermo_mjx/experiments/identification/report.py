@@ -1,0 +1,208 @@
+"""An identification's directory: identification.json, a report to read, and plots of the search and its residuals."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from nermo_mjx.experiments.identification.plots import draw
+from nermo_mjx.experiments.identification.search import FREE, TARGETS, Identified, Target, identify
+from nermo_mjx.experiments.report import published
+from nermo_mjx.experiments.report_page import table
+from nermo_mjx.experiments.table import MISSING, number
+from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.robot import ModelParameters, ParameterError
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.sweep.files import clear_errors, make_writable, replace_file
+from nermo_mjx.sweep.provenance import session
+from nermo_mjx.sweep.summary import to_json
+
+FORMULA: Final = (
+    "root of the mean over all targets of r^2, where r = ln(value / published) / tolerance, of an interval its nearer "
+    "end; r = 0 inside it, and where an order (published: at least 1) is met; 10 for a candidate that falls, diverges "
+    "or goes backwards"
+)
+TARGET_HEADINGS: Final = (
+    ("ratio of speeds", "left"), ("published", "right"), ("tolerance", "right"), ("before", "right"),
+    ("identified", "right"), ("residual [tolerances]", "right"),
+)  # fmt: skip
+PARAMETER_HEADINGS: Final = (
+    ("parameter", "left"), ("default", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
+)  # fmt: skip
+#: Nearer to a bound than this share of the range of its logarithm, a parameter lies at it.
+_AT_BOUND: Final = 0.01
+
+
+def run_identification(
+    out: str | os.PathLike[str],
+    *,
+    engine: str = "auto",
+    samples: int = 96,
+    generations: int = 18,
+    population: int = 12,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> dict[str, Any]:
+    """Identify, and write the result into a directory.
+
+    Args: see `identification.identify`.
+
+    Returns:
+        Content of identification.json.
+
+    Raises:
+        ParameterError: wrong arguments, or a directory that cannot be written or holds an identification.
+        StoreError: the directory cannot be written any more.
+    """
+    folder = Path(out)
+    _prepare(folder)
+    resolve_engine(engine)
+    search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
+    about = session(settings=search, engine=resolve_engine(engine))
+    begun = time.monotonic()
+    found = identify(engine=engine, **search, progress=progress)
+    content = {**_content(found), **about, "wall_seconds": time.monotonic() - begun}
+    with clear_errors(folder):
+        # The result first: whatever happens to the plots, the search is not lost.
+        replace_file(folder / "identification.json", to_json(content))
+        content["plots"] = [path.relative_to(folder).as_posix() for path in draw(content, folder / "plots")]
+        replace_file(folder / "identification.json", to_json(content))
+        replace_file(folder / "identification.md", _page(content).encode())
+    return content
+
+
+def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
+    """Rows of texts under `TARGET_HEADINGS`."""
+    return [
+        [
+            name, published(target["published"]), f"{target['tolerance']:.0%}", _number(target["start"]),
+            _number(target["value"]), _signed(target["residual"]),
+        ]
+        for name, target in content["targets"].items()
+    ]  # fmt: skip
+
+
+def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
+    """Rows of texts under `PARAMETER_HEADINGS`."""
+    rows = []
+    for free in content["free"].values():
+        names = ", ".join(free["parameters"]) + (f" [{free['unit']}]" if free["unit"] != "1" else "")
+        value = number(free["value"]) + (f" (at its {free['at_bound']} bound)" if free["at_bound"] else "")
+        default = ", ".join(dict.fromkeys(f"{value:g}" for value in free["default"]))
+        rows.append([names, default, value, f"{free['low']:g} to {free['high']:g}", free["why"]])
+    return rows
+
+
+def _prepare(folder: Path) -> None:
+    if (folder / "identification.json").exists():
+        raise ParameterError(f"{folder} holds an identification; choose another directory.")
+    make_writable(folder)
+
+
+def _content(found: Identified) -> dict[str, Any]:
+    """What was searched, and what was found."""
+    known = dict(quantities(ModelParameters))
+    # Of the defaults only the objective is known where the search does not keep their figures.
+    start: Mapping[str, tuple[float, float]] = getattr(found, "start_figures", {})
+    targets = {
+        name: {
+            **_target(target),
+            "value": found.figures[name][0],
+            "residual": found.figures[name][1],
+            "start": start[name][0] if name in start else None,
+            "start_residual": start[name][1] if name in start else None,
+        }
+        for name, target in TARGETS.items()
+    }
+    free = {}
+    for name, about in FREE.items():
+        value = found.parameters[about.names[0]]
+        free[name] = {
+            "parameters": list(about.names), "unit": known[about.names[0]].unit, "low": about.low, "high": about.high,
+            "why": about.why, "default": [known[each].default for each in about.names], "value": value,
+            "at_bound": _at_bound(value, about.low, about.high),
+        }  # fmt: skip
+    rounded = {name: f"{value:.4g}" for name, value in found.parameters.items()}
+    return {
+        "parameters": found.parameters,
+        "options": " ".join(f"--set {name}={value}" for name, value in rounded.items()),
+        "yaml": "set:\n" + "".join(f"  {name}: {value}\n" for name, value in rounded.items()),
+        "objective": {"formula": FORMULA, "start": found.start, "end": found.objective},
+        "targets": targets,
+        "free": free,
+        "candidates": len(found.costs),
+        "costs": list(found.costs),
+    }
+
+
+def _target(target: Target) -> dict[str, Any]:
+    about = dataclasses.asdict(target)
+    low, high = about.pop("low"), about.pop("high")
+    return {"published": low if low == high else [low, high if math.isfinite(high) else None], **about}
+
+
+def _at_bound(value: float, low: float, high: float) -> str | None:
+    place = math.log(value / low) / math.log(high / low)
+    return "lower" if place < _AT_BOUND else "upper" if place > 1 - _AT_BOUND else None
+
+
+def _page(content: Mapping[str, Any]) -> str:
+    objective, search = content["objective"], content["settings"]
+    targets = table([name for name, _ in TARGET_HEADINGS], target_rows(content), "lrrrrr")
+    parameters = table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll")
+    pictures = "\n".join(
+        f"![{Path(path).stem.replace('-', ' ')}]({path})\n" for path in content["plots"] if path.endswith(".png")
+    )
+    versions = ", ".join(f"{package} {version}" for package, version in content["versions"].items())
+    machine = ", ".join(f"{key} {value}" for key, value in content["machine"].items())
+    return f"""\
+# Identification of what the publication does not give
+
+Friction and contact, servo gains and damping were searched within physical bounds for the published speeds on the
+straight line, in the profile exact. Nothing else was looked at: orientation, turning, balance and maze are predictions.
+
+**Objective {objective["start"]:.3f} at the defaults, {objective["end"]:.3f} after {content["candidates"]} candidates.**
+
+## Published speeds
+
+{targets}
+A residual is a deviation in tolerances: 1 is as far as was called acceptable beforehand.
+
+## Parameters
+
+{parameters}
+To use them in `nermo-mjx experiment` and `nermo-mjx walk`:
+
+```sh
+{content["options"]}
+```
+
+In a sweep file:
+
+```yaml
+{content["yaml"]}```
+
+{pictures}
+## How
+
+- Objective: {objective["formula"]}.
+- Search: {search["samples"]} points of a Sobol sequence, then {search["generations"]} times
+  {search["population"]} by CMA-ES from the best of them; both in the logarithms of the parameters.
+- Seed {search["seed"]}, engine {content["engine"]}, {content["wall_seconds"]:.0f} s, begun on {content["started"]}.
+- Command: `{content["command"]}`
+- Versions: {versions}
+- Machine: {machine}
+"""
+
+
+def _number(value: float | None) -> str:
+    return MISSING if value is None else number(value)
+
+
+def _signed(value: float | None) -> str:
+    return MISSING if value is None or not math.isfinite(value) else f"{value + 0.0:+.2f}"

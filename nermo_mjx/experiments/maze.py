@@ -1,0 +1,129 @@
+"""Maze: trot at 0.67 Hz along the way points, turned by the legs alone, and by legs and spine with longer strides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from nermo_mjx.control.parameters import PROFILES
+from nermo_mjx.experiments.cases import AMPLITUDE, Case, worlds
+from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
+from nermo_mjx.experiments.outcome import Column, Outcome
+from nermo_mjx.experiments.worlds_run import recordings_of, table_of
+from nermo_mjx.robot import Robot
+from nermo_mjx.rollout import History, Run, Setup, Simulator
+
+NAME: Final = "maze"
+FREQUENCY: Final = 0.67
+#: The end is reached where the torso passes it by no more than this [m], half the robot's length.
+_PASSES: Final = 0.1
+#: Ticks between two looks at the contacts: a touch lasts longer than 20 ms.
+_LOOK: Final = 2
+#: A run ends at this share of the speed of theory.
+_SLOWEST: Final = 0.45
+_ABOUT: Final = {
+    "profile": Column("1", "exact or as_published"),
+    "spine": Column("1", "whether the spine turns along and extends the strides"),
+    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
+    "time": Column("s", "simulated time from the start to the end of the path; NaN if it is not reached"),
+    "mean_speed": Column("m/s", "length of the path over time"),
+    "reached": Column("1", "1 if the end was reached, 0 if not; NaN if only the first metre was walked"),
+    "touched": Column("s", "simulated time in contact with a box"),
+    "boxes": Column("1", "numbers of the boxes touched, joined by spaces"),
+}
+
+
+def cases() -> tuple[Case, ...]:
+    """Without the spine: leg-based turning. With it: mix-based turning and stride extension."""
+    return tuple(
+        Case({"spine": spine}, "trt", strategy, {"frequency": FREQUENCY, "spine.amplitude": AMPLITUDE * spine})
+        for spine, strategy in ((False, "leg"), (True, "mix"))
+    )
+
+
+def run(
+    *,
+    engine: str = "auto",
+    profiles: Sequence[str] = PROFILES,
+    repeats: int = 3,
+    seed: int = 0,
+    quick: bool = False,
+    values: Mapping[str, float] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Outcome:
+    """Walk through the maze in all cases, in one batch.
+
+    Args: see `straight_line.run`; `quick` walks the first metre only, so that no run reaches the end.
+
+    Raises:
+        ParameterError: an unknown name, or a value out of range.
+    """
+    setup = Setup(scene="maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
+    simulator = Simulator(setup, engine=engine)
+    batch = worlds(cases(), setup.defaults(), profiles=profiles, repeats=repeats, seed=seed, common=values)
+    length = 1.0 if quick else maze_course().length + 2 * _PASSES
+    cycles = np.ceil(length / (_SLOWEST * 0.12))
+    result = simulator.run(
+        batch.values, Run(cycles=cycles, warmup_cycles=2.0, distance=length), record=True, progress=progress
+    )
+    assert result.trace is not None
+    columns, about = table_of(batch, result)
+    columns |= _arrivals(result.trace) | touches(simulator.robot, result.trace)
+    if quick:
+        columns["reached"] = np.full(len(columns["reached"]), np.nan)
+    shown = batch.labels["repeat"] == 0
+    names = [
+        f"{profile}, {'with' if spine else 'without'} spine"
+        for profile, spine in zip(batch.labels["profile"], batch.labels["spine"], strict=True)
+    ]
+    recordings = recordings_of(simulator, batch, result, {i: names[i] for i in np.flatnonzero(shown).tolist()})
+    return Outcome(NAME, columns, _ABOUT | about, recordings)
+
+
+def _arrivals(trace: History) -> dict[str, np.ndarray]:
+    """When each world's torso passes the end of the path."""
+    course = maze_course()
+    end = np.array([course.x[-1], course.y[-1]])
+    ahead = np.array([np.cos(course.heading[-1]), np.sin(course.heading[-1])])
+    beyond = trace.sensors["position"][..., :2] - end
+    past = (beyond @ ahead >= 0.0) & (np.linalg.norm(beyond, axis=-1) < _PASSES)
+    reached = past.any(axis=1)
+    time = np.where(reached, trace.time[np.argmax(past, axis=1)], np.nan)
+    return {"time": time, "mean_speed": course.length / time, "reached": reached.astype(float)}
+
+
+def touches(robot: Robot, trace: History) -> dict[str, np.ndarray]:
+    """How long each world touched a box, and which, from the contacts that MuJoCo finds in the recorded poses."""
+    data = mujoco.MjData(robot.model)
+    obstacles = np.array(robot.obstacles)
+    seconds, names = [], []
+    for poses in trace.qpos:
+        time, boxes = 0.0, set[int]()
+        for qpos in poses[::_LOOK]:
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(robot.model, data)
+            mujoco.mj_comPos(robot.model, data)
+            mujoco.mj_collision(robot.model, data)
+            geoms = data.contact.geom[data.contact.dist < 0.0]
+            hit = set(np.intersect1d(geoms, obstacles).tolist())
+            boxes |= hit
+            time += bool(hit) * _LOOK * float(trace.time[0])
+        seconds.append(time)
+        names.append(" ".join(robot.model.geom(box).name.removeprefix("obstacle_") for box in sorted(boxes)))
+    return {"touched": np.array(seconds), "boxes": np.array(names)}
+
+
+def box_outlines(robot: Robot) -> np.ndarray:
+    """Corners of the boxes seen from above, (boxes, 4, 2) [m]."""
+    model: Any = robot.model
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    outlines = []
+    for box in robot.obstacles:
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[box])
+        turned = corners * model.geom_size[box][:2] @ turn.reshape(3, 3)[:2, :2].T
+        outlines.append(model.geom_pos[box][:2] + turned)
+    return np.array(outlines)

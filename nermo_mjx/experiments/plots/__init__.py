@@ -1,0 +1,1 @@
+"""Pictures of the experiments, in the form of the published figures."""

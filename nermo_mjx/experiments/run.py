@@ -1,0 +1,252 @@
+"""Run the published experiments into a directory: each one's results are stored as soon as it is done.
+
+A directory goes on where it was stopped: an experiment that it holds, run with the same settings, is not run again.
+Experiments of one directory may have been run with different settings; each keeps its own, and the report says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from nermo_mjx.control.parameters import PROFILES
+from nermo_mjx.experiments import report
+from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
+from nermo_mjx.experiments.directory import Directory, Stored
+from nermo_mjx.experiments.line import Line, compare
+from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.published import REASONS
+from nermo_mjx.experiments.settings import Settings, checked, differences
+from nermo_mjx.experiments.videos import shoot
+from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.sweep.provenance import session
+from nermo_mjx.version import __version__
+from nermo_mjx.view import RecordingError, VideoError
+
+Progress = Callable[[str, float], None]
+#: What is made from the results, and is added to an experiment's entry when it is there.
+_MADE_LATER: Final = ("plots", "videos", "notes")
+
+
+class ExperimentError(RuntimeError):
+    """An experiment that failed; the message says which, and what is kept."""
+
+
+class ExperimentsInterrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM; the message says how to go on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ExperimentResult:
+    """What one experiment gave.
+
+    Attributes:
+        name: of the experiment; out: the directory.
+        outcome: its table, and recordings that are read when they are looked at.
+        lines: of the report.
+        table, plots, recordings, videos: its files.
+        kept: whether the directory held it already, so that nothing was simulated.
+        notes: sentences on what could not be made.
+    """
+
+    name: str
+    out: Path
+    outcome: Outcome
+    lines: tuple[Line, ...]
+    table: Path
+    plots: tuple[Path, ...]
+    recordings: tuple[Path, ...]
+    videos: tuple[Path, ...]
+    kept: bool
+    notes: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class ExperimentsResult:
+    """What several experiments gave: the results in the order run, and the content of report.json."""
+
+    out: Path
+    results: tuple[ExperimentResult, ...]
+    report: dict[str, Any]
+
+
+def run_experiment(name: str, out: str | os.PathLike[str], **options: Any) -> ExperimentResult:
+    """Run one experiment into a directory; arguments and errors as for `run_experiments`."""
+    return run_experiments([name], out, **options).results[0]
+
+
+def run_experiments(
+    names: Sequence[str],
+    out: str | os.PathLike[str],
+    *,
+    engine: str = "auto",
+    profiles: Sequence[str] = PROFILES,
+    repeats: int | None = None,
+    seed: int = 0,
+    quick: bool = False,
+    values: Mapping[str, float] | None = None,
+    video: bool = True,
+    again: bool = False,
+    progress: Progress | None = None,
+    notify: Callable[[str], None] | None = None,
+) -> ExperimentsResult:
+    """Run experiments one after the other; the report is written anew after each.
+
+    Args:
+        names: of `EXPERIMENTS`.
+        out: the directory; see `nermo_mjx.experiments.directory`.
+        engine: `auto`, `c` or `mjx`.
+        profiles: of `PROFILES`.
+        repeats: worlds of each case, from starts that differ by a seeded shift; by default 3, or 1 in a quick run.
+        seed: of the shifts.
+        quick: fewer cases, and no video.
+        values: model parameters for all worlds, by name, such as an identified contact.
+        video: make the videos.
+        again: run again, and replace, what the directory holds of these experiments.
+        progress: called with what is being done and the share of it.
+        notify: called with a sentence on anything out of the ordinary.
+
+    Raises:
+        ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
+        ExperimentError: an experiment failed; what was done before is kept.
+        StoreError: the directory cannot be written any more.
+        ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+    """
+    chosen = [experiment(name) for name in dict.fromkeys(names)]
+    settings = checked(profiles, repeats, seed, quick, values)
+    resolve_engine(engine)
+    directory = Directory(out)
+    directory.prepare()
+    work = _Work(directory, settings, engine, video and not quick, progress or _ignore, notify or _ignore)
+    # All are looked up before anything runs: a refusal costs no simulation.
+    kept = {each.name: None if again else work.kept(each) for each in chosen}
+    with _stoppable(directory.out):
+        results = tuple(work.run(each, kept[each.name]) for each in chosen)
+    return ExperimentsResult(directory.out, results, report.collect(directory, EXPERIMENTS))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Work:
+    """What all experiments of one call share."""
+
+    directory: Directory
+    settings: Settings
+    engine: str
+    video: bool
+    progress: Progress
+    notify: Callable[[str], None]
+
+    def kept(self, chosen: Experiment) -> Stored | None:
+        """What the directory holds of an experiment, if it is what was asked for; refuses what is not."""
+        stored = self.directory.load(chosen.name)
+        if stored is None:
+            return None
+        held = stored.about["settings"]
+        wanted = self.settings.as_dict()
+        if self.engine != "auto":
+            held, wanted = held | {"engine": stored.about["engine"]}, wanted | {"engine": self.engine}
+        differing = differences(held, wanted)
+        if differing:
+            raise ParameterError(
+                f"{self.directory.out} holds {chosen.name} run with other settings ({'; '.join(differing)}): choose "
+                "another directory, or replace it with --again (again=True)."
+            )
+        return stored
+
+    def run(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
+        """Simulate, or take what is kept; then everything that is made from it."""
+        if kept is None:
+            stored = self._simulate(chosen)
+        else:
+            stored = kept
+            made = kept.about["versions"].get("nermo-mjx")
+            other = "" if made == __version__ else f" with version {made}, while this is {__version__}"
+            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again runs it anew.")
+        lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}))
+        former = self.directory.entry(chosen.name) if kept is not None else None
+        entry = report.entry_of(chosen.title, stored, lines) | {
+            name: (former or {}).get(name, []) for name in _MADE_LATER
+        }
+        self._publish(chosen, entry)
+        plots = self._plots(chosen, stored.outcome, lines)
+        entry["plots"] = [self.directory.relative(plot) for plot in plots]
+        entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"])
+        self._publish(chosen, entry)
+        return ExperimentResult(
+            chosen.name, self.directory.out, stored.outcome, tuple(lines), stored.table, tuple(plots),
+            stored.recordings, tuple(self.directory.out / video["file"] for video in entry["videos"]),
+            kept is not None, tuple(entry["notes"]),
+        )  # fmt: skip
+
+    def _simulate(self, chosen: Experiment) -> Stored:
+        asked = self.settings
+        about = session(settings=asked.as_dict(), engine=resolve_engine(self.engine))
+        begun = time.monotonic()
+        try:
+            outcome = chosen.run(
+                engine=self.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed, quick=asked.quick,
+                values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
+            )  # fmt: skip
+        except ParameterError:
+            raise
+        except (ValueError, RuntimeError, OSError) as error:
+            ours = type(error).__module__.startswith("nermo_mjx")
+            text = f"{chosen.name} failed: {error} What was done before is kept in {self.directory.out}."
+            if ours:
+                raise ExperimentError(text) from error
+            error.add_note(text)
+            raise
+        return self.directory.save(outcome, about | {"wall_seconds": time.monotonic() - begun})
+
+    def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
+        """Store an experiment's entry, and the report of all that the directory holds."""
+        self.directory.write_entry(chosen.name, entry)
+        report.write(self.directory, EXPERIMENTS)
+
+    def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line]) -> list[Path]:
+        from nermo_mjx.experiments.plots.draw import draw
+
+        self.progress(f"{chosen.name}, plots", 0.0)
+        folder = self.directory.out / "plots"
+        plots = draw(outcome, lines, folder)
+        for stale in set(folder.glob(f"{chosen.name}-*")) - set(plots):
+            stale.unlink()
+        return plots
+
+    def _videos(
+        self, chosen: Experiment, outcome: Outcome, made: list[dict[str, Any]]
+    ) -> tuple[list[dict[str, Any]], list[str]]:
+        """The video's file, content and speed, and what to note if there is none though there should be."""
+        if made and all((self.directory.out / video["file"]).exists() for video in made):
+            return made, []
+        shows = chosen.shot.choose(outcome)
+        if not self.video or shows is None:
+            return [], []
+        path = self.directory.out / "videos" / f"{chosen.name}.mp4"
+        try:
+            speed = shoot(outcome, chosen.shot, path, lambda share: self.progress(f"{chosen.name}, video", share))
+        except (VideoError, RecordingError) as error:
+            note = f"There is no video of {chosen.name}. {error}"
+            self.notify(note)
+            return [], [note]
+        return [{"file": self.directory.relative(path), "shows": shows, "speed": speed}], []
+
+
+def _ignore(*_: Any) -> None:
+    """Stands in for a callback that was not given."""
+
+
+@contextlib.contextmanager
+def _stoppable(out: Path) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise ExperimentsInterrupted(
+            f"stopped; the experiments that are finished are kept in {out}. To go on, run the same command again."
+        ) from None

@@ -1,0 +1,161 @@
+"""Turning: quarter circles and full lock, over gait, frequency, and what turns the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from nermo_mjx.control.parameters import PROFILES
+from nermo_mjx.experiments import theory
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Case, Label, worlds
+from nermo_mjx.experiments.outcome import Column, Outcome
+from nermo_mjx.experiments.worlds_run import measured, recorded
+from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.view.recording import Recording
+
+NAME: Final = "turning"
+RADII: Final = (1.0, 0.5)
+#: Radius that stands for full lock, as in the publication: the turn rate is held at its maximum.
+FULL_LOCK: Final = 0.0
+STRATEGIES: Final = ("leg", "spine", "mix")
+GAITS: Final = ("trt", "trt1", "lat")
+SIDES: Final = {"left": 1.0, "right": -1.0}
+#: A path is followed if the torso, with all its sway, stays this near to it: 5 % of its radius, at least 2.5 cm.
+BOUND_SHARE: Final = 0.05
+LEAST_BOUND: Final = 0.025
+#: In time means at this share of the speed of theory at least.
+_SLOWEST: Final = 0.3
+_WARMUP: Final = 1.0
+_LOCK_CYCLES: Final = 14.0
+_ABOUT: Final = {
+    "profile": Column("1", "exact or as_published"),
+    "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
+    "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
+    "radius": Column("m", "of the quarter circle; 0 is full lock"),
+    "strategy": Column("1", "what turns the robot: leg, spine, or mix of both"),
+    "side": Column("1", "left or right"),
+    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
+    "time": Column("s", "simulated time for the quarter circle at the measured speed; NaN at full lock"),
+    "followed": Column("1", "whether the path was followed to its end in time; false at full lock"),
+    "theory_radius": Column("m", "at full lock without slip (5.40-5.44); NaN on a quarter circle"),
+}
+
+
+def _case(gait: str, frequency: float, radius: float, strategy: str, side: str) -> Case:
+    values = {"frequency": frequency, "spine.amplitude": 0.0, "spine.max_servo_angle": AMPLITUDE}
+    if radius == FULL_LOCK:
+        values["pilot.turn_rate"] = SIDES[side]
+    else:
+        values |= {"pilot.radius": radius, "pilot.direction": SIDES[side]}
+    labels: dict[str, Label] = {
+        "gait": gait,
+        "frequency": frequency,
+        "radius": radius,
+        "strategy": strategy,
+        "side": side,
+    }
+    return Case(labels, gait, strategy, values)
+
+
+def cases(quick: bool = False) -> tuple[Case, ...]:
+    """The published cases to the left, and trot and walking trot at 0.67 Hz to the right as well.
+
+    `quick`: trot at 0.67 Hz, R = 0.5 m and full lock.
+    """
+    radii = (0.5, FULL_LOCK) if quick else (*RADII, FULL_LOCK)
+    left = [
+        _case(gait, f, radius, strategy, "left")
+        for gait in (("trt",) if quick else GAITS)
+        for f in ((0.67,) if quick else FREQUENCIES)
+        for radius in radii
+        for strategy in STRATEGIES
+    ]
+    right = [
+        _case(gait, 0.67, radius, strategy, "right")
+        for gait in (("trt",) if quick else GAITS[:2])
+        for radius in radii
+        for strategy in STRATEGIES
+    ]
+    return (*left, *right)
+
+
+def run(
+    *,
+    engine: str = "auto",
+    profiles: Sequence[str] = PROFILES,
+    repeats: int = 3,
+    seed: int = 0,
+    quick: bool = False,
+    values: Mapping[str, float] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Outcome:
+    """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command.
+
+    Args: see `straight_line.run`.
+
+    Raises:
+        ParameterError: an unknown name, or a value out of range.
+    """
+    parts: list[tuple[float, dict[str, np.ndarray]]] = []
+    about: dict[str, Column] = {}
+    for pilot, share in (("arc", 0.8), ("open_loop", 0.2)):
+        chosen = [case for case in cases(quick) if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")]
+        simulator = Simulator(Setup(scene="quarter_circles", pilot=pilot), engine=engine)
+        defaults = simulator.setup.defaults()
+        batch = worlds(chosen, defaults, profiles=profiles, repeats=repeats, seed=seed, common=values)
+        before = sum(done for done, _ in parts)
+        everything = batch.all_values(defaults)
+        length = _length(everything, batch.labels["radius"])
+        report = None if progress is None else _part(progress, before, share)
+        columns, about = measured(simulator, batch, length, progress=report)
+        warmup, end = length.seconds(everything["frequency"], everything["tracking.clock_ratio"])
+        parts.append((share, _judged(columns, end - warmup)))
+        if pilot == "arc":
+            recordings = _recordings(simulator, profiles[0], seed, values)
+    joined = {name: np.concatenate([columns[name] for _, columns in parts]) for name in parts[0][1]}
+    return Outcome(NAME, joined, _ABOUT | about, recordings)
+
+
+def _part(progress: Callable[[float], None], before: float, share: float) -> Callable[[float], None]:
+    return lambda done: progress(before + share * done)
+
+
+def _length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:
+    """Time for a quarter circle at the slowest speed that counts; some cycles at full lock."""
+    if (radius == FULL_LOCK).all():
+        return Run(cycles=_LOCK_CYCLES, warmup_cycles=2.0)
+    arc = radius * np.pi / 2
+    cycle = theory.speed(values) / values["frequency"] * values["tracking.clock_ratio"]
+    return Run(cycles=_WARMUP + np.ceil(arc / (_SLOWEST * cycle)), warmup_cycles=_WARMUP, distance=arc)
+
+
+def _judged(columns: dict[str, np.ndarray], longest: np.ndarray) -> dict[str, np.ndarray]:
+    """Adds time, `followed` and the radius of theory; a world that has not arrived was measured for `longest` [s]."""
+    radius = columns["radius"]
+    lock = radius == FULL_LOCK
+    time = np.where(lock, np.nan, radius * np.pi / 2 / columns["speed"])
+    near = columns["cross_track_peak"] <= bound(radius)
+    arrived = columns["duration"] < longest - 0.05
+    theory_radius = np.array([theory.smallest_radius(name) for name in columns["strategy"]])
+    return columns | {
+        "time": time,
+        "followed": near & arrived & (columns["status"] == "ok") & ~lock,
+        "theory_radius": np.where(lock, theory_radius, np.nan),
+    }
+
+
+def bound(radius: np.ndarray) -> np.ndarray:
+    """Largest cross-track error of the torso on a path that counts as followed [m]."""
+    return np.maximum(BOUND_SHARE * radius, LEAST_BOUND)
+
+
+def _recordings(
+    simulator: Simulator, profile: str, seed: int, values: Mapping[str, float] | None
+) -> dict[str, Recording]:
+    shown = [_case("trt", 0.67, 0.5, strategy, "left") for strategy in STRATEGIES]
+    batch = worlds(shown, simulator.setup.defaults(), profiles=(profile,), seed=seed, common=values)
+    names = [f"trt, 0.67 Hz, R = 0.5 m, {case.labels['strategy']}" for case in shown]
+    length = _length(batch.all_values(simulator.setup.defaults()), batch.labels["radius"])
+    return recorded(simulator, batch, length, names)

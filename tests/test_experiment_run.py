@@ -1,0 +1,378 @@
+"""The experiments' directory: what is kept, what is run again, what the report says. Nothing is simulated here."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from experiment_fake import Fake
+
+from nermo_mjx.experiments import plots
+from nermo_mjx.experiments.catalogue import EXPERIMENTS
+from nermo_mjx.experiments.directory import Directory
+from nermo_mjx.experiments.published import FIGURES
+from nermo_mjx.experiments.report import published
+from nermo_mjx.experiments.run import ExperimentError, ExperimentsInterrupted, run_experiment, run_experiments
+from nermo_mjx.experiments.table import number
+from nermo_mjx.experiments.videos import Shot, shoot
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.view import RecordingError, VideoError
+
+NAMES = tuple(EXPERIMENTS)
+
+
+@pytest.fixture
+def fakes(monkeypatch):
+    """Every experiment replaced by one that simulates nothing, and draws next to nothing."""
+    made = {name: Fake(name) for name in NAMES}
+    for name, fake in made.items():
+        monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
+
+    def draw(outcome, lines, out):
+        out.mkdir(exist_ok=True)
+        files = [out / f"{outcome.experiment}-speed.{form}" for form in ("png", "svg")]
+        for file in files:
+            file.write_text("")
+        return files
+
+    monkeypatch.setattr(plots, "draw", draw)
+    return made
+
+
+def report_of(out):
+    def no_constant(name):
+        raise AssertionError(f"{name} is no JSON")
+
+    return json.loads((out / "report.json").read_text(), parse_constant=no_constant)
+
+
+def snapshot(out):
+    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+
+# --- what is written
+
+
+def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
+    """results/*.parquet, report.json, report.md, plots/ and recordings/ are there, and nothing half-written."""
+    result = run_experiment("turning", tmp_path / "out", engine="c", video=False)
+    out = tmp_path / "out"
+    assert sorted(path.name for path in out.iterdir()) == [
+        "plots", "recordings", "report.json", "report.md", "results",
+    ]  # fmt: skip
+    assert result.table == out / "results" / "turning.parquet"
+    assert [path.name for path in result.recordings] == ["turning-trt-0.8-hz-with-spine.npz"]
+    assert [path.name for path in result.plots] == ["turning-speed.png", "turning-speed.svg"]
+    assert not [path for path in out.rglob(".*") if path.is_file()]
+    assert not result.kept
+
+
+def test_a_line_has_the_promised_keys_and_what_is_not_a_number_is_null(fakes, tmp_path):
+    run_experiment("turning", tmp_path, video=False)
+    report = report_of(tmp_path)
+    keys = {"experiment", "figure", "published", "as_published", "exact", "ratio", "holds", "unit", "reason", "source",
+            "demanded"}  # fmt: skip
+    assert [set(line) for line in report["lines"]] == [keys] * 5
+    speed, ratio, trend, word, interval = report["lines"]
+    assert (speed["experiment"], speed["published"], speed["exact"], speed["as_published"]) == (
+        "turning", 80.0, pytest.approx(81.0), pytest.approx(71.0),
+    )  # fmt: skip
+    assert [line["holds"] for line in (speed, ratio, trend, word, interval)] == [True, False, True, False, None]
+    assert (trend["ratio"], interval["exact"], interval["published"]) == (None, None, [0.25, 0.30])
+    assert report["summary"] | {"by_experiment": {}} == {
+        "lines": 5, "hold": 2, "do_not_hold": 2, "not_measured": 1, "by_experiment": {},
+    }  # fmt: skip
+    assert {"versions", "machine", "command", "wall_seconds", "started"} <= set(report)
+
+
+def test_every_world_is_a_row_and_every_column_says_its_unit_meaning_and_role(fakes, tmp_path):
+    run_experiment("maze", tmp_path, repeats=2, video=False)
+    table = pq.read_table(tmp_path / "results" / "maze.parquet")
+    assert table.num_rows == 8, "two profiles, two frequencies, two repeats"
+    about = {field.name: field.metadata for field in table.schema}
+    assert about["speed"][b"unit"] == b"m/s"
+    assert {name: metadata[b"role"].decode() for name, metadata in about.items()} == {
+        "profile": "case", "gait": "case", "frequency": "case", "repeat": "index", "speed": "metric",
+        "theory_speed": "metric", "followed": "metric", "status": "status",
+    }  # fmt: skip
+    assert all(metadata[b"description"] for metadata in about.values())
+
+
+def test_what_is_stored_is_what_was_measured(fakes, tmp_path):
+    """Truth values, texts and what is not a number come back as they were."""
+    given = fakes["maze"].run(profiles=("exact",), repeats=3, progress=lambda share: None)
+    result = run_experiment("maze", tmp_path, profiles=("exact",), video=False)
+    for name, values in given.columns.items():
+        np.testing.assert_array_equal(result.outcome.columns[name], values)
+        assert result.outcome.columns[name].dtype == values.dtype
+    assert result.outcome.about == given.about
+    assert list(result.outcome.recordings) == ["trt, 0.8 Hz, with spine"]
+    np.testing.assert_array_equal(
+        result.outcome.recordings["trt, 0.8 Hz, with spine"].time,
+        given.recordings["trt, 0.8 Hz, with spine"].time,
+    )
+
+
+def test_the_report_reads_well(fakes, tmp_path):
+    run_experiments(["straight-line", "maze"], tmp_path, values={"contact.friction": 0.8}, video=False)
+    text = (tmp_path / "report.md").read_text()
+    assert "**4 of 8 figures hold.**" in text
+    assert "| speed at 0.8 Hz [mm/s] | 80 | 71.0 | 81.0 | 1.01 | yes | 6.2 |" in text
+    assert "| interval | 0.25 to 0.30 | – | – | – | – |  |" in text
+    assert "| faster \\| at 0.8 Hz | yes | yes | yes | – | yes |  |" in text, "a bar does not end the cell"
+    assert "- **ratio of speeds** (demanded: 0.9 to 1.1): no reason is known." in text
+    assert "![The maze: speed](plots/maze-speed.png)" in text
+    assert "| trt | 0.8 | 81.0 ± 1.0 | 96.0 | 1 of 3 |" in text, "mean and spread, the theory beside it, how many did"
+    assert "contact.friction=0.8" in text
+    # Every table is whole, and every link leads somewhere.
+    for block in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        assert len({line.replace("\\|", "").count("|") for line in block.splitlines()}) == 1
+    for link in re.findall(r"\]\(([^)#][^)]*)\)", text):
+        assert (tmp_path / link).exists()
+
+
+def test_the_reason_of_a_line_stands_below_the_table(fakes, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "nermo_mjx.experiments.run.REASONS", {"maze": {"ratio of speeds": "the feet are round.", "word": "unseen"}}
+    )
+    run_experiment("maze", tmp_path, video=False)
+    assert "**ratio of speeds** (demanded: 0.9 to 1.1): the feet are round." in (tmp_path / "report.md").read_text()
+    assert [line["reason"] for line in report_of(tmp_path)["lines"]] == ["", "the feet are round.", "", "unseen", ""]
+
+
+def test_numbers_have_sensible_digits():
+    assert [number(x) for x in (0.0, 83.14159, 0.1740, 1234.5, -0.04999, 2.0, float("nan"), 8.097e-4, -6e-6)] == [
+        "0", "83.1", "0.174", "1,234", "-0.0500", "2.00", "–", "0.000810", "0",
+    ]  # fmt: skip
+    assert [published(x) for x in (96.0, 0.9, [1.15, 1.3], (0.0, 2.0), [1.0, None], True, "pass")] == [
+        "96", "0.9", "1.15 to 1.30", "at most 2", "at least 1", "yes", "pass",
+    ]  # fmt: skip
+
+
+# --- what is kept
+
+
+def test_what_is_done_is_not_run_again(fakes, tmp_path):
+    said = []
+    run_experiment("turning", tmp_path, video=False)
+    before = (tmp_path / "results" / "turning.parquet").read_bytes()
+    result = run_experiment("turning", tmp_path, video=False, notify=said.append)
+    assert len(fakes["turning"].asked) == 1
+    assert result.kept
+    assert (tmp_path / "results" / "turning.parquet").read_bytes() == before
+    assert re.match(r"turning: kept as run on .*--again", said[0])
+    assert len(result.lines) == 5
+
+
+def test_another_experiment_keeps_the_lines_of_the_former(fakes, tmp_path):
+    run_experiment("turning", tmp_path, video=False)
+    run_experiment("straight-line", tmp_path, video=False)
+    report = report_of(tmp_path)
+    assert [line["experiment"] for line in report["lines"]] == ["straight-line"] * 5 + ["turning"] * 5
+    assert list(report["experiments"]) == ["straight-line", "turning"]
+    assert report["summary"]["by_experiment"]["turning"]["hold"] == 2
+    assert report["differences"] == []
+
+
+def test_an_experiment_with_other_settings_keeps_its_own_and_the_report_says_so(fakes, tmp_path):
+    run_experiment("straight-line", tmp_path, quick=True, seed=3)
+    run_experiment("turning", tmp_path, video=False)
+    report = report_of(tmp_path)
+    assert report["experiments"]["straight-line"]["settings"]["seed"] == 3
+    assert report["experiments"]["turning"]["settings"]["repeats"] == 3
+    (sentence,) = report["differences"]
+    assert sentence.startswith("turning was run otherwise than straight-line: repeats: 3 instead of 1; seed: 0 instead")
+    text = (tmp_path / "report.md").read_text()
+    assert f"> **Not run alike.** {sentence}" in text
+    assert "> **A quick run** of The straight-line:" in text
+
+
+def test_the_same_experiment_with_other_settings_is_refused_before_anything_runs(fakes, tmp_path):
+    run_experiment("turning", tmp_path, seed=3, engine="c", video=False)
+    before = snapshot(tmp_path)
+    with pytest.raises(ParameterError, match=r"holds turning .*\(seed: 3 instead of 0\): choose another .*--again"):
+        run_experiments(NAMES, tmp_path, video=False)
+    with pytest.raises(ParameterError, match=r"\(engine: c instead of mjx\)"):
+        run_experiment("turning", tmp_path, seed=3, engine="mjx", video=False)
+    assert not fakes["straight-line"].asked
+    assert snapshot(tmp_path) == before
+    result = run_experiment("turning", tmp_path, video=False, again=True)
+    assert not result.kept
+    assert report_of(tmp_path)["experiments"]["turning"]["settings"]["seed"] == 0
+
+
+def test_a_damaged_table_or_a_lost_recording_is_run_again(fakes, tmp_path):
+    for file in ("results/turning.parquet", "recordings/turning-trt-0.8-hz-with-spine.npz"):
+        result = run_experiment("turning", tmp_path, video=False)
+        if file.startswith("results"):
+            result.table.write_bytes(result.table.read_bytes()[:100])
+        else:
+            (tmp_path / file).unlink()
+        assert not run_experiment("turning", tmp_path, video=False).kept
+
+
+def test_a_failure_half_way_keeps_what_is_done(fakes, tmp_path):
+    fakes["balance"].error = RecordingError("the feet came off.")
+    with pytest.raises(ExperimentError, match=r"^balance failed: the feet came off\. What was done before is kept in"):
+        run_experiments(NAMES, tmp_path, video=False)
+    assert list(report_of(tmp_path)["experiments"]) == ["straight-line", "turning"]
+    assert not fakes["maze"].asked
+    fakes["balance"].error = None
+    result = run_experiments(NAMES, tmp_path, video=False)
+    assert [each.kept for each in result.results] == [True, True, False, False]
+    assert list(report_of(tmp_path)["experiments"]) == list(NAMES)
+
+
+def test_a_bug_keeps_its_traceback(fakes, tmp_path):
+    fakes["turning"].error = ValueError("index 3 is out of bounds")
+    with pytest.raises(ValueError, match="index 3 is out of bounds"):
+        run_experiment("turning", tmp_path, video=False)
+
+
+def test_ctrl_c_says_how_to_go_on(fakes, tmp_path):
+    fakes["turning"].error = KeyboardInterrupt()
+    with pytest.raises(ExperimentsInterrupted, match=r"stopped; .* are kept in .*run the same command again"):
+        run_experiments(NAMES, tmp_path, video=False)
+    assert list(report_of(tmp_path)["experiments"]) == ["straight-line"]
+
+
+def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
+    def draw(*_):
+        raise ValueError("no such colour")
+
+    monkeypatch.setattr(plots, "draw", draw)
+    with pytest.raises(ValueError, match="no such colour"):
+        run_experiment("turning", tmp_path, video=False)
+    assert len(report_of(tmp_path)["lines"]) == 5
+
+
+def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path):
+    run_experiment("turning", tmp_path, video=False)
+    for stale in ("plots/turning-old.png", "recordings/turning-old.npz", "plots/maze-old.png"):
+        (tmp_path / stale).write_text("")
+    run_experiment("turning", tmp_path, video=False, again=True)
+    assert [path.name for path in sorted(tmp_path.rglob("*old*"))] == ["maze-old.png"]
+
+
+# --- settings
+
+
+def test_settings_reach_the_experiment(fakes, tmp_path):
+    heard = []
+    run_experiment(
+        "maze", tmp_path, engine="c", profiles=["as_published"], repeats=2, seed=5, values={"contact.friction": 0.8},
+        video=False, progress=lambda what, share: heard.append((what, share)),
+    )  # fmt: skip
+    (asked,) = fakes["maze"].asked
+    asked.pop("progress")
+    assert asked == {
+        "engine": "c", "profiles": ("as_published",), "repeats": 2, "seed": 5, "quick": False,
+        "values": {"contact.friction": 0.8},
+    }  # fmt: skip
+    assert ("maze", 0.5) in heard
+    report = report_of(tmp_path)
+    assert {line["exact"] for line in report["lines"]} == {None}
+    assert report["summary"]["not_measured"] == 5
+
+
+def test_a_quick_run_is_one_repeat_and_no_video(fakes, tmp_path, monkeypatch):
+    def none(*_):
+        raise AssertionError("no video")
+
+    monkeypatch.setattr("nermo_mjx.experiments.run.shoot", none)
+    run_experiment("maze", tmp_path, quick=True)
+    assert fakes["maze"].asked[0]["repeats"] == 1
+    assert fakes["maze"].asked[0]["quick"]
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"name": "turnin"}, "experiment is 'turnin': did you mean 'turning'?"),
+        ({"repeats": 0}, "repeats is 0: allowed is a whole number of at least 1."),
+        ({"seed": -1}, "seed is -1: allowed is"),
+        ({"profiles": ()}, "allowed is a list of exact and as_published."),
+        ({"profiles": ["exakt"]}, "profile is 'exakt': did you mean 'exact'?"),
+        ({"engine": "gpu"}, "engine is 'gpu': allowed is one of auto, c, mjx."),
+        ({"values": {"contact.fricton": 1.0}}, "did you mean 'contact.friction'?"),
+        ({"values": {"contact.friction": 50.0}}, "contact.friction is 50: allowed is [0.05, 5]."),
+        ({"out": "file"}, "file is a file: a directory is needed."),
+        ({"out": "file/out"}, "cannot write in "),
+        ({"out": "/sys/kernel/nermo"}, "cannot write in /sys/kernel/nermo: "),
+        ({"out": "sweep"}, "sweep holds the results of a sweep; choose another directory."),
+    ],
+)
+def test_wrong_settings_are_refused_before_anything_runs(fakes, tmp_path, options, sentence):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "sweep").mkdir()
+    (tmp_path / "sweep" / "sweep.yaml").write_text("")
+    options = {"name": "turning", "out": "out", "video": False} | options
+    with pytest.raises(ParameterError, match=re.escape(sentence)):
+        run_experiment(options.pop("name"), tmp_path / options.pop("out"), **options)
+    assert not fakes["turning"].asked
+    assert not list(tmp_path.glob("out/results/*"))
+
+
+# --- videos
+
+
+def test_a_machine_that_cannot_draw_makes_no_video_and_says_so(fakes, tmp_path, monkeypatch):
+    def shoot(*_):
+        raise VideoError("MuJoCo cannot draw on this machine.")
+
+    monkeypatch.setattr("nermo_mjx.experiments.run.shoot", shoot)
+    said = []
+    result = run_experiment("maze", tmp_path, notify=said.append)
+    note = "There is no video of maze. MuJoCo cannot draw on this machine."
+    assert said == [note] == list(result.notes)
+    assert note in (tmp_path / "report.md").read_text()
+    assert result.videos == ()
+
+
+@pytest.mark.usefixtures("drawing")
+def test_a_video_is_made_once_and_linked(fakes, tmp_path, monkeypatch):
+    result = run_experiment("maze", tmp_path)
+    assert result.videos == (tmp_path / "videos" / "maze.mp4",)
+    assert (
+        "[videos/maze.mp4](videos/maze.mp4), trt, 0.8 Hz, with spine, in real time."
+        in (tmp_path / "report.md").read_text()
+    )
+    made = result.videos[0].stat().st_mtime_ns
+    assert run_experiment("maze", tmp_path, video=False).videos == result.videos
+    assert result.videos[0].stat().st_mtime_ns == made
+
+
+def test_a_long_run_is_shown_faster_up_to_its_end(fakes, tmp_path, monkeypatch):
+    """A run of 100 s that has ended after 70 fits into a video of 8 s."""
+    shown = {}
+    monkeypatch.setattr(
+        "nermo_mjx.experiments.videos.render",
+        lambda recording, model, path, **how: shown.update(how, duration=recording.duration),
+    )
+    run_experiment("maze", tmp_path, video=False)
+    stored = Directory(tmp_path).load("maze")
+    assert stored is not None
+    outcome = stored.outcome
+    outcome.columns["speed"][:] = 70.0
+    (name,) = outcome.recordings
+    recording = outcome.recordings[name]
+    object.__setattr__(recording, "time", np.linspace(0.0, 100.0, len(recording.time)))
+    assert shoot(outcome, Shot("with spine", speed=8.0, until="speed"), Path("a.mp4")) == 9.0
+    assert shown["speed"] == 9.0
+    assert shown["duration"] == pytest.approx(71.0, abs=3.0)
+
+
+# --- the catalogue
+
+
+def test_every_published_experiment_is_in_the_catalogue():
+    assert set(EXPERIMENTS) == set(FIGURES)
+    for name, experiment in EXPERIMENTS.items():
+        assert experiment.name == name
+        assert experiment.figures == FIGURES[name]
+        assert experiment.description
+        assert experiment.metrics
