@@ -2,7 +2,8 @@
 
 The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
 `METRICS` and `all_parameters`; `control_parameters` (a pytree of arrays); `Sweep`, `run_sweep` and `read_table`;
-`Recording` and `render`; and the geometry in `kinematics`. Names are imported on first use.
+`run_experiment` and `run_experiments`; `Recording` and `render`; and the geometry in `kinematics`. Names are imported on
+first use.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ _configure()  # before JAX and MuJoCo are imported
 if TYPE_CHECKING:
     from nermo_mjx import kinematics
     from nermo_mjx.control import control_parameters
+    from nermo_mjx.experiments.run import run_experiment, run_experiments
     from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, load_robot
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "nermo_mjx.control": ("control_parameters",),
+    "nermo_mjx.experiments.run": ("run_experiment", "run_experiments"),
     "nermo_mjx.robot": ("LIMBS", "SERVOS", "ParameterError", "Robot", "load_robot"),
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
@@ -35,7 +38,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "ParameterError", "Recording", "Robot", "Run", "RunResult", "Setup", "Simulator",
     "Sweep", "SweepResult", "__version__", "all_parameters", "control_parameters", "kinematics", "load_robot",
-    "read_table", "render", "run_sweep",
+    "read_table", "render", "run_experiment", "run_experiments", "run_sweep",
 ]  # fmt: skip
 
 

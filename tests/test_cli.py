@@ -113,7 +113,8 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     assert set(choices.ENGINES) == set(ENGINES)
     assert set(choices.ROBOTS) == set(ROBOTS)
     assert set(choices.TAILS) == set(TAILS)
-    assert set(choices.PILOTS) == set(PILOT_OPTIONS)
+    # Way points are given in a sweep file or from Python, not as an option of `walk`.
+    assert {*choices.PILOTS, "waypoints"} == set(PILOT_OPTIONS)
     assert set(choices.VIEWS) == set(CAMERAS)
     assert tuple(EXPERIMENTS) == choices.EXPERIMENTS
 
@@ -322,8 +323,8 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
-    from nermo_mjx.experiments import plots
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
+    from nermo_mjx.experiments.plots import draw as plots
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
@@ -377,7 +378,7 @@ def test_an_experiment_that_fails_or_is_stopped_says_what_is_kept(fakes: dict[st
 @pytest.fixture
 def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """An identification that finds what it began with; what it was asked for."""
-    from nermo_mjx.experiments import identification
+    from nermo_mjx.experiments.identification import search as identification
     from nermo_mjx.rollout import Setup
 
     asked: dict[str, Any] = {}
@@ -388,7 +389,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         defaults = Setup().defaults()
         names = [name for free in identification.FREE.values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
-        return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, (0.9, 10.0, 0.5))
+        return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
 
     monkeypatch.setattr("nermo_mjx.experiments.identification.report.identify", identify)
     return asked

@@ -11,19 +11,15 @@ import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 from matplotlib.image import imread
 
-from nermo_mjx.experiments import (
-    balance_measures,
-    maze,
-    plot_balance,
-    plot_maze,
-    plot_orientation,
-    plot_straight_line,
-    plot_turning,
-    straight_line,
-    turning,
-)
+from nermo_mjx.experiments import maze, straight_line, turning
+from nermo_mjx.experiments.balance import measures as balance_measures
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Column, Outcome
+from nermo_mjx.experiments.plots import balance as plot_balance
+from nermo_mjx.experiments.plots import maze as plot_maze
+from nermo_mjx.experiments.plots import orientation as plot_orientation
+from nermo_mjx.experiments.plots import straight_line as plot_straight_line
+from nermo_mjx.experiments.plots import turning as plot_turning
 from nermo_mjx.experiments.plots.draw import DRAWERS, draw, pictures
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.robot import LIMBS

@@ -5,7 +5,7 @@ import types
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments import identification
+from nermo_mjx.experiments.identification import search as identification
 from nermo_mjx.experiments.identification.search import (
     FREE,
     TARGETS,

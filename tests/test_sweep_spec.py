@@ -240,3 +240,27 @@ def test_arrays_may_stand_for_lists_in_a_dict():
     sweep = Sweep.from_dict({"vary": {"frequency": np.linspace(0.5, 1.0, 3), "duty": (0.5, 0.6)}})
     assert sweep.variants == 6
     np.testing.assert_array_equal(sweep.axes[0].values(), [0.5, 0.75, 1.0])
+
+
+def test_way_points_are_read_and_written_back():
+    sweep = Sweep.from_dict(
+        {"pilot": {"waypoints": {"points": [[0, 0], [0, -0.5], [0.3, -1]]}}, "vary": {"duty": [0.5]}}
+    )
+    assert sweep.setup.waypoints == ((0.0, 0.0), (0.0, -0.5), (0.3, -1.0))
+    again = Sweep.from_text(sweep.to_yaml(), "again")
+    assert again.setup == sweep.setup
+    assert again.digest() == sweep.digest()
+
+
+@pytest.mark.parametrize(
+    ("pilot", "sentence"),
+    [
+        ("waypoints", "'pilot' is 'waypoints' without points: expected points"),
+        ({"waypoints": {"points": [[0, 0], [0, -1, 2]]}}, r"has the list \[0, -1, 2\]"),
+        ({"waypoints": {"points": [[0, 0], [0, 0], [1, 1]]}}, "Way point 1 repeats"),
+        ({"waypoints": {"points": [[0, 0], [0, 1], [0, "a"]]}}, "is the text 'a': expected a number"),
+    ],
+)
+def test_wrong_way_points_are_refused(pilot, sentence):
+    with pytest.raises(SpecError, match=sentence):
+        Sweep.from_dict({"pilot": pilot, "vary": {"duty": [0.5]}})

@@ -23,7 +23,7 @@ Examples:
     "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
 )
 @options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=96)
-@options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=18)
+@options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=34)
 @options.number("--population", "Candidates of a generation.", click.IntRange(4), default=12)
 @options.number("--seed", "Of both searches.", click.IntRange(0), default=0)
 @options.engine

@@ -1,6 +1,7 @@
 """Parameters of the robot's body that a sweep may vary within one batch: servos, contact, stiffness, damping, mass.
 
-Defaults are those of the published robot, or of the prototype named in docs/model.md where the thesis is silent.
+Defaults are those of the published robot; contact, servo gain and damping, knee, ankle and spine damping, of which the
+thesis is silent, were identified from its straight-line speeds (`nermo-mjx identify`; docs/experiments.md).
 `physics.variation` writes them into model fields.
 """
 
@@ -15,8 +16,8 @@ from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 class Servo:
     """All position servos (Power HD-DSM44 at 6 V)."""
 
-    kp: Any = quantity(6.3, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain")
-    kv: Any = quantity(0.03, unit="N m s/rad", low=0.0, high=5.0, doc="velocity damping of the servo loop")
+    kp: Any = quantity(4.6, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain")
+    kv: Any = quantity(0.11, unit="N m s/rad", low=0.0, high=5.0, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
 
@@ -25,9 +26,9 @@ class Servo:
 class Contact:
     """Rubber sole on a mat; the impedance grows from zero with depth (continuous onset)."""
 
-    friction: Any = quantity(1.0, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
-    time_constant: Any = quantity(0.006, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
-    damping_ratio: Any = quantity(1.0, unit="1", low=0.1, high=10.0, doc="solref damping ratio")
+    friction: Any = quantity(1.47, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
+    time_constant: Any = quantity(0.0106, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
+    damping_ratio: Any = quantity(0.62, unit="1", low=0.1, high=10.0, doc="solref damping ratio")
     impedance: Any = quantity(0.95, unit="1", low=0.1, high=0.9999, doc="solimp at full depth")
     width: Any = quantity(0.001, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
 
@@ -47,9 +48,9 @@ class Damping:
     """Viscous damping of the joints."""
 
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
-    knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
-    ankle: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
-    spine: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
+    knee: Any = quantity(0.0056, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    ankle: Any = quantity(0.0056, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
+    spine: Any = quantity(0.094, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
     pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of the knee and spine servos")
 
 

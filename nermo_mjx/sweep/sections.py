@@ -16,15 +16,16 @@ SETUP_FIELDS = (
     "robot", "scene", "tail", "routing", "cone", "timestep", "gait", "spine", "steering", "profile", "trajectory",
 )  # fmt: skip
 SAMPLERS = ("grid", "sobol", "latin_hypercube")
-#: Options of the pilots, and the parameter each one sets (None: the distance is an end of the run).
+#: Options of the pilots, and the parameter each one sets (None: the distance ends the run, way points are the path).
 PILOT_OPTIONS: dict[str, dict[str, str | None]] = {
     "straight": {"distance": None},
     "arc": {"radius": "pilot.radius", "direction": "pilot.direction"},
+    "waypoints": {"points": None},
     "open_loop": {"turn_rate": "pilot.turn_rate"},
 }
 
 
-def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
+def read_setup(doc: Document) -> tuple[Setup, dict[str, Any]]:
     """The static choices, each one tried on its own so that a message names its line; and the pilot's options."""
     choices: dict[str, Any] = {}
     for field in (*SETUP_FIELDS, "pilot"):
@@ -42,7 +43,11 @@ def read_setup(doc: Document) -> tuple[Setup, dict[str, float]]:
         if (field, value) == ("pilot", "external"):
             doc.fail(path, "is 'external', which takes its command from Python: use rollout.Simulator.", field)
         choices[field] = value
-        _try_setup(doc, path, field, **{field: value})
+        tried = {field: value}
+        if (field, value) == ("pilot", "waypoints"):
+            path = (field, value, "points")
+            choices["waypoints"] = tried["waypoints"] = _read_points(doc, path)
+        _try_setup(doc, path, field, **tried)
     setup = _try_setup(doc, (), "", **choices)
     return setup, _read_pilot_options(doc, setup.pilot)
 
@@ -57,7 +62,20 @@ def _try_setup(doc: Document, path: FieldPath, field: str, **choices: Any) -> Se
         doc.fail(path, message + hint, field)
 
 
-def _read_pilot_options(doc: Document, pilot: str) -> dict[str, float]:
+def _read_points(doc: Document, path: FieldPath) -> tuple[tuple[float, float], ...]:
+    """The way points of a pilot: rows of (x, y)."""
+    options = doc.data["pilot"]["waypoints"] if isinstance(doc.data["pilot"], dict) else None
+    rows = options.get("points") if isinstance(options, dict) else None
+    expected = "expected points: [[x, y], ...] in metres."
+    if not isinstance(rows, list):
+        doc.fail(path[:1], f"is 'waypoints' without points: {expected}")
+    for row in rows:
+        if not isinstance(row, list) or len(row) != 2:
+            doc.fail(path, f"has {describe(row)}: {expected}")
+    return tuple((read_number(doc, path, x), read_number(doc, path, y)) for x, y in rows)
+
+
+def _read_pilot_options(doc: Document, pilot: str) -> dict[str, Any]:
     given = doc.data.get("pilot")
     options = given[pilot] if isinstance(given, dict) else None
     if options is None:
@@ -70,14 +88,17 @@ def _read_pilot_options(doc: Document, pilot: str) -> dict[str, float]:
             known = f"allowed are {', '.join(allowed)}" if allowed else "it has none"
             doc.fail((*path, key), f"is not an option of the pilot '{pilot}'; {known}{nearest(key, allowed)}")
     sides = {"left": 1.0, "right": -1.0}
-    values = {
-        key: sides[value] if key == "direction" and value in sides else read_number(doc, (*path, key), value)
-        for key, value in options.items()
-    }
+    values: dict[str, Any] = {}
+    for key, value in options.items():
+        if key == "points":
+            values[key] = [[float(x), float(y)] for x, y in value]
+        else:
+            named = key == "direction" and value in sides
+            values[key] = sides[value] if named else read_number(doc, (*path, key), value)
     return values
 
 
-def read_run(doc: Document, pilot: Mapping[str, float]) -> Run:
+def read_run(doc: Document, pilot: Mapping[str, Any]) -> Run:
     """Length and warm-up of each run; the pilot's distance is one of its ends."""
     names = ("cycles", "warmup_cycles", "duration", "warmup")
     given = _mapping(doc, "run")

@@ -54,7 +54,7 @@ class Sweep:
     setup: Setup
     run: Run
     fixed: Mapping[str, float]
-    pilot: Mapping[str, float]
+    pilot: Mapping[str, Any]
     axes: tuple[Axis, ...]
     sampler: str
     samples: int

@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.plots import draw
-from nermo_mjx.experiments.identification.search import FREE, TARGETS, Identified, Target, identify
+from nermo_mjx.experiments.identification.search import FREE, START, TARGETS, Identified, Target, identify
 from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.report_page import table
 from nermo_mjx.experiments.table import MISSING, number
@@ -32,7 +33,7 @@ TARGET_HEADINGS: Final = (
     ("identified", "right"), ("residual [tolerances]", "right"),
 )  # fmt: skip
 PARAMETER_HEADINGS: Final = (
-    ("parameter", "left"), ("default", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
+    ("parameter", "left"), ("start", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
 )  # fmt: skip
 #: Nearer to a bound than this share of the range of its logarithm, a parameter lies at it.
 _AT_BOUND: Final = 0.01
@@ -43,12 +44,12 @@ def run_identification(
     *,
     engine: str = "auto",
     samples: int = 96,
-    generations: int = 18,
+    generations: int = 34,
     population: int = 12,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
-    """Identify, and write the result into a directory.
+    """Identify, and write the result into a directory; a search that was stopped there goes on.
 
     Args: see `identification.identify`.
 
@@ -65,7 +66,9 @@ def run_identification(
     search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
     about = session(settings=search, engine=resolve_engine(engine))
     begun = time.monotonic()
-    found = identify(engine=engine, **search, progress=progress)
+    with clear_errors(folder):
+        memory = CandidateFile(folder / "candidates.jsonl", {**search, "engine": about["engine"], **about["versions"]})
+    found = identify(engine=engine, **search, memory=memory, progress=progress)
     content = {**_content(found), **about, "wall_seconds": time.monotonic() - begun}
     with clear_errors(folder):
         # The result first: whatever happens to the plots, the search is not lost.
@@ -107,15 +110,13 @@ def _prepare(folder: Path) -> None:
 def _content(found: Identified) -> dict[str, Any]:
     """What was searched, and what was found."""
     known = dict(quantities(ModelParameters))
-    # Of the defaults only the objective is known where the search does not keep their figures.
-    start: Mapping[str, tuple[float, float]] = getattr(found, "start_figures", {})
     targets = {
         name: {
             **_target(target),
             "value": found.figures[name][0],
             "residual": found.figures[name][1],
-            "start": start[name][0] if name in start else None,
-            "start_residual": start[name][1] if name in start else None,
+            "start": found.start_figures[name][0],
+            "start_residual": found.start_figures[name][1],
         }
         for name, target in TARGETS.items()
     }
@@ -124,7 +125,7 @@ def _content(found: Identified) -> dict[str, Any]:
         value = found.parameters[about.names[0]]
         free[name] = {
             "parameters": list(about.names), "unit": known[about.names[0]].unit, "low": about.low, "high": about.high,
-            "why": about.why, "default": [known[each].default for each in about.names], "value": value,
+            "why": about.why, "default": [START[each] for each in about.names], "value": value,
             "at_bound": _at_bound(value, about.low, about.high),
         }  # fmt: skip
     rounded = {name: f"{value:.4g}" for name, value in found.parameters.items()}
@@ -166,7 +167,7 @@ def _page(content: Mapping[str, Any]) -> str:
 Friction and contact, servo gains and damping were searched within physical bounds for the published speeds on the
 straight line, in the profile exact. Nothing else was looked at: orientation, turning, balance and maze are predictions.
 
-**Objective {objective["start"]:.3f} at the defaults, {objective["end"]:.3f} after {content["candidates"]} candidates.**
+**Objective {objective["start"]:.3f} at the start, {objective["end"]:.3f} after {content["candidates"]} candidates.**
 
 ## Published speeds
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 from scipy.stats import qmc
@@ -51,6 +51,20 @@ FREE: Final[dict[str, Free]] = {
         ("damping.knee", "damping.ankle"), 0.002, 0.03, "printed hinges that creep back within a tenth of a second"
     ),
     "spine_damping": Free(("damping.spine",), 0.003, 0.1, "the same, ten times as stiff"),
+}
+
+
+#: Where the search starts: the values of an earlier prototype of this robot.
+START: Final[dict[str, float]] = {
+    "contact.friction": 1.0,
+    "contact.time_constant": 0.006,
+    "contact.damping_ratio": 1.0,
+    "contact.width": 0.001,
+    "servo.kp": 6.3,
+    "servo.kv": 0.03,
+    "damping.knee": 0.005,
+    "damping.ankle": 0.005,
+    "damping.spine": 0.01,
 }
 
 
@@ -118,8 +132,8 @@ class Identified:
 
     Attributes:
         parameters: model parameter -> value.
-        objective: at those; start: at the defaults.
-        figures, start_figures: target -> (value, residual in tolerances), at those and at the defaults.
+        objective: at those; start: at `START`.
+        figures, start_figures: target -> (value, residual in tolerances), at those and at `START`.
         costs: objective of every candidate in the order they were tried.
     """
 
@@ -129,6 +143,16 @@ class Identified:
     figures: dict[str, tuple[float, float]]
     start_figures: dict[str, tuple[float, float]]
     costs: tuple[float, ...]
+
+
+class Memory(Protocol):
+    """Keeps what was simulated, so that a search that was killed goes on where it was."""
+
+    def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Speed and whether it was walked, (n, cases) each, of points (n, n_free) seen before; else None."""
+
+    def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
+        """Remember the speeds of points."""
 
 
 def figures(speed: np.ndarray) -> dict[str, np.ndarray]:
@@ -182,9 +206,10 @@ def identify(
     *,
     engine: str = "auto",
     samples: int = 96,
-    generations: int = 18,
+    generations: int = 34,
     population: int = 12,
     seed: int = 0,
+    memory: Memory | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Identified:
     """Search the parameters whose straight-line speeds come nearest to the published ones.
@@ -194,6 +219,7 @@ def identify(
         samples: of the Sobol sequence.
         generations, population: of CMA-ES.
         seed: of both; the start of the walks is the same for all candidates.
+        memory: of what was simulated before, which is not simulated again.
         progress: called with the share done.
 
     Raises:
@@ -209,8 +235,9 @@ def identify(
         if number < least:
             raise ParameterError(f"{name} is {number}: allowed is {least} or more.")
     simulator = Simulator(Setup(pilot="straight", spine="stride_extension"), engine=engine)
-    search = _Search(simulator, worlds(_CASES, simulator.setup.defaults(), profiles=("exact",), seed=seed).values)
-    start = point_of(simulator.setup.defaults())
+    cases = worlds(_CASES, simulator.setup.defaults(), profiles=("exact",), seed=seed).values
+    search = _Search(simulator, cases, memory)
+    start = point_of(START)
     design = qmc.Sobol(len(FREE), rng=seed).random_base2((samples - 1).bit_length())[:samples]
     blocks = np.array_split(np.vstack([start, design]), -(-(samples + 1) // population))
     for done, block in enumerate(blocks, start=1):
@@ -242,8 +269,8 @@ def _with_residuals(found: Mapping[str, float]) -> dict[str, tuple[float, float]
 class _Search:
     """Evaluates candidates, a batch at a time, and remembers the best."""
 
-    def __init__(self, simulator: Simulator, cases: Mapping[str, np.ndarray]) -> None:
-        self.simulator, self.cases = simulator, cases
+    def __init__(self, simulator: Simulator, cases: Mapping[str, np.ndarray], memory: Memory | None) -> None:
+        self.simulator, self.cases, self.memory = simulator, cases, memory
         self.costs: list[float] = []
         self.best, self.best_point = math.inf, np.full(len(FREE), 0.5)
         self.first_figures: dict[str, float] = {}
@@ -251,11 +278,9 @@ class _Search:
 
     def evaluate(self, points: np.ndarray) -> np.ndarray:
         """Objective of points (n, n_free) of the unit cube, (n,)."""
-        values = {name: np.tile(column, len(points)) for name, column in self.cases.items()}
-        values |= {name: np.repeat(column, len(_CASES)) for name, column in parameters_of(points).items()}
-        result = self.simulator.run(values, Run(cycles=_CYCLES))
-        found = figures(result.metrics["speed"].reshape(len(points), -1))
-        costs = objective(found, (result.status != "ok").reshape(len(points), -1).any(axis=1))
+        speed, walked = self._walk(points)
+        found = figures(speed)
+        costs = objective(found, ~walked.all(axis=1))
         if not self.costs:
             self.first_figures = {name: float(column[0]) for name, column in found.items()}
         least = int(np.argmin(costs))
@@ -264,3 +289,16 @@ class _Search:
             self.best_figures = {name: float(column[least]) for name, column in found.items()}
         self.costs += costs.tolist()
         return costs
+
+    def _walk(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Speed in each case, and whether it was walked to the end, (n, cases) each."""
+        known = None if self.memory is None else self.memory.recall(points)
+        if known is not None:
+            return known
+        values = {name: np.tile(column, len(points)) for name, column in self.cases.items()}
+        values |= {name: np.repeat(column, len(_CASES)) for name, column in parameters_of(points).items()}
+        result = self.simulator.run(values, Run(cycles=_CYCLES))
+        speed, walked = (column.reshape(len(points), -1) for column in (result.metrics["speed"], result.status == "ok"))
+        if self.memory is not None:
+            self.memory.keep(points, speed, walked)
+        return speed, walked
