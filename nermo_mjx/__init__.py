@@ -2,8 +2,8 @@
 
 The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
 `METRICS` and `all_parameters`; `control_parameters` (a pytree of arrays); `Sweep`, `run_sweep` and `read_table`;
-`run_experiment` and `run_experiments`; `Recording` and `render`; and the geometry in `kinematics`. Names are imported on
-first use.
+`run_experiment` and `run_experiments`; `Recording` and `render`; and the geometry in `kinematics`. Names are imported
+on first use.
 """
 
 from __future__ import annotations

@@ -64,9 +64,13 @@ class Fake:
             Figure("interval", (0.25, 0.30), lambda o, p: float("nan")),
         )
         return Experiment(
-            self.name, self.run, figures, f"The {self.name}", "What is done.", quick="little",
+            self.name, self.run, figures, SETTABLE, f"The {self.name}", "What is done.", quick="little",
             metrics=("speed", "theory_speed", "followed"),
         )  # fmt: skip
+
+
+#: What may be set for a pretended experiment.
+SETTABLE = frozenset({"contact.friction", "servo.kp"})
 
 
 def recording() -> Recording:

@@ -260,7 +260,9 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
 def test_a_unicycle_that_turns_as_expected_stays_on_its_arc(steering, radius):
     """Where the published PD would need an error of 16 mm (legs, 0.5 m) to turn at all."""
     params = control_parameters(steering=steering, **{"pilot.radius": radius, "pilot.direction": -1.0})
-    error = unicycle(Controller(pilot="arc"), params, lambda turn_rate: turning.path_curvature(params, turn_rate), 0.0)
+    grip = params.pilot.grip
+    robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
+    error = unicycle(Controller(pilot="arc"), params, robot, 0.0)
     np.testing.assert_allclose(error, 0.0, atol=2e-3)
 
 

@@ -376,3 +376,19 @@ def test_every_published_experiment_is_in_the_catalogue():
         assert experiment.figures == FIGURES[name]
         assert experiment.description
         assert experiment.metrics
+
+
+def test_what_the_cases_decide_cannot_be_set(fakes, tmp_path):
+    """Before anything runs; an option that did nothing would be worse than none."""
+    with pytest.raises(ParameterError, match="frequency cannot be set for maze"):
+        run_experiment("maze", tmp_path, values={"frequency": 0.5}, video=False)
+    assert not list(tmp_path.rglob("*.parquet"))
+
+
+def test_the_published_experiments_take_parameters_that_no_case_decides():
+    for name in ("straight-line", "turning", "maze"):
+        settable = EXPERIMENTS[name].settable
+        assert {"contact.friction", "stance.rear_z", "mass.front"} <= settable, name
+        assert not {"frequency", "tracking.clock_ratio", "pilot.error_gain", "start.x"} & settable, name
+    assert "contact.friction" in EXPERIMENTS["balance"].settable
+    assert "stance.rear_z" not in EXPERIMENTS["balance"].settable

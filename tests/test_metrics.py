@@ -316,8 +316,18 @@ def test_measuring_stops_at_the_end_of_the_cycle_that_covers_the_distance():
 def test_the_turning_radius_is_that_of_the_circle_walked(radius, angle, side):
     turn = angle * TIME / TIME[-1]
     x, y = side * radius * (1 - np.cos(turn)), -radius * np.sin(turn)
-    result, _ = measure(stream(401, position=path(3.0 + x, y - 5.0)))
-    assert result["turning_radius"] == pytest.approx(radius, rel=1e-5)
+    result, _ = measure(stream(401, position=path(3.0 + x, y - 5.0)), rate=20.0)
+    # The mean position of a cycle that turns by b lies on a circle smaller by sinc(b / 2).
+    assert result["turning_radius"] == pytest.approx(radius * np.sinc(angle / 80 / 2 / np.pi), rel=1e-4)
+
+
+def test_sway_does_not_shrink_the_circle():
+    """A circle of 0.1 m, 2.5 rad of it, with a sway of 10 mm in each of 8 cycles."""
+    turn = 2.5 * TIME / TIME[-1]
+    swaying = 0.1 + 0.01 * np.cos(2 * np.pi * 2.0 * TIME)
+    x, y = 0.1 - swaying * np.cos(turn), -swaying * np.sin(turn)
+    result, _ = measure(stream(401, position=path(x, y)), rate=2.0)
+    assert result["turning_radius"] == pytest.approx(0.1, rel=0.01)
 
 
 def test_a_straight_way_has_no_turning_radius():

@@ -57,6 +57,7 @@ def test_commands_of_the_readme_are_valid() -> None:
     assert {line.split()[0] for line in named} == set(main.commands)
     for line in named:
         name, *words = [word.replace("FILE.npz", __file__).replace("NAME=X", "a=1") for word in line.split()]
+        words = ["maze" if (name, word) == ("experiment", "NAME") else word for word in words]
         assert main.commands[name].make_context(name, words) is not None
     for option in re.findall(r"`(--[a-z-]+)", README):
         helps = [CliRunner().invoke(main, [name, "--help"]).stdout for name in main.commands]

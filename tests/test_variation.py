@@ -134,16 +134,17 @@ def test_servo_parameters_reach_all_servos():
     robot = load_robot()
     model = robot.model
     fields = varied(robot, {"servo.kp": np.array([3.0, 9.0]), "servo.torque_limit": 0.1, "servo.kv": 0.05}, 2)
+    more = 0.05 - float(ModelParameters().servo.kv)
     damping = fields.get("dof_damping", np.stack([model.dof_damping] * 2))
     for world, kp in enumerate((3.0, 9.0)):
         np.testing.assert_allclose(fields["actuator_gainprm"][world, :, 0], kp)
         np.testing.assert_allclose(fields["actuator_biasprm"][world, :, 1], -kp)
         np.testing.assert_allclose(fields["actuator_forcerange"][world], [[-0.1, 0.1]] * model.nu)
-        # Wherever the damping is applied, a servo turning at 1 rad/s is braked by 0.02 N m more than with the default.
+        # Wherever the damping is applied, a servo turning at 1 rad/s is braked by the difference of the dampings.
         dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         braking = damping[world][dofs] - fields["actuator_biasprm"][world][:, 2]
         default = model.dof_damping[dofs] - model.actuator_biasprm[:, 2]
-        np.testing.assert_allclose(braking - default, 0.02, rtol=1e-9)
+        np.testing.assert_allclose(braking - default, more, rtol=1e-9)
 
 
 def test_masses_scale_in_proportion():

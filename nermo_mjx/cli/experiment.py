@@ -77,13 +77,12 @@ def command(
 
 
 def _values(assignments: tuple[str, ...]) -> dict[str, float]:
-    """Model parameters by name; their ranges are checked with the other settings."""
-    from nermo_mjx.robot import ModelParameters
+    """Parameters by name; their ranges are checked with the other settings."""
     from nermo_mjx.robot.quantity import quantities
+    from nermo_mjx.rollout.parameters import WorldParameters
 
-    known = dict(quantities(ModelParameters))
-    groups = ", ".join(dict.fromkeys(f"{name.partition('.')[0]}.*" for name in known))
-    unknown = f"is not a parameter of the body; allowed are {groups} of `nermo-mjx sweep --list-parameters`."
+    known = dict(quantities(WorldParameters))
+    unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
     return dict(assignment(text, known, unknown) for text in assignments)
 
 

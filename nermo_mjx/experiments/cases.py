@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES, choice, published_values
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, quantities
+from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
 
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
@@ -98,3 +99,11 @@ def worlds(
 def _shift(seed: int, repeat: int) -> dict[str, float]:
     random = np.random.default_rng((seed, repeat))
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
+
+
+def settable(cases: Sequence[Case]) -> frozenset[str]:
+    """Parameters that may be set for all worlds of an experiment: those that neither a case nor a repeat decides."""
+    decided = set(START_SPREAD)
+    for case in cases:
+        decided |= {*published_values(case.gait, profile="as_published"), *case.values}
+    return frozenset(name for name, _ in quantities(WorldParameters)) - decided

@@ -8,6 +8,7 @@ from typing import Final
 
 from nermo_mjx.control.parameters import choice
 from nermo_mjx.experiments import balance, maze, published, straight_line, turning
+from nermo_mjx.experiments.cases import settable
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
@@ -22,6 +23,7 @@ class Experiment:
         name: as on the command line.
         run: simulates all its cases, see `straight_line.run`.
         figures: what was published, and how the same is measured.
+        settable: parameters that may be set for all its worlds.
         title: for the report.
         description: what is done and when it counts, in sentences.
         quick: what a quick run leaves out.
@@ -33,6 +35,7 @@ class Experiment:
     name: str
     run: Callable[..., Outcome]
     figures: tuple[Figure, ...]
+    settable: frozenset[str]
     title: str
     description: str
     quick: str = "one repeat"
@@ -72,6 +75,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             straight_line.NAME,
             straight_line.run,
             published.FIGURES[straight_line.NAME],
+            settable(straight_line.cases()),
             f"Straight line, {straight_line.DISTANCE:.1f} m",
             _STRAIGHT_LINE,
             quick="0.8 Hz and the offset compensation only, over half a metre",
@@ -82,6 +86,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             turning.NAME,
             turning.run,
             published.FIGURES[turning.NAME],
+            settable(turning.cases()),
             "Turning",
             _TURNING,
             quick="trot at 0.67 Hz only, on 0.5 m and at full lock",
@@ -93,6 +98,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             "balance",
             balance.run,
             published.FIGURES["balance"],
+            balance.SETTABLE,
             "Balance",
             _BALANCE,
             metrics=(
@@ -111,6 +117,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             maze.NAME,
             maze.run,
             published.FIGURES[maze.NAME],
+            settable(maze.cases()),
             "Maze",
             _MAZE,
             quick="the first metre only, so that no run reaches the end",

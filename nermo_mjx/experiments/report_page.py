@@ -60,7 +60,7 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
     changed = {each.title: content["experiments"][each.name]["settings"]["values"] for each in chosen}
     for title, values in changed.items():
         if values:
-            yield f"> {title} was run with other model parameters than the default: {said(values)}.\n"
+            yield f"> {title} was run with other parameters than the default: {said(values)}.\n"
     for sentence in content["differences"]:
         yield f"> **Not run alike.** {sentence}\n"
 
@@ -129,7 +129,7 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
                 f"{about['wall_seconds']:.0f} s", _moment(about["started"]),
             ]
         )  # fmt: skip
-    headings = ["experiment", "cases", "profiles", "repeats", "seed", "worlds", "went", "engine", "model parameters",
+    headings = ["experiment", "cases", "profiles", "repeats", "seed", "worlds", "went", "engine", "parameters",
                 "took", "on"]  # fmt: skip
     yield table(headings, rows, "lrlrrrlllrl")
     for each in chosen:

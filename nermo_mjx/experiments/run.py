@@ -106,7 +106,7 @@ def run_experiments(
         repeats: worlds of each case, from starts that differ by a seeded shift; by default 3, or 1 in a quick run.
         seed: of the shifts.
         quick: fewer cases, and no video.
-        values: model parameters for all worlds, by name, such as an identified contact.
+        values: parameters for all worlds, by name, such as another friction.
         video: make the videos.
         again: run again, and replace, what the directory holds of these experiments.
         progress: called with what is being done and the share of it.
@@ -120,6 +120,7 @@ def run_experiments(
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
     settings = checked(profiles, repeats, seed, quick, values)
+    _check_settable(chosen, settings)
     resolve_engine(engine)
     directory = Directory(out)
     directory.prepare()
@@ -129,6 +130,14 @@ def run_experiments(
     with _stoppable(directory.out):
         results = tuple(work.run(each, kept[each.name]) for each in chosen)
     return ExperimentsResult(directory.out, results, report.collect(directory, EXPERIMENTS))
+
+
+def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
+    """Refuse a parameter that an experiment decides for itself, case by case, or does not have."""
+    for each in chosen:
+        for name in settings.values:
+            if name not in each.settable:
+                raise ParameterError(f"{name} cannot be set for {each.name}, whose cases decide it or do not use it.")
 
 
 @dataclasses.dataclass(frozen=True)

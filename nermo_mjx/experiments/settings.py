@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from nermo_mjx.control.parameters import PROFILES, choice
-from nermo_mjx.robot import ModelParameters, ParameterError
+from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.rollout.parameters import WorldParameters
 
 #: Repeats of each case, and of a quick run.
 REPEATS, QUICK_REPEATS = 3, 1
-_WORDS: Final = {"values": "model parameters", "quick": "quick run"}
+_WORDS: Final = {"values": "parameters", "quick": "quick run"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Settings:
         profiles: that are run, `exact` first.
         repeats, seed: of the shifted starts.
         quick: fewer cases.
-        values: model parameters for all worlds, by name.
+        values: parameters for all worlds, by name.
     """
 
     profiles: tuple[str, ...]
@@ -53,9 +54,9 @@ def checked(
         raise ParameterError(f"repeats is {worlds!r}: allowed is a whole number of at least 1.")
     if not _whole(seed) or seed < 0:
         raise ParameterError(f"seed is {seed!r}: allowed is a whole number that is not negative.")
-    known = dict(quantities(ModelParameters))
+    known = dict(quantities(WorldParameters))
     for name, value in (values or {}).items():
-        known[choice("model parameter", name, known)].check(name, value)
+        known[choice("parameter", name, known)].check(name, value)
     numbers = {name: float(value) for name, value in sorted((values or {}).items())}
     return Settings(tuple(name for name in PROFILES if name in named), worlds, seed, quick, numbers)
 

@@ -51,7 +51,7 @@ METRICS: Final[dict[str, Metric]] = {
     },
     "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one"),
     "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path"),
-    "turning_radius": Metric("m", "radius of the circle fitted to the torso's way; NaN for a straight one"),
+    "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet"),
     **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},
     "servo_work": Metric("J", "positive mechanical work of all servos while measured"),

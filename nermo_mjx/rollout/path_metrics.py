@@ -24,13 +24,15 @@ class PathState:
     Attributes:
         peak: largest cross-track error of any moment [m].
         walked: largest of the cross-track errors' means over whole gait cycles [m].
-        error, time: integral of the error over the present cycle [m s], and its length until now [s].
-        weight, first, second, third: moments of the position p = (x, y) over time: dt, p, p p^T, |p|^2 p.
+        error, place, time: integrals over the present cycle of the error and the position (x, y) [m s], and its length
+            until now [s].
+        weight, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
     peak: Float[Array, ""]
     walked: Float[Array, ""]
     error: Float[Array, ""]
+    place: Float[Array, " 2"]
     time: Float[Array, ""]
     weight: Float[Array, ""]
     first: Float[Array, " 2"]
@@ -42,7 +44,7 @@ def init(position: Float[Array, " 3"]) -> PathState:
     """Accumulators before the first tick; `position` gives the precision."""
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
-        peak=zero, walked=zero, error=zero, time=zero, weight=zero, first=two,
+        peak=zero, walked=zero, error=zero, place=two, time=zero, weight=zero, first=two,
         second=jnp.zeros((2, 2), position.dtype), third=two,
     )  # fmt: skip
 
@@ -62,23 +64,27 @@ def update(
         dt: length of the tick, 0 while nothing is measured [s].
         cycle_ends: whether a gait cycle ends with this tick.
     """
-    sum_error, time = state.error + dt * error, state.time + dt
-    mean = jnp.abs(sum_error) / jnp.maximum(time, 1e-9)
-    zero = jnp.zeros_like(time)
+    sum_error, sum_place, time = state.error + dt * error, state.place + dt * place, state.time + dt
+    per_time = 1.0 / jnp.maximum(time, 1e-9)
+    mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
+    kept = 1.0 - ended
     return PathState(
         peak=jnp.where(dt > 0, jnp.maximum(state.peak, jnp.abs(error)), state.peak),
-        walked=jnp.where(cycle_ends, jnp.maximum(state.walked, mean), state.walked),
-        error=jnp.where(cycle_ends, zero, sum_error),
-        time=jnp.where(cycle_ends, zero, time),
-        weight=state.weight + dt,
-        first=state.first + dt * place,
-        second=state.second + dt * jnp.outer(place, place),
-        third=state.third + dt * (place @ place) * place,
+        walked=jnp.maximum(state.walked, ended * jnp.abs(sum_error) * per_time),
+        error=kept * sum_error,
+        place=kept * sum_place,
+        time=kept * time,
+        weight=state.weight + ended,
+        first=state.first + ended * mean,
+        second=state.second + ended * jnp.outer(mean, mean),
+        third=state.third + ended * (mean @ mean) * mean,
     )
 
 
 def radius(state: PathState) -> Float[Array, ""]:
     """Radius of the circle fitted to the way walked [m] (algebraic least squares of Kasa, 1976); NaN if flat.
+
+    To the cycles' mean positions: fitted to the swaying torso, an arc would come out too small.
 
     The centre c minimises the variance of |p|^2 - 2 c p, so that 2 cov(p, p) c = cov(p, |p|^2).
     """

@@ -41,6 +41,8 @@ NAME: Final = "balance"
 SCENE: Final = "balance_stand"
 #: Parameters of the controller that have a meaning here; those of the body come from `ModelParameters`.
 SPINE_NAMES: Final = ("spine.max_servo_angle", "spine.balance_lift", "spine.offset_compensation")
+#: Parameters that may be set for all worlds.
+SETTABLE: Final = frozenset(SPINE_NAMES) | {name for name, _ in quantities(ModelParameters)}
 #: The published offset compensation (5.31) is on; the text of the balance test does not say. Without it the bent robot
 #: rests on either side of its diagonal, and the speed of the bend decides on which: see `BalanceLoop.servos`.
 OFFSET_COMPENSATION: Final = 1.0
@@ -159,9 +161,8 @@ def _cases(profiles: Sequence[str], repeats: int) -> Iterator[Case]:
 
 def _parameters(values: Mapping[str, float]) -> tuple[ModelParameters, Spine]:
     """Checked parameters of the body, and of the spine's controller."""
-    body = [name for name, _ in quantities(ModelParameters)]
     for name in values:
-        choice("values", name, [*SPINE_NAMES, *body])
+        choice("values", name, sorted(SETTABLE))
         if isinstance(values[name], str) or np.ndim(values[name]):
             raise ParameterError(f"{name} is {values[name]!r}: allowed is one number for all cases.")
     given = {name: np.asarray(value, float) for name, value in values.items()}

@@ -175,7 +175,7 @@ def _metres(value: Published) -> Published:
 
 
 def _paths(outcome: Outcome) -> Figure | None:
-    """The recorded paths from above: the torso's, and its mean over each gait cycle, by which a path is judged."""
+    """The recorded paths from above: the torso's, and its mean over each gait cycle."""
     runs = [run for run in outcome.recordings.values() if "strategy" in run.metadata.get("labels", {})]
     if not runs:
         return None
@@ -198,7 +198,7 @@ def _paths(outcome: Outcome) -> Figure | None:
         stroke("course", INK, ls="--", lw=1.2), swatch(f"followed: within {bound:g} mm", "#e3e3e3"),
     ]  # fmt: skip
     note = (
-        f"{shown(labels['profile'])}; thick: mean over a gait cycle, by which a path is judged; thin: the torso's IMU"
+        f"{shown(labels['profile'])}; thick: mean over a gait cycle; thin: the torso's IMU, by which a path is judged"
     )
     return page.finish(handles, note)
 
