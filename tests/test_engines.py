@@ -161,7 +161,8 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
     c, mjx = (simulator(engine, spine="stride_extension").run(values, run).metrics for engine in ("c", "mjx"))
     for name in ("speed", "servo_work", "roll_std"):
         np.testing.assert_allclose(mjx[name], c[name], rtol=0.01, err_msg=name)
-        assert np.ptp(c[name]) > 0.05 * c[name].mean()
+        # The worlds differ by more than the engines may.
+        assert np.ptp(c[name]) > 0.03 * c[name].mean()
 
 
 @pytest.mark.slow

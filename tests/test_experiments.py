@@ -1,8 +1,12 @@
 """The published experiments as this project demands them of the profile `exact`; one repeat each, on the C engine."""
 
+import json
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from nermo_mjx.cli import main
 from nermo_mjx.experiments import maze, straight_line, turning
 from nermo_mjx.experiments.outcome import Outcome
 
@@ -159,3 +163,27 @@ def test_a_robot_that_walks_into_a_box_is_seen_to_touch_it(labyrinth):
     touched = maze.touches(robot, trace)
     assert touched["touched"][0] > 1.0
     assert touched["boxes"][0]
+
+
+# --- all of them, as a user runs them
+
+
+def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path):
+    """`experiment all --quick`, both profiles; the figures that a quick run can measure are there."""
+    result = CliRunner().invoke(
+        main, ["experiment", "all", "--quick", "--engine", "c", "--out", str(tmp_path), "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert {line["experiment"] for line in report["lines"]} == {"straight-line", "turning", "balance", "maze"}
+    measured = [line for line in report["lines"] if line["exact"] is not None]
+    assert len(measured) > 60
+    balance = [
+        line for line in measured if line["experiment"] == "balance" and "balance compensation" in line["figure"]
+    ]
+    assert len(balance) == 8
+    assert all(line["holds"] for line in balance)
+    for name in ("straight-line", "turning", "balance", "maze"):
+        assert (tmp_path / "results" / f"{name}.parquet").exists()
+        assert list((tmp_path / "plots").glob(f"{name}-*.png"))
+    assert "What does not hold" in (tmp_path / "report.md").read_text()
