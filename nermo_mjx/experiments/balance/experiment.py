@@ -48,8 +48,8 @@ SETTABLE: Final = frozenset(SPINE_NAMES) | {name for name, _ in quantities(Model
 OFFSET_COMPENSATION: Final = 1.0
 
 CASE_COLUMNS: Final = {
-    "profile": Column("", "exact or as_published"),
-    "leg": Column("", "the lifted leg"),
+    "profile": Column("1", "exact or as_published"),
+    "leg": Column("1", "the lifted leg"),
     "sbc": Column("1", "with spine balance compensation"),
     "repeat": Column("1", "number of the repeat; each starts a little differently"),
 }
@@ -100,7 +100,7 @@ def run(
 
     Args:
         engine: `auto`, `c` or `mjx`.
-        profiles: of `exact` and `as_published`; of the latter only the clock applies (see `balance_protocol`).
+        profiles: of `exact` and `as_published`; of the latter only the clock applies (see `protocol`).
         repeats: of each case, each from its own start.
         seed: of the repeats' starts.
         quick: one repeat only.
