@@ -280,7 +280,7 @@ class _Search:
         """Objective of points (n, n_free) of the unit cube, (n,)."""
         speed, walked = self._walk(points)
         found = figures(speed)
-        costs = objective(found, ~walked.all(axis=1))
+        costs = objective(found, np.array([not all(row) for row in walked]))
         if not self.costs:
             self.first_figures = {name: float(column[0]) for name, column in found.items()}
         least = int(np.argmin(costs))
