@@ -153,7 +153,7 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
         "frequency": 0.8,
         "contact.friction": np.array([0.6, 1.0, 1.4]),
         "mass.front": np.array([0.2, 0.1647, 0.15]),
-        "stiffness.spine": np.array([1.0, 1.2, 1.5]),
+        "stiffness.spine": np.array([2.4, 1.2, 1.0]),
         "damping.knee": np.array([0.004, 0.005, 0.008]),
         "servo.kp": np.array([5.0, 6.3, 8.0]),
     }
@@ -161,8 +161,7 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
     c, mjx = (simulator(engine, spine="stride_extension").run(values, run).metrics for engine in ("c", "mjx"))
     for name in ("speed", "servo_work", "roll_std"):
         np.testing.assert_allclose(mjx[name], c[name], rtol=0.01, err_msg=name)
-        # The worlds differ by more than the engines may.
-        assert np.ptp(c[name]) > 0.03 * c[name].mean()
+        assert np.ptp(c[name]) > 0.05 * c[name].mean()
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Case, Label, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Case, Label, Worlds, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.worlds_run import measured, recorded
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -104,7 +104,7 @@ def run(
         chosen = [case for case in cases(quick) if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")]
         simulator = Simulator(Setup(scene="quarter_circles", pilot=pilot), engine=engine)
         defaults = simulator.setup.defaults()
-        batch = worlds(chosen, defaults, profiles=profiles, repeats=repeats, seed=seed, common=values)
+        batch = _mirrored_starts(worlds(chosen, defaults, profiles=profiles, repeats=repeats, seed=seed, common=values))
         before = sum(done for done, _ in parts)
         everything = batch.all_values(defaults)
         length = _length(everything, batch.labels["radius"])
@@ -116,6 +116,16 @@ def run(
             recordings = _recordings(simulator, profiles[0], seed, values)
     joined = {name: np.concatenate([columns[name] for _, columns in parts]) for name in parts[0][1]}
     return Outcome(NAME, joined, _ABOUT | about, recordings)
+
+
+def _mirrored_starts(batch: Worlds) -> Worlds:
+    """The batch, with right turns as the mirror images of left ones: they also start on the other pair of legs.
+
+    Of trot and walking trot, whose two diagonal pairs are half a cycle apart; no other gait turns right here.
+    """
+    right = batch.labels["side"] == "right"
+    start = {name: np.where(right, -batch.values[name], batch.values[name]) for name in ("start.x", "start.yaw")}
+    return Worlds(batch.labels, batch.values | start | {"start.phase": batch.values["start.phase"] + 0.5 * right})
 
 
 def _part(progress: Callable[[float], None], before: float, share: float) -> Callable[[float], None]:
