@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES, choice, published_values
+from nermo_mjx.experiments.outcome import Column
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
@@ -17,6 +18,13 @@ from nermo_mjx.sweep.spec import START_SPREAD
 AMPLITUDE: Final = 0.4
 FREQUENCIES: Final = (0.5, 0.67, 0.8)
 Label = str | float | bool
+#: Labels that several experiments have.
+LABELS: Final = {
+    "profile": Column("1", "exact or as_published"),
+    "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
+    "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
+    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
+}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
-from nermo_mjx.experiments.cases import AMPLITUDE, Case, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, LABELS, Case, worlds
 from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.worlds_run import recordings_of, table_of
@@ -24,10 +24,9 @@ _PASSES: Final = 0.1
 _LOOK: Final = 2
 #: A run ends at this share of the speed of theory.
 _SLOWEST: Final = 0.45
+_LABELS: Final = {name: LABELS[name] for name in ("profile", "repeat")}
 _ABOUT: Final = {
-    "profile": Column("1", "exact or as_published"),
     "spine": Column("1", "whether the spine turns along and extends the strides"),
-    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
     "time": Column("s", "simulated time from the start to the end of the path; NaN if it is not reached"),
     "mean_speed": Column("m/s", "length of the path over time"),
     "reached": Column("1", "1 if the end was reached, 0 if not; NaN if only the first metre was walked"),
@@ -80,7 +79,7 @@ def run(
         for profile, spine in zip(batch.labels["profile"], batch.labels["spine"], strict=True)
     ]
     recordings = recordings_of(simulator, batch, result, {i: names[i] for i in np.flatnonzero(shown).tolist()})
-    return Outcome(NAME, columns, _ABOUT | about, recordings)
+    return Outcome(NAME, columns, _LABELS | _ABOUT | about, recordings)
 
 
 def _arrivals(trace: History) -> dict[str, np.ndarray]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Case, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.worlds_run import measured, recorded
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -21,13 +21,9 @@ _LONGEST: Final = 40.0
 _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
 _ABOUT: Final = {
-    "profile": Column("1", "exact or as_published"),
-    "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
-    "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
     "stride": Column("1", "stride length, as a share of the maximum"),
     "spine": Column("1", "whether the spine extends the strides"),
     "compensated": Column("1", "whether the rear legs compensate the hips' rise"),
-    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
     "theory_speed": Column("m/s", "speed without slip (5.21, 5.22, 5.33)"),
 }
 
@@ -91,7 +87,7 @@ def run(
     runs = worlds(shown, simulator.setup.defaults(), profiles=profiles[:1], seed=seed, common=values)
     names = [f"trt, 0.67 Hz, {'with' if case.labels['spine'] else 'without'} spine" for case in shown]
     recordings = recorded(simulator, runs, Run(cycles=4.0 if quick else _RECORDED), names)
-    return Outcome(NAME, columns, _ABOUT | about, recordings)
+    return Outcome(NAME, columns, LABELS | _ABOUT | about, recordings)
 
 
 def stride_linearity(outcome: Outcome, profile: str) -> float:

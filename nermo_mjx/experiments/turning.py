@@ -9,7 +9,7 @@ import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Case, Label, Worlds, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.worlds_run import measured, recorded
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -30,13 +30,9 @@ _SLOWEST: Final = 0.3
 _WARMUP: Final = 1.0
 _LOCK_CYCLES: Final = 14.0
 _ABOUT: Final = {
-    "profile": Column("1", "exact or as_published"),
-    "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
-    "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
     "radius": Column("m", "of the quarter circle; 0 is full lock"),
     "strategy": Column("1", "what turns the robot: leg, spine, or mix of both"),
     "side": Column("1", "left or right"),
-    "repeat": Column("1", "index of the repeat; each starts a little shifted"),
     "time": Column("s", "simulated time for the quarter circle at the measured speed; NaN at full lock"),
     "followed": Column("1", "whether the path was followed to its end in time; false at full lock"),
     "theory_radius": Column("m", "at full lock without slip (5.40-5.44); NaN on a quarter circle"),
@@ -115,7 +111,7 @@ def run(
         if pilot == "arc":
             recordings = _recordings(simulator, profiles[0], seed, values)
     joined = {name: np.concatenate([columns[name] for _, columns in parts]) for name in parts[0][1]}
-    return Outcome(NAME, joined, _ABOUT | about, recordings)
+    return Outcome(NAME, joined, LABELS | _ABOUT | about, recordings)
 
 
 def _mirrored_starts(batch: Worlds) -> Worlds:

@@ -49,7 +49,7 @@ def _search(content: Mapping[str, Any]) -> Figure:
     top = _SHOWN * max(objective["start"], objective["end"])
     ax.scatter(np.arange(len(costs)), np.minimum(costs, top), s=9, color=BAND, lw=0, label="candidate")
     ax.step(np.arange(len(costs)), np.minimum.accumulate(costs), where="post", color=LINE, lw=1.6, label="best so far")
-    ax.axhline(objective["start"], color="#555555", lw=0.9, ls="--", label="at the defaults")
+    ax.axhline(objective["start"], color="#555555", lw=0.9, ls="--", label="at the start")
     # The first, even search fills whole batches: its length is what the generations leave.
     search = content["settings"]
     sampled = len(costs) - search["generations"] * search["population"]
@@ -71,7 +71,7 @@ def _residuals(content: Mapping[str, Any]) -> Figure:
     height = 0.36 if known else 0.6
     after = [target["residual"] for target in targets.values()]
     if known:
-        ax.barh(y - height / 2, np.asarray(before, float), height, color=BAND, label="at the defaults")
+        ax.barh(y - height / 2, np.asarray(before, float), height, color=BAND, label="at the start")
     ax.barh(y + (height / 2 if known else 0), np.asarray(after, float), height, color=LINE, label="identified")
     ax.axvspan(-1, 1, color="#eaf1f6", lw=0, zorder=-5, label="within the tolerance")
     ax.axvline(0, color=BEST, lw=0.9)
