@@ -1,6 +1,7 @@
 """The controller as a whole: continuous, finite, in its gait's posture from the start, and compiled once."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -80,7 +81,7 @@ def erratic():
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), gait=st.sampled_from(["trt", "trt1", "lat"]), slow=st.floats(0.05, 1.0))
 def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, gait, slow):
-    """No foot moves farther in a tick than the fastest point of its current path allows."""
+    """No foot moves farther in a tick than the fastest point of its path allows, or of both paths where it switches."""
     random = np.random.default_rng(seed)
     frequency = random.uniform(0.01, 5.0 * slow, TICKS)
     speed = random.uniform(0.0, 0.7, TICKS) * random.integers(0, 2, TICKS)
@@ -89,25 +90,119 @@ def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, ga
     start, states = erratic(params, tuple(commands.T))
     foot = np.concatenate([np.asarray(start.foot)[None], states.foot])
 
-    slopes = jax.vmap(jax.jacfwd(trajectory.weights))(jnp.linspace(0.0, 1.0, 201))  # (201, 3, 2)
-    fastest = np.abs(np.einsum("pka,tlka->ptla", slopes, states.points)).max(axis=0)
+    fastest = steepest(np.concatenate([np.asarray(start.points)[None], states.points]))
     duty = float(params.gait.duty)
     progress = (frequency * 0.01 / min(duty, 1.0 - duty))[:, None, None]
-    assert (np.abs(np.diff(foot, axis=0)) <= 1.02 * fastest * progress + 1e-6).all()
+    assert (np.abs(np.diff(foot, axis=0)) <= 1.02 * np.maximum(fastest[1:], fastest[:-1]) * progress + 1e-6).all()
+
+
+def steepest(points):
+    """Largest slopes (..., 2) of the paths through points (..., 3, 2), in y and z [m per half-cycle]."""
+    slopes = jax.vmap(jax.jacfwd(trajectory.weights))(jnp.linspace(0.0, 1.0, 101))  # (101, 3, 2)
+    return functools.reduce(np.maximum, (np.abs(np.einsum("ka,...ka->...a", slope, points)) for slope in slopes))
+
+
+@functools.cache
+def _walks(controller, ticks):
+    def run(params):
+        def step(state, _):
+            state, _ = controller.update(params, state, sensors_at())
+            return state, state
+
+        return jax.lax.scan(step, controller.init(params, sensors_at()), None, length=ticks)[1]
+
+    return jax.jit(jax.vmap(run))
+
+
+def walks_along(controller, params, values, ticks=TICKS):
+    """States at each tick (n, ticks, ...) with named parameters at several values (n,), in double precision."""
+    n = len(next(iter(values.values())))
+    whole = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (n, *np.shape(leaf))), params)
+    with jax.enable_x64(True):
+        states = _walks(controller, ticks)(replace_quantities(whole, values))
+        return jax.tree.map(np.asarray, states)
+
+
+#: Steers by turns to both sides, by the stride.
+WINDING = tabulated(np.linspace(0.0, 4.0, 201), 1.0, 0.8 * np.sin(np.linspace(0.0, 20.0, 201)))
+
+
+@pytest.mark.parametrize("pilot", ["open_loop", "external"])
+@pytest.mark.parametrize(
+    ("gait", "name", "low", "high"),
+    [
+        ("trt", "frequency", 0.8, 0.808),
+        ("lat", "frequency", 0.5, 0.505),
+        ("trt1", "duty", 0.6, 0.606),
+        ("lat", "duty", 0.97, 0.9985),  # from three ticks of swing to none
+        ("trt1", "offset.front_left", 0.5, 0.505),
+        ("lat", "tracking.clock_ratio", 0.4, 0.404),
+    ],
+)
+def test_the_feet_do_not_jump_when_a_switch_falls_into_another_tick(gait, name, low, high, pilot):
+    """At any tick they are a continuous function of what sets the instants of the switches.
+
+    Between two of 400 values on a line a foot moves no farther than the slope of its path allows for the difference in
+    progress, and the command's rate of change for the difference in the instants of the switches.
+    """
+    values = np.linspace(low, high, 400)
+    params = control_parameters(gait, frequency=0.8, **{"turning.exponent": 1.0})
+    controller = Controller(pilot=pilot, command=WINDING if pilot == "external" else None)
+    states = walks_along(controller, params, {name: values})
+
+    frequency = {"frequency": low, "tracking.clock_ratio": 0.8 / high}.get(name, 0.8)
+    apart = (values[1] - values[0]) * np.ones(TICKS)  # in gait cycles, at each tick
+    if name in ("frequency", "tracking.clock_ratio"):
+        apart *= states.time[0] * {"frequency": 1.0, "tracking.clock_ratio": 0.8 / low**2}[name]
+    duty = high if name == "duty" else float(params.gait.duty)
+    stride_rate = 0.06 * np.abs(np.diff(states.turn_rate, axis=1)).max() / controller.dt
+
+    allowed = steepest(states.points).max(axis=(0, 1)) / min(duty, 1.0 - duty) + stride_rate / frequency
+    moved = np.abs(np.diff(states.foot, axis=0)).max(axis=0)
+    assert (moved <= 1.02 * allowed * apart[:, None, None] + 1e-9).all()
+
+
+@pytest.mark.parametrize("duty", [0.5, 0.68, 0.95, 0.99])
+def test_the_feet_are_where_a_much_faster_controller_has_them(duty):
+    """100 Hz against 5 kHz at 2 Hz; with the longest duty a swing lasts half a tick, and 100 Hz see one in two."""
+    params = control_parameters(frequency=2.0, **{"offset.rear_left": 0.283})
+    slow, fast = (
+        walks_along(Controller(pilot="open_loop", control_rate=rate), params, {"duty": np.array([duty])}, ticks)
+        for rate, ticks in ((100.0, 200), (5000.0, 10000))
+    )
+    np.testing.assert_allclose(slow.foot, fast.foot[:, 49::50], atol=1e-9)
+
+
+def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
+    """Of every foot at every tick with respect to what sets the instants of the switches, while it is steered."""
+    controller, gait = Controller(pilot="external", command=WINDING), control_parameters("trt1")
+    names = ["frequency", "duty", "offset.front_left", "tracking.clock_ratio", "turning.exponent"]
+    at = np.array([0.81, 0.63, 0.51, 0.93, 1.3])
+
+    def run(values):
+        def step(state, _):
+            state, _ = controller.update(params, state, sensors_at())
+            return state, state.foot
+
+        params = replace_quantities(gait, dict(zip(names, values, strict=True)))
+        return jax.lax.scan(step, controller.init(params, sensors_at()), None, length=TICKS)[1]
+
+    with jax.enable_x64(True):
+        slopes, program = jax.jit(jax.jacfwd(run))(at), jax.jit(run)
+        for i, shift in enumerate(1e-7 * np.eye(len(at))):
+            expected = (program(at + shift) - program(at - shift)) / 2e-7
+            np.testing.assert_allclose(slopes[..., i], expected, atol=1e-6, err_msg=names[i])
 
 
 @pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
 def test_the_first_posture_is_the_gaits_own(gait, phase):
-    """A cycle later the feet are where they started; a switch falls up to a tick late, hence the tolerance.
-
-    A tick is 0.025 of a half-cycle at 1 Hz and a duty of 0.6: 1 mm of lift, and as much of stride.
-    """
+    """Cycles later the feet are where they started, to the rounding of 200 steps of the phase."""
     params = control_parameters(gait, frequency=1.0, stride=1.0)
     controller = Controller(pilot="open_loop")
     start = controller.init(params, sensors_at(), phase)
     states, _ = walk(controller, params, ticks=200, phase=phase)
-    np.testing.assert_allclose(states.foot[199], start.foot, atol=2.5e-3)
+    np.testing.assert_allclose(states.foot[199], start.foot, atol=2e-6)
     first = controller.initial_servo(params, phase)
     jax.tree.map(np.testing.assert_array_equal, first, controller.servo_angles(start))
 
@@ -209,7 +304,7 @@ def test_offset_compensation_takes_the_hips_rise_out_of_the_rear_feet():
         for share in (0.0, 1.0)
     )
     rise = hip_height_offset(joint_angle(plain.spine))
-    np.testing.assert_array_equal(compensated.path, plain.path)
+    np.testing.assert_array_equal(compensated.points, plain.points)
     np.testing.assert_allclose(compensated.foot[:, 2:, 1] - plain.foot[:, 2:, 1], -rise, atol=1e-7)
     np.testing.assert_array_equal(compensated.foot[:, :2], plain.foot[:, :2])
     assert np.abs(rise).max() > 0.003

@@ -55,7 +55,7 @@ def limb_states(gait: Gait, phase: Float[Array, "*batch"]) -> LimbStates:
     local = wrap(jnp.asarray(phase)[..., None] - gait.offset)
     stance = local < duty
     progress = jnp.where(stance, local / duty, (local - duty) / (1.0 - duty))
-    return LimbStates(stance, jnp.clip(progress, 0.0, 1.0))
+    return LimbStates(stance, jnp.minimum(progress, 1.0))
 
 
 def switches(now: Bool[Array, "*batch 4"], before: Bool[Array, "*batch 4"]) -> Bool[Array, "*batch 4"]:

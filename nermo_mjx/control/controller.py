@@ -154,24 +154,19 @@ class Controller:
     ) -> tuple[ControllerState, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
         command = self._command(params, state, sensors)
-        speed, turn_rate = command.speed, command.turn_rate
         phase = clock.advance(state.phase, params.gait.frequency, self.dt / params.tracking.clock_ratio)
         limbs = clock.limb_states(params.gait, phase)
-
-        stride = self._strides(params, speed, turn_rate)
-        planned = trajectory.plan(params.stance, state.path, limbs.stance, stride)
-        switched = clock.switches(limbs.stance, state.stance)
-        points = jnp.where(switched[:, None, None], planned, state.points)
+        points = self._points(params, state, limbs, command)
         path = trajectory.position(points, limbs.progress, self.trajectory)
 
-        spine = self._spine_servo(params, phase, turn_rate, path, limbs.stance)
+        spine = self._spine_servo(params, phase, command.turn_rate, path, limbs.stance)
         closed = trajectory.share_closed(params.tracking, self.dt)
         foot = state.foot + closed * (path + fusion.compensation(params.spine, spine) - state.foot)
 
         tick = state.tick + 1
         after = ControllerState(
-            tick=tick, time=tick * self.dt, phase=phase, stance=limbs.stance, points=points, path=path, foot=foot,
-            spine=spine, **command._asdict(),
+            tick=tick, time=tick * self.dt, phase=phase, stance=limbs.stance, points=points, foot=foot, spine=spine,
+            **command._asdict(),
         )  # fmt: skip
         after = with_dtypes_of(state, after)
         return after, self.servo_angles(after)
@@ -194,7 +189,7 @@ class Controller:
         zero = jnp.zeros(())
         state = ControllerState(
             tick=jnp.zeros((), dtype=jnp.int32), time=zero, phase=phase, stance=limbs.stance, points=points,
-            path=path, foot=foot, speed=speed, turn_rate=turn_rate, spine=spine, path_point=point,
+            foot=foot, speed=speed, turn_rate=turn_rate, spine=spine, path_point=point,
             guidance=guidance.start(zero),
         )  # fmt: skip
         return canonical(state)
@@ -243,6 +238,33 @@ class Controller:
             params.pilot, state.guidance, point.error, state.phase, turned, cycle_rate, 1.0 / self.pilot_rate
         )
         return estimate, point.curvature + guidance.correction(params.pilot, estimate, speed)
+
+    def _points(
+        self, params: ControlParameters, state: ControllerState, limbs: clock.LimbStates, command: _Command
+    ) -> Float[Array, "4 3 2"]:
+        """Control points of the half-cycles that the legs are in now.
+
+        A leg switches between two ticks. Its new half-cycle starts where the old one ends, not where the foot was at
+        the tick before, and has the stride that was wanted when it switched. So the commanded feet are continuous in
+        frequency, duty and offsets, which say in which tick a switch falls.
+        """
+        duty = jnp.clip(jnp.asarray(params.gait.duty), clock.SHORTEST_HALF, 1.0 - clock.SHORTEST_HALF)
+        length, other = jnp.where(limbs.stance, duty, 1.0 - duty), jnp.where(limbs.stance, 1.0 - duty, duty)
+        # Since the leg's last switch, and in a tick, as shares of the gait cycle.
+        since = limbs.progress * length
+        in_tick = jnp.maximum(params.gait.frequency * self.dt / params.tracking.clock_ratio, 1e-9)
+        before, now = (self._strides(params, given.speed, given.turn_rate) for given in (state, command))
+
+        def stride(ago: Array) -> Array:
+            return now + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (before - now)
+
+        switched = clock.switches(limbs.stance, state.stance)
+        # A half-cycle shorter than a tick may pass unseen; the foot has made its way all the same.
+        skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
+        passed = trajectory.end_points(params.stance, ~limbs.stance, stride(since + other))
+        start = jnp.where(skipped[:, None], passed, state.points[:, 2])
+        planned = trajectory.plan(params.stance, start, limbs.stance, stride(since))
+        return jnp.where((switched | skipped)[:, None, None], planned, state.points)
 
     @staticmethod
     def _strides(params: ControlParameters, speed: Array, turn_rate: Array) -> Float[Array, " 4"]:

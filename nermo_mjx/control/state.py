@@ -22,9 +22,9 @@ class ControllerState:
         time: simulated time since the start [s].
         phase: of the gait cycle, in [0, 1).
         stance: planned contact of the limbs.
-        points: control points (start, mid, end) of each limb's half-cycle [m].
-        path: where the feet are on their paths, (y, z) in the leg's frame; the next half-cycle starts there [m].
-        foot: commanded foot positions: `path` after offset compensation and tracking lag [m].
+        points: control points (start, mid, end) of each limb's half-cycle, (y, z) in the leg's frame; the next
+            half-cycle starts at the end [m].
+        foot: commanded foot positions: those on the path, after offset compensation and tracking lag [m].
         speed: commanded speed [m/s of the controller's clock].
         turn_rate: held between two pilot ticks, in [-1, 1], positive left.
         spine: commanded spine servo angle, positive left [rad].
@@ -37,7 +37,6 @@ class ControllerState:
     phase: Float[Array, ""]
     stance: Bool[Array, " 4"]
     points: Float[Array, "4 3 2"]
-    path: Float[Array, "4 2"]
     foot: Float[Array, "4 2"]
     speed: Float[Array, ""]
     turn_rate: Float[Array, ""]

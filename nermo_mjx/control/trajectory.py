@@ -85,11 +85,11 @@ def neutral_feet(stance: Stance) -> Float[Array, "*batch 4 2"]:
 def plan(
     stance: Stance, start: Float[Array, "*batch 4 2"], down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
 ) -> Float[Array, "*batch 4 3 2"]:
-    """Control points of the half-cycle that begins now.
+    """Control points of a half-cycle.
 
     Args:
         stance: neutral feet and amplitudes.
-        start: where the feet are now [m].
+        start: where it starts [m].
         down: planned contact. In stance the foot moves backward (+y) and is pressed down at its mid point, in swing it
             moves forward and is raised.
         stride: length of each leg's stride [m].
@@ -99,18 +99,21 @@ def plan(
         down, -jnp.asarray(stance.stance_amplitude)[..., None], jnp.asarray(stance.swing_amplitude)[..., None]
     )
     mid = neutral + _column(mid_height, axis=1)
-    return jnp.stack([start, mid, _end(neutral, down, stride)], axis=-2)
+    return jnp.stack([start, mid, end_points(stance, down, stride)], axis=-2)
 
 
 def nominal_points(
     stance: Stance, down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
 ) -> Float[Array, "*batch 4 3 2"]:
     """Control points of a half-cycle in a steady gait: each starts where the opposite half-cycle ends."""
-    return plan(stance, _end(neutral_feet(stance), ~down, stride), down, stride)
+    return plan(stance, end_points(stance, ~down, stride), down, stride)
 
 
-def _end(neutral: Array, down: Array, stride: Array) -> Array:
-    return neutral + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
+def end_points(
+    stance: Stance, down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
+) -> Float[Array, "*batch 4 2"]:
+    """Where a half-cycle ends: half a stride behind the neutral position in stance, and before it in swing [m]."""
+    return neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
 
 
 def _column(value: Array, axis: int) -> Array:

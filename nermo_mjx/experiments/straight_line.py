@@ -17,7 +17,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 NAME: Final = "straight-line"
 DISTANCE: Final = 2.0
 #: Gait cycles after which a run ends that does not come to the end of the line, such as one with no stride.
-_LONGEST: Final = 40.0
+_LONGEST: Final = 60.0
 _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
 _ABOUT: Final = {

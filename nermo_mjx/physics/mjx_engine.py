@@ -6,8 +6,6 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
-import contextlib
-import io
 from typing import Any, NamedTuple
 
 import jax
@@ -16,13 +14,13 @@ import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch
 
+from nermo_mjx.physics import differentiable
 from nermo_mjx.physics.engine import Loop, Trace
+from nermo_mjx.physics.ground_frame import GroundFrame
+from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import cpu_batch_limit
-
-with contextlib.redirect_stdout(io.StringIO()):  # mjx prints to stdout that warp is missing, which would spoil --json
-    from mujoco import mjx
 
 
 class MjxState(NamedTuple):
@@ -34,7 +32,9 @@ class MjxState(NamedTuple):
     qacc_warmstart: Float[Array, " nv"]
 
 
-class _Carry(NamedTuple):
+class Carry(NamedTuple):
+    """What the scan carries in one world: physics, the loop's state, and the sensors of the last tick's steps."""
+
     physics: MjxState
     loop: Any
     sensordata: Float[Array, "steps n"]
@@ -49,7 +49,8 @@ class MjxEngine:
         self.robot, self.loop = robot, loop
         self.model = mjx.put_model(robot.model)
         self.data = mjx.make_data(self.model)
-        self.init = jax.jit(jax.vmap(loop.init))
+        self.frame = GroundFrame(robot.model, robot.joints.root)
+        self.open_worlds = jax.jit(jax.vmap(self.start))
         self.advance = jax.jit(self._advance, donate_argnums=2)
         self.record = jax.jit(self._record, static_argnums=3, donate_argnums=2)
 
@@ -59,11 +60,20 @@ class MjxEngine:
 
     def physics_step(self, model: mjx.Model, state: MjxState, ctrl: Float[Array, " nu"]) -> tuple[MjxState, Array]:
         """One step of physics in one world: the new state, and the step's sensor readings."""
-        data = self.data.replace(ctrl=ctrl, **state._asdict())
-        data = mjx.step(model, data)
-        return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart), data.sensordata
+        qpos, shift = self.frame.leave(state.qpos)
+        data = differentiable.step(model, self.data.replace(ctrl=ctrl, **state._replace(qpos=qpos)._asdict()))
+        physics = MjxState(self.frame.enter(data.qpos, shift), data.qvel, data.act, data.qacc_warmstart)
+        return physics, self.frame.enter_readings(data.sensordata, shift)
 
-    def _tick(self, params: Any, fields: dict[str, Array], carry: _Carry) -> tuple[_Carry, Array]:
+    def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
+        """Carry of one world before its first tick, from its state and its sensors there."""
+        nothing = jnp.zeros((self.model.nv,), qpos.dtype)
+        physics = MjxState(qpos, qvel, jnp.zeros((self.model.na,), qpos.dtype), nothing)
+        steps = self.loop.steps_per_tick
+        return Carry(physics, self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1)))
+
+    def tick(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
+        """One control tick of one world: the new carry, and the servos' targets."""
         model = self.model.tree_replace(fields)
         loop, ctrl = self.loop.step(params, carry.loop, carry.sensordata)
 
@@ -71,16 +81,16 @@ class MjxEngine:
             return self.physics_step(model, state, ctrl)
 
         physics, sensordata = jax.lax.scan(step, carry.physics, None, length=self.loop.steps_per_tick)
-        return _Carry(physics, loop, sensordata), ctrl
+        return Carry(physics, loop, sensordata), ctrl
 
-    def _ticks(self, params: Any, fields: dict[str, Array], carry: _Carry) -> tuple[_Carry, Array]:
-        return jax.vmap(self._tick)(params, fields, carry)
+    def _ticks(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
+        return jax.vmap(self.tick)(params, fields, carry)
 
-    def _advance(self, params: Any, fields: dict[str, Array], carry: _Carry, ticks: Array) -> _Carry:
+    def _advance(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: Array) -> Carry:
         return jax.lax.fori_loop(0, ticks, lambda _, c: self._ticks(params, fields, c)[0], carry)
 
-    def _record(self, params: Any, fields: dict[str, Array], carry: _Carry, ticks: int) -> tuple[_Carry, Any]:
-        def tick(c: _Carry, _: None) -> tuple[_Carry, Any]:
+    def _record(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int) -> tuple[Carry, Any]:
+        def tick(c: Carry, _: None) -> tuple[Carry, Any]:
             c, ctrl = self._ticks(params, fields, c)
             return c, (c.physics.qpos, c.physics.qvel, ctrl, c.sensordata[:, -1])
 
@@ -97,16 +107,8 @@ class MjxSession:
         real = engine.data.qpos.dtype
         self.params = jax.device_put(params)
         self.fields = {name: jnp.asarray(values, real) for name, values in fields.items()}
-        model, steps = engine.model, engine.loop.steps_per_tick
-        physics = MjxState(
-            jnp.asarray(qpos, real),
-            jnp.zeros((worlds, model.nv), real),
-            jnp.zeros((worlds, model.na), real),
-            jnp.zeros((worlds, model.nv), real),
-        )
-        sensordata = jnp.asarray(at_rest, real)
-        loop = engine.init(self.params, sensordata)
-        self.carry = _Carry(physics, loop, jnp.repeat(sensordata[:, None], steps, axis=1))
+        qvel = np.zeros((worlds, engine.model.nv))
+        self.carry = engine.open_worlds(self.params, *(jnp.asarray(each, real) for each in (qpos, qvel, at_rest)))
         self.slices = _slices(worlds, cpu_batch_limit())
 
     @property

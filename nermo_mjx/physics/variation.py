@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.physics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import replace_quantities
@@ -109,17 +110,40 @@ class Variation:
             worlds: size of the batch.
             named: names such as `contact.friction`; those that are not body parameters are passed over.
         """
-        groups = {name.split(".")[0] for name in named} & set(FIELDS)
-        if not groups:
+        reached = _reached(named)
+        if not reached:
             return {}
         leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
         with jax.enable_x64(True):
             fields = self._batched(leaves)
-        return {name: np.asarray(fields[name], float) for group in sorted(groups) for name in FIELDS[group]}
+        return {name: np.asarray(fields[name], float) for name in reached}
+
+    def differentiable(self, parameters: ModelParameters, named: Iterable[str]) -> dict[str, Float[Array, ...]]:
+        """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses.
+
+        Args:
+            parameters: leaves of shape ().
+            named: as for `batch`.
+        """
+        reached = _reached(named)
+        fields = {name: value for name, value in self.fields(parameters).items() if name in reached}
+        if "body_mass" in fields:
+            fields |= self._mass_constants(fields["body_mass"], fields["body_inertia"])
+        return fields
+
+    @functools.cached_property
+    def _mass_constants(self) -> MassConstants:
+        return MassConstants(self.model)
 
     @functools.cached_property
     def _batched(self) -> Callable[[ModelParameters], dict[str, Array]]:
         return jax.jit(jax.vmap(self.fields))
+
+
+def _reached(named: Iterable[str]) -> list[str]:
+    """Model fields that the named parameters reach."""
+    groups = {name.split(".")[0] for name in named} & set(FIELDS)
+    return [name for group in sorted(groups) for name in FIELDS[group]]
 
 
 def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:

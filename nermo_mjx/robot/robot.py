@@ -8,6 +8,7 @@ import hashlib
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Array, Float
@@ -92,6 +93,16 @@ class Robot:
         for name in ("foot_position", "foot_velocity"):
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
         return Sensors(**parts)
+
+    def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
+        """`sensordata` of the robot put down at `qpos`, in JAX: where its IMU is; what moves or pushes reads zero."""
+        place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
+        arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
+        axis = jnp.stack([x, y, z])
+        turned = arm + 2.0 * jnp.cross(axis, jnp.cross(axis, arm) + w * arm)
+        data = jnp.zeros((self.model.nsensordata,), qpos.dtype)
+        data = data.at[self._sensor_slices["position"]].set(place + turned)
+        return data.at[self._sensor_slices["orientation"]].set(jnp.stack([w, x, y, z]))
 
     @functools.cached_property
     def mass_model(self) -> MassModel:

@@ -3,6 +3,11 @@
 Angles are defined in `attitude`. Measuring starts after the warm-up and stops at the end of the run, at the end of the
 gait cycle in which the wanted distance is covered, or when the robot falls or diverges; what was measured until then
 stays.
+
+The warm-up and the run end between two ticks: a tick counts by the part of it that is measured, positions go straight
+within a tick, and other readings stand for the tick before them. So every metric is continuous in both ends, and its
+derivatives are finite. Not differentiable are the discrete events: the gait cycle in which the distance is covered,
+a fall, a divergence.
 """
 
 from __future__ import annotations
@@ -18,10 +23,17 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot import LIMBS, Sensors
 from nermo_mjx.rollout import path_metrics
 from nermo_mjx.rollout.attitude import attitude, uprightness
+from nermo_mjx.rollout.measuring import MeasuredPart, measured_part
 from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.path_metrics import root
 
-#: A foot is loaded above this force [N]: 3 % of the robot's weight on one foot of four is far below any stance.
-LOADED: Final = 0.02
+#: A foot bears nothing below the first force and is loaded above the second [N], with a smooth share between. 3 % of
+#: the robot's weight on one foot of four, which is halfway, is far below any stance.
+LOADED: Final = (0.01, 0.03)
+#: Feet that were loaded for less than this bore nothing [s].
+SHORTEST_LOAD: Final = 1e-6
+#: Below this way there is no cost of transport [m].
+SHORTEST_WAY: Final = 1e-3
 #: The robot has fallen when its torso tilts by more than 60 degrees or its IMU comes this near to the ground [m].
 FALLEN_COSINE: Final = 0.5
 FALLEN_HEIGHT: Final = 0.025
@@ -50,6 +62,7 @@ METRICS: Final[dict[str, Metric]] = {
         for statistic in ("mean", "std", "min", "max")
     },
     "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one"),
+    "cross_track_rms": Metric("m", "root mean square of the distance from the pilot's path; NaN without a path"),
     "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path"),
     "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet"),
@@ -70,11 +83,11 @@ class MetricState:
         time, work, way: measured time [s], positive servo work [J], way along the smoothed heading [m].
         travelled: way since the start, warm-up included [m].
         mean, square: Welford's running mean and sum of squared deviations of (roll, pitch, yaw).
-        low, high: extremes of (roll, pitch, yaw).
+        readings: (roll, pitch, yaw, cross-track error) at the last tick [rad, m]; yaw goes on beyond half a turn.
+        low, high: extremes of the readings.
         course, turning: smoothed yaw [rad] and its rate [rad/s].
         position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
         loaded, slid: time each foot was loaded, and the way it slid meanwhile (4,) each.
-        turns: whole turns of yaw, so that it does not jump at +-pi; yaw: the last reading.
         path: how the path was followed.
         on_path: whether the pilot has a path.
         fell, diverged, begun, finished: flags.
@@ -86,8 +99,9 @@ class MetricState:
     travelled: Float[Array, ""]
     mean: Float[Array, " 3"]
     square: Float[Array, " 3"]
-    low: Float[Array, " 3"]
-    high: Float[Array, " 3"]
+    readings: Float[Array, " 4"]
+    low: Float[Array, " 4"]
+    high: Float[Array, " 4"]
     course: Float[Array, ""]
     turning: Float[Array, ""]
     position: Float[Array, " 3"]
@@ -95,8 +109,6 @@ class MetricState:
     end: Float[Array, " 3"]
     loaded: Float[Array, " 4"]
     slid: Float[Array, " 4"]
-    turns: Float[Array, ""]
-    yaw: Float[Array, ""]
     path: path_metrics.PathState
     on_path: Bool[Array, ""]
     fell: Bool[Array, ""]
@@ -107,13 +119,14 @@ class MetricState:
 
 def init(sensors: Sensors) -> MetricState:
     """Accumulators before the first tick, from the readings at rest."""
-    position, yaw = sensors.position, attitude(sensors.orientation)[2]
+    position, angles = sensors.position, attitude(sensors.orientation)
     zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
+    readings = jnp.append(angles, zero)
     no = jnp.zeros((), bool)
     return MetricState(
-        time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, low=three + jnp.inf,
-        high=three - jnp.inf, course=yaw, turning=zero, position=position, origin=position, end=position, loaded=four,
-        slid=four, turns=zero, yaw=yaw, path=path_metrics.init(position), on_path=no,
+        time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
+        low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
+        origin=position, end=position, loaded=four, slid=four, path=path_metrics.init(position), on_path=no,
         fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
@@ -133,7 +146,7 @@ def update(
         window: when to measure.
         state: accumulators so far.
         sensors: readings of the tick's physics steps, leading axis (steps,).
-        time: at the end of the tick [s].
+        time: at the end of the tick [s]; 0 at the first call, whose readings are those at rest.
         dt: length of the tick [s].
         cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
         path: point of the pilot's path beside the torso, where it follows one.
@@ -146,13 +159,9 @@ def update(
 
     fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (last.position[2] < FALLEN_HEIGHT)
     fell = state.fell | (fallen & ~diverged)
-    inside = (time > window.begin + 0.5 * dt) & (time <= window.end + 0.5 * dt) & ~state.finished & ~fell & ~diverged
-    weight = jnp.where(inside, dt, 0.0)
 
     angles = attitude(last.orientation)
-    jump = angles[2] - state.yaw
-    turns = state.turns - jnp.round(jump / (2 * jnp.pi))
-    angles = angles.at[2].add(2 * jnp.pi * turns)
+    angles = angles.at[2].add(-2 * jnp.pi * jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi)))
 
     # Critically damped tracking of yaw and its rate: no lag in a steady turn, little of the spine's sway.
     expected = state.course + dt * state.turning
@@ -161,74 +170,111 @@ def update(
     ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path.tangent
     step = jnp.where(diverged, 0.0, (last.position - state.position)[:2] @ ahead)
     travelled = state.travelled + step
-    elapsed = state.time + weight
-    share = weight / jnp.maximum(elapsed, dt)
+
+    goes_on, far_enough = ~(fell | diverged | state.finished), travelled >= window.distance
+    part = measured_part(window, state.time, state.path.cycles, time, dt, cycle_rate, goes_on, far_enough)
+    share = jnp.where(state.begun, part.weight / jnp.where(state.begun, part.elapsed, 1.0), 1.0)
     deviation = angles - state.mean
     mean = state.mean + share * deviation
 
-    origin = jnp.where(state.begun, state.origin, jnp.where(inside, state.position, last.position))
-    # Half a tick early, or rounding would decide whether a cycle of whole ticks has ended.
-    cycle_ends = jnp.floor((elapsed + 0.5 * dt) * cycle_rate) > jnp.floor((state.time + 0.5 * dt) * cycle_rate)
+    origin = jnp.where(state.begun, state.origin, _between(state.position, last.position, part.begin))
     error = jnp.zeros(()) if path is None else jnp.where(diverged, 0.0, path.error)
-    followed = path_metrics.update(state.path, (last.position - origin)[:2], error, weight, cycle_ends)
+    readings = jnp.append(angles, error)
+    low, high = _extremes(state, readings, part)
 
     power = jnp.maximum(sensors.servo_torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean()
-    contact = sensors.foot_force > LOADED
+    contact = _share_loaded(sensors.foot_force)
     speed = jnp.sqrt(jnp.sum(sensors.foot_velocity[..., :2] ** 2, axis=-1) + 1e-12)
     return MetricState(
-        time=elapsed,
-        work=state.work + weight * power,
-        way=state.way + jnp.where(inside, step, 0.0),
+        time=part.elapsed,
+        work=state.work + part.weight * power,
+        way=state.way + part.weight / dt * step,
         travelled=travelled,
         mean=mean,
-        square=state.square + weight * deviation * (angles - mean),
-        low=jnp.where(inside, jnp.minimum(state.low, angles), state.low),
-        high=jnp.where(inside, jnp.maximum(state.high, angles), state.high),
+        square=state.square + part.weight * deviation * (angles - mean),
+        readings=readings,
+        low=low,
+        high=high,
         course=course,
         turning=turning,
         position=jnp.where(diverged, state.position, last.position),
-        end=jnp.where(inside | ~state.begun, last.position, state.end),
         origin=origin,
-        loaded=state.loaded + weight * contact.mean(axis=0),
-        slid=state.slid + weight * (contact * speed).mean(axis=0),
-        turns=turns,
-        yaw=angles[2] - 2 * jnp.pi * turns,
-        path=jax.tree.map(lambda new, old: jnp.where(inside, new, old), followed, state.path),
+        end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
+        loaded=state.loaded + part.weight * contact.mean(axis=0),
+        slid=state.slid + part.weight * (contact * speed).mean(axis=0),
+        path=path_metrics.update(
+            state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
+        ),
         on_path=jnp.asarray(path is not None),
         fell=fell,
         diverged=diverged,
-        begun=state.begun | inside,
-        finished=state.finished | (cycle_ends & (travelled >= window.distance)),
+        begun=state.begun | part.inside,
+        finished=state.finished | part.arrived,
     )
+
+
+def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[Array, Array]:
+    """Lowest and highest readings until now.
+
+    Readings stand for the tick before them, so their extremes are those since the end of the first tick. Where only a
+    part of the first tick is measured, its reading gives way to the second's as the part becomes nothing.
+    """
+    start = part.begin + 1.0
+    first = _between(state.readings, readings, jnp.where((start >= 0.0) & (start < part.end), start, part.end))
+    final = _between(state.readings, readings, part.end)
+    low = jnp.minimum(jnp.where(start < 0.0, state.low, jnp.inf), jnp.minimum(first, final))
+    high = jnp.maximum(jnp.where(start < 0.0, state.high, -jnp.inf), jnp.maximum(first, final))
+    return jnp.where(part.inside, low, state.low), jnp.where(part.inside, high, state.high)
+
+
+def _between(before: Array, now: Array, share: Array) -> Array:
+    return before + share * (now - before)
+
+
+def _share_loaded(force: Array) -> Array:
+    """0 for a foot without load, 1 for a loaded one, and smooth between."""
+    none, full = LOADED
+    share = jnp.clip((force - none) / (full - none), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
 
 
 def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array, ""]]:
     """The metrics of one world, named as in `METRICS`. What was never measured is NaN.
 
+    Derivatives are finite, also beside metrics that are NaN.
+
     Args:
         state: accumulators at the end.
         mass: of the robot [kg].
     """
-    time = jnp.where(state.time > 0, state.time, jnp.nan)
-    std = jnp.sqrt(jnp.maximum(state.square, 0.0) / time)
-    distance = jnp.where(state.time > 0, state.way, jnp.nan)
-    loaded = state.loaded.sum()
+    begun = state.begun
+    time, loaded = jnp.where(begun, state.time, 1.0), state.loaded.sum()
+    bore, moved = begun & (loaded > SHORTEST_LOAD), begun & (state.way > SHORTEST_WAY)
+    std = root(state.square / time)
     metrics = {
-        "speed": distance / time,
-        "distance": distance,
-        "duration": state.time,
-        "lateral_drift": jnp.where(state.begun, state.end[0] - state.origin[0], jnp.nan),
-        "cross_track_peak": jnp.where(state.on_path & state.begun, state.path.peak, jnp.nan),
-        "cross_track_walked": jnp.where(state.on_path & state.begun, state.path.walked, jnp.nan),
-        "turning_radius": jnp.where(state.begun, path_metrics.radius(state.path), jnp.nan),
-        "slip": state.slid.sum() / jnp.where(loaded > 0, loaded, jnp.nan),
-        "servo_work": state.work,
-        "cost_of_transport": state.work / jnp.where(distance > 1e-3, mass * GRAVITY * distance, jnp.nan),
-        "fell": state.fell.astype(time.dtype),
-        "diverged": state.diverged.astype(time.dtype),
+        "speed": state.way / time,
+        "distance": state.way,
+        "lateral_drift": state.end[0] - state.origin[0],
+        "cross_track_peak": jnp.maximum(state.high[3], -state.low[3]),
+        "cross_track_rms": root(state.path.square / time),
+        "cross_track_walked": state.path.walked,
+        "turning_radius": path_metrics.radius(state.path),
+        "slip": jnp.where(bore, state.slid.sum() / jnp.where(bore, loaded, 1.0), jnp.nan),
+        "cost_of_transport": jnp.where(
+            moved, state.work / (mass * GRAVITY * jnp.where(moved, state.way, 1.0)), jnp.nan
+        ),
     }
     for i, angle in enumerate(ANGLES):
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
-        metrics |= {f"{angle}_{name}": jnp.where(state.begun, value, jnp.nan) for name, value in values.items()}
+        metrics |= {f"{angle}_{name}": value for name, value in values.items()}
     metrics |= {f"duty_{limb}": state.loaded[i] / time for i, limb in enumerate(LIMBS)}
+    for name, value in metrics.items():
+        known = begun & state.on_path if name.startswith("cross_track") else begun
+        metrics[name] = jnp.where(known, value, jnp.nan)
+    metrics |= {
+        "duration": state.time,
+        "servo_work": state.work,
+        "fell": state.fell.astype(time.dtype),
+        "diverged": state.diverged.astype(time.dtype),
+    }
     return {name: metrics[name] for name in METRICS}

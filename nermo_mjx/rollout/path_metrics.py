@@ -1,7 +1,7 @@
 """How well a path was followed, and the circle that was walked; part of the metrics, in the same form.
 
-The torso sways by about a centimetre in each gait cycle. So an error is given twice: the largest of any moment, and
-the largest of the mean position of a gait cycle, which is where the robot walks.
+The torso sways by about a centimetre in each gait cycle. So an error is given twice: of any moment, and of the mean
+position of a gait cycle, which is where the robot walks. A tick in which a cycle ends is shared between both cycles.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from jaxtyping import Array, Bool, Float
 
 #: Flatter than this, the fit of a circle means nothing: smallest share of the path's spread across its main direction.
 FLAT = 1e-5
+#: Nor does it where the cycles' mean positions spread by less than 0.1 mm: smallest sum of their variances [m^2].
+SMALLEST_SPREAD = 1e-8
 
 
 @jax.tree_util.register_dataclass
@@ -22,19 +24,19 @@ class PathState:
     """Accumulators of one world.
 
     Attributes:
-        peak: largest cross-track error of any moment [m].
+        square: integral of the squared cross-track error [m^2 s].
         walked: largest of the cross-track errors' means over whole gait cycles [m].
         error, place, time: integrals over the present cycle of the error and the position (x, y) [m s], and its length
             until now [s].
-        weight, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
+        cycles, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
-    peak: Float[Array, ""]
+    square: Float[Array, ""]
     walked: Float[Array, ""]
     error: Float[Array, ""]
     place: Float[Array, " 2"]
     time: Float[Array, ""]
-    weight: Float[Array, ""]
+    cycles: Float[Array, ""]
     first: Float[Array, " 2"]
     second: Float[Array, "2 2"]
     third: Float[Array, " 2"]
@@ -44,7 +46,7 @@ def init(position: Float[Array, " 3"]) -> PathState:
     """Accumulators before the first tick; `position` gives the precision."""
     zero, two = jnp.zeros((), position.dtype), jnp.zeros((2,), position.dtype)
     return PathState(
-        peak=zero, walked=zero, error=zero, place=two, time=zero, weight=zero, first=two,
+        square=zero, walked=zero, error=zero, place=two, time=zero, cycles=zero, first=two,
         second=jnp.zeros((2, 2), position.dtype), third=two,
     )  # fmt: skip
 
@@ -53,7 +55,8 @@ def update(
     state: PathState,
     place: Float[Array, " 2"],
     error: Float[Array, ""],
-    dt: Float[Array, ""],
+    weight: Float[Array, ""],
+    rest: Float[Array, ""],
     cycle_ends: Bool[Array, ""],
 ) -> PathState:
     """Add one tick.
@@ -61,20 +64,22 @@ def update(
     Args:
         place: where the torso is, counted from where measuring began [m].
         error: cross-track error [m].
-        dt: length of the tick, 0 while nothing is measured [s].
-        cycle_ends: whether a gait cycle ends with this tick.
+        weight: length of the measured part of the tick [s].
+        rest: what of it comes after the end of a gait cycle [s].
+        cycle_ends: whether a gait cycle ends in this tick.
     """
-    sum_error, sum_place, time = state.error + dt * error, state.place + dt * place, state.time + dt
+    part = weight - rest
+    sum_error, sum_place, time = state.error + part * error, state.place + part * place, state.time + part
     per_time = 1.0 / jnp.maximum(time, 1e-9)
     mean, ended = sum_place * per_time, cycle_ends.astype(time.dtype)
     kept = 1.0 - ended
     return PathState(
-        peak=jnp.where(dt > 0, jnp.maximum(state.peak, jnp.abs(error)), state.peak),
+        square=state.square + weight * error**2,
         walked=jnp.maximum(state.walked, ended * jnp.abs(sum_error) * per_time),
-        error=kept * sum_error,
-        place=kept * sum_place,
-        time=kept * time,
-        weight=state.weight + ended,
+        error=kept * sum_error + rest * error,
+        place=kept * sum_place + rest * place,
+        time=kept * time + rest,
+        cycles=state.cycles + ended,
         first=state.first + ended * mean,
         second=state.second + ended * jnp.outer(mean, mean),
         third=state.third + ended * (mean @ mean) * mean,
@@ -88,15 +93,20 @@ def radius(state: PathState) -> Float[Array, ""]:
 
     The centre c minimises the variance of |p|^2 - 2 c p, so that 2 cov(p, p) c = cov(p, |p|^2).
     """
-    weight = jnp.maximum(state.weight, 1e-9)
-    mean, second, third = state.first / weight, state.second / weight, state.third / weight
+    cycles = jnp.maximum(state.cycles, 1.0)
+    mean, second, third = state.first / cycles, state.second / cycles, state.third / cycles
     spread = second - jnp.outer(mean, mean)
     square = jnp.trace(second)
     skew = third - square * mean
     determinant, size = jnp.linalg.det(spread), jnp.trace(spread)
-    flat = determinant < FLAT * size**2
-    safe = jnp.where(flat, 1.0, determinant)
+    curved = (determinant > FLAT * size**2) & (size > SMALLEST_SPREAD)
+    safe = jnp.where(curved, determinant, 1.0)
     adjugate = jnp.stack([spread[::-1, 1] * jnp.array([1.0, -1.0]), spread[::-1, 0] * jnp.array([-1.0, 1.0])])
     centre = 0.5 * adjugate @ skew / safe
-    squared = square - 2.0 * centre @ mean + centre @ centre
-    return jnp.where(flat, jnp.nan, jnp.sqrt(jnp.maximum(squared, 0.0)))
+    return jnp.where(curved, root(square - 2.0 * centre @ mean + centre @ centre), jnp.nan)
+
+
+def root(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Square root; 0, without a slope, for what is not positive, where the plain root's slope is infinite."""
+    positive = value > 0.0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)

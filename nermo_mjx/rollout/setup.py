@@ -137,10 +137,8 @@ class Run:
         default = np.where(np.asarray(cycles) > 2.0, 2.0, 0.0)
         return cycles, default if self.warmup_cycles is None else self.warmup_cycles
 
-    def seconds(self, frequency: Any, clock_ratio: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """(end of the warm-up, end of the run) in simulated seconds, shaped as `frequency`."""
+    def seconds(self, frequency: Any, clock_ratio: Any = 1.0) -> tuple[Any, Any]:
+        """(end of the warm-up, end of the run) in simulated seconds, shaped as `frequency`, which may be traced."""
         length, warmup = self._lengths()
-        period = np.asarray(clock_ratio, float) / np.asarray(frequency, float)
-        if self.duration is not None:
-            period = np.ones_like(period)
+        period = clock_ratio / frequency if self.duration is None else frequency**0
         return warmup * period, length * period

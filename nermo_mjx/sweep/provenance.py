@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import os
 import platform
 import shlex
@@ -13,7 +14,7 @@ from typing import Any
 
 from nermo_mjx.version import __version__
 
-PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "pyarrow")
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "pyarrow", "optax", "orbax-checkpoint")
 
 
 def versions() -> dict[str, str]:
@@ -41,6 +42,15 @@ def session(**more: Any) -> dict[str, Any]:
     """One session of work: when, by which command, with which versions, where."""
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
+
+
+def with_session(path: Path, session: dict[str, Any]) -> bytes:
+    """The content of run.json with one more session."""
+    try:
+        sessions = json.loads(path.read_text())["sessions"]
+    except (OSError, ValueError, KeyError):
+        sessions = []
+    return (json.dumps({"sessions": [*sessions, session]}, indent=2) + "\n").encode()
 
 
 def _processor() -> str:

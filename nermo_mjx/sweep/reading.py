@@ -1,4 +1,4 @@
-"""Sweep files as plain Python values that still know where they stood: the source of every message's `file:line`."""
+"""Files of a sweep or a tuning as plain values that still know where they stood: each message's `file:line`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ FieldPath = tuple["str | int", ...]
 
 
 class SpecError(ParameterError):
-    """A sweep that cannot run; the message is one sentence with file, line, field, value and what is allowed."""
+    """A file that cannot be run; the message is one sentence with file, line, field, value and what is allowed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """A sweep as plain values, and the line of each of its fields.
+    """A file as plain values, and the line of each of its fields.
 
     Attributes:
-        source: what messages call it: the file's path, or "sweep" for a dict.
+        source: what messages call it: the file's path, or "sweep" or "tuning" for a dict.
         data: the top-level mapping.
         lines: 1-based line of each field, by its path of keys; empty for a dict.
     """
@@ -53,8 +53,8 @@ class Document:
         return self.source
 
 
-def read_file(path: str | os.PathLike[str]) -> Document:
-    """Read a YAML file; every way in which it is no YAML mapping is a `SpecError`."""
+def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
+    """Read a YAML file; every way in which it is no YAML mapping is a `SpecError`. `what` names its kind."""
     source = os.fspath(path)
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -64,10 +64,10 @@ def read_file(path: str | os.PathLike[str]) -> Document:
         raise SpecError(f"{source}: not a text file in UTF-8 ({error.reason} at byte {error.start}).") from None
     except OSError as error:
         raise SpecError(f"{source}: cannot be read ({error.strerror}).") from None
-    return read_text(text, source)
+    return read_text(text, source, what)
 
 
-def read_text(text: str, source: str) -> Document:
+def read_text(text: str, source: str, what: str = "sweep") -> Document:
     """Read YAML text; see `read_file`."""
     try:
         root = YAML(typ="rt").load(text)
@@ -82,15 +82,15 @@ def read_text(text: str, source: str) -> Document:
     lines: dict[FieldPath, int] = {(): 1}
     data = _plain(root, (), lines)
     if not isinstance(data, dict):
-        raise SpecError(f"{source}:1: a sweep is a mapping of fields, but this file holds {describe(data)}.")
+        raise SpecError(f"{source}:1: a {what} is a mapping of fields, but this file holds {describe(data)}.")
     return Document(source, data, lines)
 
 
-def read_mapping(data: Mapping[str, Any], source: str = "sweep") -> Document:
-    """A document of a dict given in Python; arrays and tuples count as lists."""
+def read_mapping(data: Mapping[str, Any], what: str = "sweep") -> Document:
+    """A document of a dict given in Python; arrays and tuples count as lists. `what` names its kind."""
     if not isinstance(data, Mapping):
-        raise SpecError(f"{source}: a sweep is a mapping of fields, not {describe(data)}.")
-    return Document(source, _plain(data, (), {}))
+        raise SpecError(f"{what}: a {what} is a mapping of fields, not {describe(data)}.")
+    return Document(what, _plain(data, (), {}))
 
 
 def dump(data: Mapping[str, Any]) -> str:

@@ -5,17 +5,15 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import jax
 import pyarrow as pa
 
 from nermo_mjx.sweep.chunks import Progress, SimulatorLike, Work, layout_of, simulated_seconds
+from nermo_mjx.sweep.interruption import interruptible
 from nermo_mjx.sweep.plots import draw_plots
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.sampling import sample
@@ -114,19 +112,11 @@ def _default_chunk(engine: str) -> int:
 @contextlib.contextmanager
 def _interruptible(store: Store) -> Iterator[None]:
     """Turn Ctrl-C and SIGTERM into a `SweepInterrupted` that says how to go on."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    main = threading.current_thread() is threading.main_thread()
-    before = signal.signal(signal.SIGTERM, stop) if main else None
     try:
-        yield
+        with interruptible():
+            yield
     except KeyboardInterrupt:
         raise SweepInterrupted(
             f"stopped; what is finished is kept in {store.out}. To go on, run the same command again, or: "
             f"nermo-mjx sweep {store.out / 'sweep.yaml'} --out {store.out}"
         ) from None
-    finally:
-        if main:
-            signal.signal(signal.SIGTERM, before)

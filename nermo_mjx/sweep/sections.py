@@ -93,8 +93,8 @@ def _read_pilot_options(doc: Document, pilot: str) -> dict[str, Any]:
         if key == "points":
             values[key] = [[float(x), float(y)] for x, y in value]
         else:
-            named = key == "direction" and value in sides
-            values[key] = sides[value] if named else read_number(doc, (*path, key), value)
+            side = key == "direction" and value in sides
+            values[key] = sides[value] if side else read_number(doc, (*path, key), value)
     return values
 
 
@@ -138,7 +138,7 @@ def read_sampler(doc: Document) -> tuple[str, int]:
 def read_fixed(doc: Document, parameters: Mapping[str, Quantity]) -> dict[str, float]:
     """The parameters under `set`."""
     values = {}
-    for name, value in _named(doc, "set", parameters):
+    for name, value in named(doc, "set", parameters):
         values[name] = read_number(doc, ("set", name), value, name)
         check_value(doc, ("set", name), name, parameters[name], values[name])
     return values
@@ -147,7 +147,7 @@ def read_fixed(doc: Document, parameters: Mapping[str, Quantity]) -> dict[str, f
 def read_axes(doc: Document, parameters: Mapping[str, Quantity], *, grid: bool) -> tuple[Axis, ...]:
     """The parameters under `vary`, in the order of the file."""
     return tuple(
-        read_axis(doc, name, value, parameters[name], grid=grid) for name, value in _named(doc, "vary", parameters)
+        read_axis(doc, name, value, parameters[name], grid=grid) for name, value in named(doc, "vary", parameters)
     )
 
 
@@ -155,8 +155,8 @@ def read_draws(doc: Document, parameters: Mapping[str, Quantity]) -> tuple[int, 
     """The number of repeats, and the parameters under `randomize`."""
     given = _mapping(doc, "randomize")
     repeats = read_whole(doc, ("randomize", "repeats"), 1, 100_000) if "repeats" in given else 1
-    named = _named(doc, "randomize", parameters, besides=("repeats",))
-    return repeats, tuple(read_draw(doc, name, value, parameters[name]) for name, value in named)
+    given_draws = named(doc, "randomize", parameters, besides=("repeats",))
+    return repeats, tuple(read_draw(doc, name, value, parameters[name]) for name, value in given_draws)
 
 
 def read_whole(doc: Document, path: FieldPath, low: int, high: int) -> int:
@@ -170,7 +170,7 @@ def read_whole(doc: Document, path: FieldPath, low: int, high: int) -> int:
     return int(number)
 
 
-def _named(
+def named(
     doc: Document, section: str, parameters: Mapping[str, Quantity], besides: tuple[str, ...] = ()
 ) -> Iterator[tuple[str, Any]]:
     """The entries of a section whose keys are parameter names."""

@@ -10,12 +10,12 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from nermo_mjx.robot.quantity import Quantity
-from nermo_mjx.rollout import Run, Setup, all_parameters
+from nermo_mjx.rollout import all_parameters
 from nermo_mjx.sweep import sections
-from nermo_mjx.sweep.axes import Axis, Draw, check_value
+from nermo_mjx.sweep.axes import Axis, Draw
 from nermo_mjx.sweep.reading import Document, describe, dump, nearest, read_file, read_mapping, read_text
-from nermo_mjx.sweep.sections import PILOT_OPTIONS, SETUP_FIELDS
+from nermo_mjx.sweep.sections import SETUP_FIELDS
+from nermo_mjx.sweep.walk_spec import WalkSpec, check_sources
 from nermo_mjx.sweep.workspace import check_workspace
 
 #: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
@@ -23,26 +23,14 @@ START_SPREAD = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0)
 LARGEST_SWEEP = 10_000_000
 
 _FIELDS = (*SETUP_FIELDS, "pilot", "run", "set", "vary", "sample", "randomize", "seed", "chunk", "plots")
-#: Parameters that nothing reads unless a choice of the setup turns them on.
-_NEEDS = {
-    "spine.amplitude": ("spine", "stride_extension"),
-    "spine.phase": ("spine", "stride_extension"),
-    "spine.balance_lift": ("spine", "balance"),
-    "pilot.turn_rate": ("pilot", "open_loop"),
-    "pilot.radius": ("pilot", "arc"),
-    "pilot.direction": ("pilot", "arc"),
-}
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep:
+class Sweep(WalkSpec):
     """A checked sweep. Build it with `from_file`, `from_text` or `from_dict`.
 
     Attributes:
-        setup: the static choices: robot, scene, gait, spine mode, pilot.
-        run: how long each run lasts, and how much of it is warm-up.
-        fixed: parameters set to one value for all variants (`set`).
-        pilot: options of the pilot, as given.
+        setup, run, fixed, pilot: see `WalkSpec`.
         axes: varied parameters in the order of the file.
         sampler, samples: "grid", or a sampler and its number of variants.
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
@@ -51,10 +39,6 @@ class Sweep:
         plots: whether figures are drawn when the table is complete.
     """
 
-    setup: Setup
-    run: Run
-    fixed: Mapping[str, float]
-    pilot: Mapping[str, Any]
     axes: tuple[Axis, ...]
     sampler: str
     samples: int
@@ -84,24 +68,9 @@ class Sweep:
         """The number of variants, before repeats."""
         return math.prod(len(axis.values()) for axis in self.axes) if self.sampler == "grid" else self.samples
 
-    @property
-    def constants(self) -> dict[str, float]:
-        """Every parameter with one value for all variants: `set` and the pilot's options."""
-        options = PILOT_OPTIONS.get(self.setup.pilot, {})
-        return dict(self.fixed) | {name: self.pilot[key] for key, name in options.items() if name and key in self.pilot}
-
-    @property
-    def parameters(self) -> dict[str, Quantity]:
-        """Every parameter that this setup has, by name."""
-        return all_parameters(self.setup)
-
     def resolved(self) -> dict[str, Any]:
         """The sweep with all defaults written out; it reads back as the same sweep."""
-        pilot = self.setup.pilot
-        data: dict[str, Any] = {field: getattr(self.setup, field) for field in SETUP_FIELDS}
-        data["pilot"] = {pilot: dict(self.pilot)} if self.pilot else pilot
-        data["run"] = _run_fields(self.run)
-        data["set"] = dict(self.fixed)
+        data = self.walk_fields()
         data["vary"] = {axis.name: axis.written() for axis in self.axes}
         data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
         data["randomize"] = {"repeats": self.repeats} | {draw.name: draw.written() for draw in self.draws}
@@ -158,24 +127,8 @@ def _read(doc: Document) -> Sweep:
 
 def _check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
-    parameters, sources = sweep.parameters, dict.fromkeys(sweep.constants, f"set by 'pilot.{sweep.setup.pilot}'")
-    sources |= dict.fromkeys(sweep.fixed, "fixed under 'set'")
     varied, drawn = [axis.name for axis in sweep.axes], [draw.name for draw in sweep.draws]
-    for section, names in (("vary", varied), ("randomize", drawn)):
-        for name in names:
-            if name in sources:
-                doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
-            sources[name] = f"under '{section}'"
-            choice, wanted = _NEEDS.get(name, ("", ""))
-            if choice and wanted not in (chosen := getattr(sweep.setup, choice)).split("+"):
-                doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
-                                          f"{chosen}.", name)  # fmt: skip
-    for key, option in PILOT_OPTIONS.get(sweep.setup.pilot, {}).items():
-        if option and key in sweep.pilot:
-            if option in sweep.fixed:
-                doc.fail(("set", option), f"is under 'set' and also set by 'pilot.{sweep.setup.pilot}.{key}': give it "
-                                          "one source.", option)  # fmt: skip
-            check_value(doc, ("pilot", sweep.setup.pilot, key), option, parameters[option], sweep.pilot[key])
+    check_sources(doc, sweep, {"vary": varied, "randomize": drawn})
     if not sweep.axes and not sweep.draws and sweep.repeats == 1:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler != "grid":
@@ -184,7 +137,8 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
     if rows > LARGEST_SWEEP:
         doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
                             "as sample: {sobol: 4096}.")  # fmt: skip
-    check_workspace(doc, sweep.setup, sweep.fixed, (*sweep.axes, *sweep.draws), grid=sweep.sampler == "grid")
+    entries: dict[str, tuple[Axis | Draw, ...]] = {"vary": sweep.axes, "randomize": sweep.draws}
+    check_workspace(doc, sweep.setup, sweep.fixed, entries, grid=sweep.sampler == "grid")
 
 
 def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:
@@ -195,8 +149,3 @@ def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:
         for name, spread in START_SPREAD.items()
         if name not in named
     )
-
-
-def _run_fields(run: Run) -> dict[str, float]:
-    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
-    return {name: float(getattr(run, name)) for name in names}

@@ -9,8 +9,6 @@ DIR/summary.json, DIR/plots/      made from the table when it is complete
 from __future__ import annotations
 
 import dataclasses
-import errno
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,13 +19,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.sweep.files import StoreError, clear_errors, parquet_bytes, replace_file
+from nermo_mjx.sweep.lock import hold
+from nermo_mjx.sweep.provenance import with_session
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.spec import Sweep
-
-try:
-    import fcntl
-except ImportError:  # Windows: a directory is not locked there
-    fcntl = None  # type: ignore[assignment]
 
 #: Schema metadata that differs between the chunks of one table.
 CHUNK_KEYS = (b"chunk", b"chunks", b"steps", b"wall_seconds")
@@ -91,11 +86,7 @@ class Store:
     def note_session(self, session: dict[str, Any]) -> None:
         """Add what ran here, and where, to run.json."""
         path = self.out / "run.json"
-        try:
-            sessions = json.loads(path.read_text())["sessions"]
-        except (OSError, ValueError, KeyError):
-            sessions = []
-        self.write(path, (json.dumps({"sessions": [*sessions, session]}, indent=2) + "\n").encode())
+        self.write(path, with_session(path, session))
 
     @property
     def _suffix(self) -> str:
@@ -122,21 +113,9 @@ class Store:
 
     def _lock(self) -> None:
         """An exclusive lock; shards share the first one and hold a second one of their own."""
-        if fcntl is None:
-            return
-        wanted = [(".lock", fcntl.LOCK_EX)]
+        self._locks.append(hold(self.out, shared=self.shard is not None))
         if self.shard is not None:
-            wanted = [(".lock", fcntl.LOCK_SH), (f".lock-{self.shard[0]}-of-{self.shard[1]}", fcntl.LOCK_EX)]
-        for name, kind in wanted:
-            self._locks.append(os.open(self.out / name, os.O_RDWR | os.O_CREAT, 0o666))
-            try:
-                fcntl.flock(self._locks[-1], kind | fcntl.LOCK_NB)
-            except BlockingIOError:
-                message = f"another process works in {self.out}; wait for it, or choose another directory."
-                raise StoreError(message) from None
-            except OSError as error:  # a network file system without locks
-                if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
-                    raise
+            self._locks.append(hold(self.out, f".lock-{self.shard[0]}-of-{self.shard[1]}"))
 
     def _unlock(self) -> None:
         while self._locks:

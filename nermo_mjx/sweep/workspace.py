@@ -1,9 +1,10 @@
-"""Strides and stances that the legs cannot reach are refused with the sweep file's line."""
+"""Strides and stances that the legs cannot reach are refused with the file's line."""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,23 +19,27 @@ _TRIED, _MOST_TRIED = 5, 50_000
 
 
 def check_workspace(
-    doc: Document, setup: Setup, fixed: Mapping[str, float], entries: tuple[Axis | Draw, ...], *, grid: bool
+    doc: Document,
+    setup: Setup,
+    fixed: Mapping[str, float],
+    entries: Mapping[str, Sequence[Axis | Draw]],
+    *,
+    grid: bool,
 ) -> None:
     """Fail at the field whose values take a foot out of its leg's workspace.
 
     Args:
         setup: static choices; the leg's routing decides what it reaches.
-        fixed: parameters with one value; `entries` the varied and randomized ones.
+        fixed: parameters with one value.
+        entries: the parameters with several, by the section of the file that they stand in.
         grid: whether the axes are a grid, of which every value is tried; else a few within the bounds.
     """
-    sections = dict.fromkeys(fixed, "set") | {
-        entry.name: "vary" if isinstance(entry, Axis) else "randomize" for entry in entries
-    }
+    sections = dict.fromkeys(fixed, "set") | {entry.name: name for name in entries for entry in entries[name]}
     named = [name for name in sections if name == "stride" or name.startswith("stance.")]
     if not named:
         return
     values = {name: np.array([fixed[name]]) for name in named if name in fixed}
-    for entry in entries:
+    for entry in itertools.chain(*entries.values()):
         if entry.name in named:
             listed = isinstance(entry, Axis) and (grid or entry.form == "values")
             # A normal draw has no largest value: all but one in a thousand on either side count.

@@ -1,0 +1,94 @@
+"""A step of MJX with exact derivatives: replaces `mjx.step` for any model that MJX-JAX can run.
+
+`mjx.solve` iterates in a `while_loop`. Reverse mode refuses more than one iteration of it, and forward mode
+differentiates an iteration that was stopped before its end. Here the solver runs as it is, with no derivative, and the
+derivative of its result is that of the fixed point it has found (implicit function theorem): with g(a, p) = 0 for the
+acceleration a and all that it depends on, p,
+
+    H da = -(dg/dp) dp,    H = dg/da = M - J^T f'(r) J.
+
+The rule is linear in dp, so that JAX transposes it: it serves forward and reverse mode and `vmap`, for any number of
+iterations, and for every constraint that MJX has.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+from jax.ad_checkpoint import checkpoint_name
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Float
+
+from nermo_mjx.physics import constraint, rows
+from nermo_mjx.physics.checkpointing import KEPT
+from nermo_mjx.physics.impedance import make_constraint
+from nermo_mjx.physics.integration import integrate
+from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.physics.rows import Layout, Problem
+
+
+def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Advance the simulation by one time step: the values of `mjx.step`, and its derivatives in both modes.
+
+    Derivatives flow from the new state to the old one (`qpos`, `qvel`, `act`), to `ctrl`, applied forces and mocap
+    poses, and to the real fields of the model that MJX's step reads, except the impedances of rows that are not
+    contacts and the exponents of those that are. None flows through the warm start, on which the solution does not
+    depend.
+
+    Args:
+        model: MJX model of `impl="jax"`, any solver, integrator, cone and constraint.
+        data: unbatched; use `jax.vmap` for a batch.
+
+    Raises:
+        ValueError: a model of another implementation.
+    """
+    if model.impl != mjx.Impl.JAX:
+        raise ValueError(f"impl is {model.impl.value!r}: allowed is 'jax', the others have no derivatives.")
+    after = integrate(model, forward(model, data), forward)
+    return after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
+
+
+def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Forward dynamics with exact derivatives, as `mjx.forward`: accelerations, constraint forces and sensors."""
+    data = mjx.sensor_pos(model, _position(model, data))
+    data = mjx.sensor_vel(model, mjx.fwd_velocity(model, data))
+    data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+    return mjx.sensor_acc(model, solve(model, data))
+
+
+def _position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_position`, whose constraint rows have no finite derivative (see `impedance`)."""
+    for stage in (
+        mjx.kinematics, mjx.com_pos, mjx.camlight, mjx.tendon, mjx.crb, mjx.tendon_armature, mjx.factor_m,
+        mjx.collision, make_constraint, mjx.transmission,
+    ):  # fmt: skip
+        data = stage(model, data)
+    return data
+
+
+def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.solve`, after `mjx.fwd_acceleration`, with the derivative of the solution."""
+    if rows.is_unconstrained(data):
+        return data.replace(qacc=data.qacc_smooth)
+    qacc = checkpoint_name(mjx.solve(*jax.lax.stop_gradient((model, data))).qacc, KEPT)
+    layout, problem = rows.read(model, data)
+    qacc = _solution(layout, qacc, problem)
+    force = constraint.forces(layout, problem, qacc)
+    return rows.with_solution(data, qacc, force, problem.jacobian.T @ force)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _solution(layout: Layout, qacc: Float[Array, " nv"], problem: Problem) -> Float[Array, " nv"]:
+    """The solution `qacc` of a problem, as it is; its derivative is that of the problem's solution."""
+    return qacc
+
+
+@_solution.defjvp
+def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
+    qacc, problem = primals
+    _, change = tangents
+    _, residual = jax.jvp(lambda p: constraint.gradient(layout, p, qacc), (problem,), (change,))
+    hessian = jax.jacfwd(lambda a: constraint.gradient(layout, problem, a))(qacc)
+    return qacc, -cho_solve(cho_factor(0.5 * (hessian + hessian.T)), residual)

@@ -1,0 +1,83 @@
+"""Constraint rows whose derivative with respect to the contacts' impedance is finite.
+
+MJX computes the impedance of a contact as a power of its depth over `width`, with an exponent that is data. The
+derivative of x^n with respect to n is NaN for x < 0, which occurs at depths past `width`, and a NaN times the zero
+tangent of the exponent is a NaN. So the rows are made from constant impedances, and the missing part of their
+derivative is added here: D = imp / (w (1 - imp)) and aref = -b J v - k imp d (MuJoCo's documentation, "Modeling: Solver
+parameters") depend on the impedance through imp, k and b.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from mujoco import mjMAXIMP, mjMINIMP
+
+from nermo_mjx.physics import rows
+from nermo_mjx.physics.mjx_import import mjx
+
+#: Impedances of rows other than contacts; no derivative flows to them.
+OTHERS: Final = ("jnt_solimp", "dof_solimp", "tendon_solimp_lim", "tendon_solimp_fri", "eq_solimp")
+
+
+def make_constraint(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.make_constraint`, with derivatives to the contacts' `solimp`; those to its exponent and mid are zero."""
+    constant = model.tree_replace({name: jax.lax.stop_gradient(getattr(model, name)) for name in OTHERS})
+    solimp = rows.contact_solimp(data)
+    made = mjx.make_constraint(constant, rows.with_contact_solimp(data, jax.lax.stop_gradient(solimp)))
+    contacts = rows.contact_rows(model, data)
+    if contacts is None or rows.is_unconstrained(made):
+        return made
+    stiffness, aref, jacobian = rows.row_arrays(made)
+    row = contacts.row
+    distance = jnp.where(contacts.pushes & (contacts.distance < 0.0), contacts.distance, 0.0)
+    constants = contacts.solref, contacts.distance, distance, jacobian[row] @ data.qvel
+    changed = _with_impedance(stiffness[row], aref[row], contacts.solimp, *jax.lax.stop_gradient(constants))
+    return rows.with_row_arrays(made, stiffness.at[row].set(changed[0]), aref.at[row].set(changed[1]))
+
+
+@jax.custom_jvp
+def _with_impedance(
+    stiffness: Array, aref: Array, solimp: Array, solref: Array, depth: Array, pushed: Array, velocity: Array
+) -> tuple[Array, Array]:
+    """D and aref of the contacts' rows as they are; their derivatives also follow the impedance."""
+    return stiffness, aref
+
+
+@_with_impedance.defjvp
+def _(primals: Any, tangents: Any) -> Any:
+    stiffness, aref, solimp, solref, depth, pushed, velocity = primals
+
+    def missing(solimp: Array) -> tuple[Array, Array]:
+        spring, damper, imp = jax.vmap(reference)(solref, solimp, depth)
+        return jnp.log(imp) - jnp.log1p(-imp), -damper * velocity - spring * imp * pushed
+
+    _, (growth, shift) = jax.jvp(missing, (solimp,), (tangents[2],))
+    return (stiffness, aref), (tangents[0] + stiffness * growth, tangents[1] + shift)
+
+
+def reference(
+    solref: Float[Array, " 2"], solimp: Float[Array, " 5"], distance: Float[Array, ""]
+) -> tuple[Array, Array, Array]:
+    """(k, b, imp): stiffness [1/s^2] and damping [1/s] of the reference acceleration, and the impedance.
+
+    Args:
+        solref: time constant [s] and damping ratio, or minus stiffness and minus damping.
+        solimp: (dmin, dmax, width, mid, power).
+        distance: of the surfaces, negative in contact [m].
+    """
+    low, high = (jnp.clip(limit, mjMINIMP, mjMAXIMP) for limit in solimp[:2])
+    mid, power = jax.lax.stop_gradient((jnp.clip(solimp[3], mjMINIMP, mjMAXIMP), jnp.maximum(solimp[4], 1.0)))
+    x = jnp.clip(jnp.abs(distance) / jnp.maximum(solimp[2], 1e-15), 0.0, 1.0)
+    first, second = jnp.minimum(x, mid), jnp.maximum(x, mid)
+    share = jnp.where(
+        x < mid, mid * (first / mid) ** power, 1.0 - (1.0 - mid) * ((1.0 - second) / (1.0 - mid)) ** power
+    )
+    standard = solref[0] > 0.0
+    time, ratio = (jnp.where(standard, value, 1.0) for value in solref)
+    spring = jnp.where(standard, 1.0 / (high * time * ratio) ** 2, -solref[0] / high**2)
+    damper = jnp.where(standard, 2.0 / (high * time), -solref[1] / high)
+    return spring, damper, jnp.clip(low + share * (high - low), low, high)

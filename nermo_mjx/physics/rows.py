@@ -1,0 +1,142 @@
+"""The rows of a constraint problem in MJX's data: the one place that touches what MJX keeps private.
+
+MJX makes J, aref and the rows' other numbers in `mjx.make_constraint`, and keeps them, like the contacts, in
+`data._impl`. It has no public way to them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from nermo_mjx.physics.mjx_import import mjx
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Which rows are what; known when a program is traced.
+
+    Attributes:
+        equality, frictionloss: number of rows of each; they come first, in this order.
+        cones: dimension and first row of each contact with an elliptic cone; empty with pyramidal cones.
+    """
+
+    equality: int
+    frictionloss: int
+    cones: tuple[tuple[int, int], ...]
+
+
+class Problem(NamedTuple):
+    """The arrays of one constraint problem.
+
+    Attributes:
+        inertia: M, joint-space inertia.
+        smooth: q, sum of all forces but the constraints'.
+        jacobian, aref: J and the reference acceleration of each row.
+        stiffness: D of each row, the inverse of its regularisation.
+        frictionloss: largest force of a row of dry friction; 0 for others.
+        cone: mu = friction_1 / sqrt(impratio), then the friction coefficients, of each contact in `Layout.cones`.
+    """
+
+    inertia: Float[Array, "nv nv"]
+    smooth: Float[Array, " nv"]
+    jacobian: Float[Array, "nefc nv"]
+    aref: Float[Array, " nefc"]
+    stiffness: Float[Array, " nefc"]
+    frictionloss: Float[Array, " nefc"]
+    cone: Float[Array, "ncone 6"]
+
+
+class ContactRows(NamedTuple):
+    """What the contacts' rows are made of, for rows (n,) of the problem.
+
+    Attributes:
+        row: their places among all rows.
+        distance: of the contact, less its margin; negative when it touches [m].
+        pushes: whether the row acts on the distance, which the friction rows of an elliptic cone do not.
+        solref, solimp: of the row, as MuJoCo's XML has them.
+    """
+
+    row: np.ndarray
+    distance: Float[Array, " n"]
+    pushes: np.ndarray
+    solref: Float[Array, "n 2"]
+    solimp: Float[Array, "n 5"]
+
+
+def is_unconstrained(data: mjx.Data) -> bool:
+    """Whether the model has no constraint rows at all."""
+    rows: Any = data._impl
+    return bool(rows.efc_J.size == 0)
+
+
+def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
+    """The constraint problem of data that went through position, velocity, actuation and acceleration."""
+    rows: Any = data._impl
+    contact = rows.contact
+    chosen = np.flatnonzero((np.asarray(contact.dim) > 1) & _elliptic(model))
+    dims, first = (np.asarray(array)[chosen].tolist() for array in (contact.dim, contact.efc_address))
+    friction = contact.friction[chosen]
+    mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
+    layout = Layout(int(rows.ne), int(rows.nf), tuple(zip(dims, first, strict=True)))
+    return layout, Problem(
+        inertia=mjx.full_m(model, data), smooth=data.qfrc_smooth, jacobian=rows.efc_J, aref=rows.efc_aref,
+        stiffness=rows.efc_D, frictionloss=rows.efc_frictionloss, cone=jnp.concatenate([mu, friction], axis=1),
+    )  # fmt: skip
+
+
+def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Array) -> mjx.Data:
+    """Data with the acceleration, and the constraint forces by row and by joint."""
+    solved: mjx.Data = data.tree_replace({"qacc": qacc, "qfrc_constraint": joint_force, "_impl.efc_force": row_force})
+    return solved
+
+
+def contact_rows(model: mjx.Model, data: mjx.Data) -> ContactRows | None:
+    """The rows of all contacts, after collision; None where the model has none."""
+    rows: Any = data._impl
+    contact = rows.contact
+    dims, first = np.asarray(contact.dim), np.asarray(contact.efc_address)
+    if not len(dims):
+        return None
+    counts = np.where(dims == 1, 1, dims if _elliptic(model) else 2 * (dims - 1))
+    owner = np.repeat(np.arange(len(dims)), counts)
+    offset = np.concatenate([np.arange(count) for count in counts])
+    pushes = (offset == 0) | (not _elliptic(model))
+    given = ~pushes[:, None] & jnp.any(contact.solreffriction[owner] != 0.0, axis=1, keepdims=True)
+    return ContactRows(
+        row=first[owner] + offset, distance=(contact.dist - contact.includemargin)[owner], pushes=pushes,
+        solref=jnp.where(given, contact.solreffriction[owner], contact.solref[owner]), solimp=contact.solimp[owner],
+    )  # fmt: skip
+
+
+def with_contact_solimp(data: mjx.Data, solimp: Array) -> mjx.Data:
+    """Data with other impedances of its contacts, (ncon, 5)."""
+    changed: mjx.Data = data.tree_replace({"_impl.contact.solimp": solimp})
+    return changed
+
+
+def contact_solimp(data: mjx.Data) -> Array:
+    """Impedances of all contacts, (ncon, 5)."""
+    rows: Any = data._impl
+    solimp: Array = rows.contact.solimp
+    return solimp
+
+
+def row_arrays(data: mjx.Data) -> tuple[Array, Array, Array]:
+    """(D, aref, J) of all rows."""
+    rows: Any = data._impl
+    return rows.efc_D, rows.efc_aref, rows.efc_J
+
+
+def with_row_arrays(data: mjx.Data, stiffness: Array, aref: Array) -> mjx.Data:
+    """Data with another D and aref of its rows."""
+    changed: mjx.Data = data.tree_replace({"_impl.efc_D": stiffness, "_impl.efc_aref": aref})
+    return changed
+
+
+def _elliptic(model: mjx.Model) -> bool:
+    return bool(model.opt.cone == mjx.ConeType.ELLIPTIC)

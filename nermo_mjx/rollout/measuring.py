@@ -1,0 +1,85 @@
+"""Which part of a control tick is measured, and where in it a gait cycle ends.
+
+The warm-up, the run and the gait cycles end between two ticks. If whole ticks counted, a metric would jump whenever a
+small change of a parameter carries such an end into the next tick, and a gradient would not know.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.rollout.parameters import Window
+
+
+class MeasuredPart(NamedTuple):
+    """The measured part of a tick.
+
+    Attributes:
+        elapsed: measured time until its end [s].
+        weight: its length [s]; rest: what of it belongs to the next gait cycle already [s].
+        begin, end: where in the tick measuring begins and ends: 0 is its start, 1 its end; `begin` is negative where it
+            began in a tick before, and 1 where it has not begun.
+        inside: whether anything of the tick is measured.
+        cycle_ends: whether a gait cycle ends in it, counted from where measuring began.
+        arrived: whether measuring ends with that cycle, since the wanted distance is covered.
+    """
+
+    elapsed: Float[Array, ""]
+    weight: Float[Array, ""]
+    rest: Float[Array, ""]
+    begin: Float[Array, ""]
+    end: Float[Array, ""]
+    inside: Bool[Array, ""]
+    cycle_ends: Bool[Array, ""]
+    arrived: Bool[Array, ""]
+
+
+def measured_part(
+    window: Window,
+    elapsed: Float[Array, ""],
+    cycles: Float[Array, ""],
+    time: Float[Array, ""],
+    dt: float,
+    cycle_rate: Any,
+    goes_on: Bool[Array, ""],
+    far_enough: Bool[Array, ""],
+) -> MeasuredPart:
+    """The part of the tick [time - dt, time] that lies in the window.
+
+    Args:
+        window: when to measure.
+        elapsed: measured time before the tick [s].
+        cycles: gait cycles that have ended since measuring began.
+        time: at the end of the tick [s].
+        dt: length of the tick [s].
+        cycle_rate: gait cycles per simulated second.
+        goes_on: false from what ends the measuring: a fall, a divergence, the wanted distance.
+        far_enough: whether the wanted distance is covered.
+    """
+    since = time - window.begin
+    # Time is limited, not accumulated, and the weights are its differences: they sum to the window to the last digit.
+    # And by `where`, not `clip`: on a tick's boundary all metrics have their derivatives of the same side.
+    limited = jnp.where(time >= window.end, window.end - window.begin, since)
+    now = jnp.where(goes_on & (since > 0.0), limited, elapsed)
+    inside = now > elapsed
+
+    past = now * cycle_rate - (cycles + 1.0)
+    # A window of whole cycles ends with one, whatever the rounding of its ends.
+    cycle_ends = inside & (past >= -16 * jnp.finfo(now.dtype).eps * time * cycle_rate)
+    rest = jnp.where(cycle_ends, past / jnp.where(cycle_ends, cycle_rate, 1.0), 0.0)
+    # A discrete event and not differentiable: runs that are tuned go without a distance.
+    arrived = cycle_ends & far_enough
+    now, rest = now - jnp.where(arrived, rest, 0.0), jnp.where(arrived, 0.0, rest)
+    return MeasuredPart(
+        elapsed=now,
+        weight=now - elapsed,
+        rest=rest,
+        begin=jnp.minimum(1.0 - since / dt, 1.0),
+        end=1.0 - (since - now) / dt,
+        inside=inside,
+        cycle_ends=cycle_ends,
+        arrived=arrived,
+    )

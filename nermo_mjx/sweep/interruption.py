@@ -1,0 +1,45 @@
+"""Ctrl-C and SIGTERM while a directory is being written: what is half done is finished first."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from types import FrameType
+
+
+class Interruption:
+    """Raises `KeyboardInterrupt` on Ctrl-C or SIGTERM, but not inside of `shielded`: there at its end."""
+
+    def __init__(self) -> None:
+        self._shielded = self._pending = False
+
+    @contextlib.contextmanager
+    def shielded(self) -> Iterator[None]:
+        """What stands in here is finished before an interruption is raised."""
+        self._shielded = True
+        try:
+            yield
+        finally:
+            self._shielded = False
+        if self._pending:
+            raise KeyboardInterrupt
+
+    def _noted(self, number: int, frame: FrameType | None) -> None:
+        self._pending = True
+        if not self._shielded:
+            raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[Interruption]:
+    """Handles both signals inside of it, in the main thread; elsewhere no signal arrives."""
+    interruption = Interruption()
+    numbers = (signal.SIGINT, signal.SIGTERM) if threading.current_thread() is threading.main_thread() else ()
+    before = {number: signal.signal(number, interruption._noted) for number in numbers}
+    try:
+        yield interruption
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

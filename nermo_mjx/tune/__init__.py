@@ -1,0 +1,22 @@
+"""Gradient tuning of named parameters: read and check a tuning file, step its starts, keep every iteration."""
+
+from nermo_mjx.tune.evaluation import Evaluation, Problem
+from nermo_mjx.tune.history import read_history
+from nermo_mjx.tune.objective import Objective, Term
+from nermo_mjx.tune.run import Progress, TuningFailed, TuningInterrupted, TuningResult, load_tuning, run_tuning
+from nermo_mjx.tune.spec import Tuning
+
+__all__ = [
+    "Evaluation",
+    "Objective",
+    "Problem",
+    "Progress",
+    "Term",
+    "Tuning",
+    "TuningFailed",
+    "TuningInterrupted",
+    "TuningResult",
+    "load_tuning",
+    "read_history",
+    "run_tuning",
+]

@@ -1,0 +1,141 @@
+"""The history of a tuning: one row an iteration and start; in each column's metadata its unit, meaning and role.
+
+Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `error` (of the gradient), `weight` (of the
+first order in a mixture), `metric`, `status` (ok, discarded), `effort` (simulated_seconds, wall_seconds). A tuning that
+was stopped and went on has the same history as one that was not, but for `wall_seconds`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from nermo_mjx.rollout import METRICS
+from nermo_mjx.sweep.files import StoreError
+from nermo_mjx.sweep.table import Columns
+from nermo_mjx.tune.objective import OBJECTIVE_METRICS
+from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.tuner import Iterate
+
+#: The file in a tuning's directory.
+FILE: Final = "history.parquet"
+#: The column that no two runs have alike.
+WALL: Final = "wall_seconds"
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """One column of the history."""
+
+    name: str
+    role: str
+    unit: str
+    description: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Log:
+    """The history as it is kept while tuning.
+
+    Attributes:
+        metrics: names of the metrics in it.
+        rows: float64 (iterations, starts, columns), the columns as `columns` lists them, but for the index.
+    """
+
+    metrics: tuple[str, ...]
+    rows: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def extended(self, tuning: Tuning, found: Iterate, wall_seconds: float) -> Log:
+        """With one more iteration, which took so long."""
+        simulated, wall = found.simulated_seconds, wall_seconds
+        if len(self):
+            last = dict(zip((c.name for c in columns(tuning, self.metrics)), self.rows[-1, 0].tolist(), strict=True))
+            simulated, wall = simulated + last["simulated_seconds"], wall + last[WALL]
+        starts = len(found.value)
+        numbers = {
+            "objective": found.value,
+            "ok": found.ok,
+            "discarded": found.discarded,
+            "simulated_seconds": np.full(starts, simulated),
+            WALL: np.full(starts, wall),
+            **found.metrics,
+        }
+        for i, name in enumerate(tuning.names):
+            numbers |= {
+                name: found.points[:, i],
+                f"gradient.{name}": found.gradient[:, i],
+                f"gradient_error.{name}": found.error[:, i],
+                f"first_order.{name}": found.first_order[:, i],
+            }
+        row = np.stack([np.asarray(numbers[c.name], float) for c in columns(tuning, self.metrics)], axis=-1)
+        return dataclasses.replace(self, rows=np.concatenate([self.rows, row[None]]))
+
+
+def empty_log(tuning: Tuning, metrics: tuple[str, ...]) -> Log:
+    """A history without iterations, for a problem that gives these metrics."""
+    known = sorted(metrics, key=[*METRICS, *OBJECTIVE_METRICS].index)
+    return Log(tuple(known), np.empty((0, tuning.starts, len(columns(tuning, known)))))
+
+
+def columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> list[Column]:
+    """The columns of a tuning's history, but for the index."""
+    return list(_columns(tuning, metrics))
+
+
+def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[Column]:
+    parameters, estimator = tuning.parameters, tuning.estimator
+    yield Column("objective", "objective", "1", "value that is minimized; NaN where the robot did not walk to the end")
+    for name in tuning.names:
+        yield Column(name, "parameter", parameters[name].unit, parameters[name].doc)
+    for name in tuning.names:
+        unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
+        yield Column(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}")
+        if estimator.samples:
+            yield Column(f"gradient_error.{name}", "error", unit, f"standard error of gradient.{name}")
+        if estimator.name == "mixture":
+            yield Column(f"first_order.{name}", "weight", "1", f"share of the first order in gradient.{name}")
+    for name in metrics:
+        about = METRICS.get(name) or OBJECTIVE_METRICS[name]
+        yield Column(name, "metric", about.unit, about.doc)
+    yield Column("ok", "status", "1", "whether the robot walked to the end")
+    yield Column("discarded", "status", "1", "worlds of the start that are not in the gradient")
+    yield Column("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost")
+    yield Column(WALL, "effort", "s", "wall time so far, over all sessions; never twice the same")
+
+
+def history_table(tuning: Tuning, log: Log) -> pa.Table:
+    """The history as a table: iterations in order, the starts of each side by side."""
+    iterations, starts, _ = log.rows.shape
+    table = Columns()
+    table.add("iteration", np.repeat(np.arange(iterations), starts), "index", "1", "steps taken before")
+    table.add("start", np.tile(np.arange(starts), iterations), "index", "1", "which start; 0 is the given one")
+    flat = log.rows.reshape(-1, log.rows.shape[-1])
+    for i, column in enumerate(columns(tuning, log.metrics)):
+        values = flat[:, i]
+        if column.name in ("ok", "discarded"):
+            values = values.astype(bool if column.name == "ok" else int)
+        table.add(column.name, values, column.role, column.unit, column.description)
+    return table.table({"tuning": tuning.digest(), "estimator": tuning.estimator.name})
+
+
+def read_history(out: str | os.PathLike[str]) -> pa.Table:
+    """The history of a tuning's directory, as far as it goes.
+
+    Raises:
+        StoreError: there is none, or it is damaged.
+    """
+    path = Path(out) / FILE
+    try:
+        return pq.read_table(path, page_checksum_verification=True, partitioning=None)
+    except (OSError, pa.ArrowException, ValueError):
+        raise StoreError(f"{out} holds no history of a tuning.") from None

@@ -1,0 +1,150 @@
+"""Any optimizer of optax by name, with its options and schedules by name; tried out before anything long begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import types
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.reading import describe, nearest
+
+#: The learning rate of an optimizer that is named without one, in coordinates u (`nermo_mjx.tune.bounds`) a step.
+LEARNING_RATE: Final = 0.1
+_SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
+
+
+@dataclasses.dataclass(frozen=True)
+class Optimizer:
+    """An optimizer by name.
+
+    Attributes:
+        name: of a function of optax that has a learning rate: `adam`, `sgd`, `lion`, ...
+        options: keyword arguments of that function. A schedule stands as {name: cosine_decay_schedule, option: value},
+            or as {cosine: {option: value}}.
+        clip: a longer gradient (2-norm over the parameters of one start) is shortened to this; None leaves it.
+
+    Raises:
+        ParameterError: an unknown name or option, or one that does not work; the message starts with the field
+            (`optimizer.name`, `optimizer.learning_rate`, ...) and is one sentence.
+    """
+
+    name: str = "adam"
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    clip: float | None = None
+
+    def __post_init__(self) -> None:
+        if "learning_rate" not in self.options:
+            object.__setattr__(self, "options", {"learning_rate": LEARNING_RATE, **self.options})
+        if self.clip is not None and not 0.0 < self.clip < float("inf"):
+            raise ParameterError(f"optimizer.clip is {self.clip:g}: allowed is (0, inf).")
+        _try_out(self)
+
+    def build(self) -> optax.GradientTransformation:
+        """The pair of pure functions `init` and `update`, for the vector u of one start."""
+        make = optimizers().get(self.name)
+        if make is None:
+            raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {', '.join(optimizers())}"
+                                 f"{nearest(self.name, optimizers())}")  # fmt: skip
+        values = {key: _schedule(key, value) if isinstance(value, Mapping) else value
+                  for key, value in self.options.items()}  # fmt: skip
+        chosen = _call("optimizer", self.name, make, values)
+        return chosen if self.clip is None else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
+
+    def written(self) -> dict[str, Any]:
+        """As it stands in a tuning file."""
+        return {"name": self.name, **self.options} | ({} if self.clip is None else {"clip": self.clip})
+
+
+def optimizers() -> dict[str, Callable[..., optax.GradientTransformation]]:
+    """The optimizers of optax that have a learning rate, by name."""
+    return {name: each for name, each in _functions() if "learning_rate" in inspect.signature(each).parameters}
+
+
+def schedules() -> dict[str, Callable[..., optax.Schedule]]:
+    """The schedules of optax, by name."""
+    return {name: each for name, each in _functions() if name.endswith(("_schedule", "_decay"))}
+
+
+def _functions() -> Iterator[tuple[str, Callable[..., Any]]]:
+    """Public functions of optax, whole transformations only."""
+    for name in dir(optax):
+        each = getattr(optax, name)
+        if isinstance(each, (types.FunctionType, functools.partial)) and not name.startswith(("_", "scale_by_")):
+            yield name, each
+
+
+def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
+    """The schedule of {name: NAME, option: value, ...} or {NAME: {option: value}}; NAME may lack its ending."""
+    field, values = f"optimizer.{key}", dict(written)
+    if "name" in values:
+        name = str(values.pop("name"))
+    elif len(values) == 1 and isinstance(next(iter(values.values())), Mapping):
+        name, values = next((str(name), dict(options)) for name, options in values.items())
+    else:
+        raise ParameterError(f"{field} is {describe(written)}: expected a number, or a schedule such as "
+                             "{name: cosine_decay_schedule, init_value: 0.1, decay_steps: 40}.")  # fmt: skip
+    known = schedules()
+    full = next((name + ending for ending in _SCHEDULE_ENDINGS if name + ending in known), None)
+    if full is None:
+        raise ParameterError(f"{field} is the schedule {name!r}: allowed are {', '.join(known)}{nearest(name, known)}")
+    # {10: 0.5}: steps are whole numbers, though every key of a file is a text.
+    values = {option: {int(step): scale for step, scale in value.items()} if isinstance(value, Mapping) else value
+              for option, value in values.items()}  # fmt: skip
+    schedule = _call(field, full, known[full], values)
+    first = jnp.asarray(schedule(jnp.zeros((), int)))
+    if first.shape != () or not bool(jnp.isfinite(first)):
+        raise ParameterError(f"{field} starts at {first}: expected a finite number.")
+    return schedule
+
+
+def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, Any]) -> Any:
+    """`make(**values)`; what it does not know, lacks or cannot use is a sentence about `field`."""
+    options = [option for option, about in inspect.signature(make).parameters.items()
+               if about.kind in (about.POSITIONAL_OR_KEYWORD, about.KEYWORD_ONLY)]  # fmt: skip
+    for option in values:
+        if option not in options:
+            raise ParameterError(f"{field}.{option} is not an option of {name}; allowed are {', '.join(options)}"
+                                 f"{nearest(option, options)}")  # fmt: skip
+    for option, about in inspect.signature(make).parameters.items():
+        if about.default is about.empty and option in options and option not in values:
+            raise ParameterError(f"{field} is {name} without {option}: it has no default there.")
+    try:
+        return make(**values)
+    except Exception as error:  # whatever optax says about a value
+        raise ParameterError(f"{field} is {name}, which refuses its options: {_line(error)}.") from None
+
+
+def _try_out(optimizer: Optimizer) -> None:
+    """Two updates of two starts with two parameters: what fails here would fail after the first simulation."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        chosen = optimizer.build()
+        point = jnp.array([[0.5, -0.3], [0.1, 0.2]])
+        try:
+            state = jax.vmap(chosen.init)(point)
+            before = jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state)
+            for _ in range(2):
+                step, state = jax.vmap(chosen.update)(jnp.ones_like(point), state, point)
+        except Exception as error:
+            raise ParameterError(f"optimizer.name is {optimizer.name!r}, which does not work from gradients alone: "
+                                 f"{_line(error)}.") from None  # fmt: skip
+    if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(state)):
+        raise ParameterError(f"optimizer.name is {optimizer.name!r}, which draws random numbers of its own, and a "
+                             "checkpoint cannot hold them: let the estimator make the noise.")  # fmt: skip
+    if not bool(jnp.isfinite(step).all()) or before != jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state):
+        raise ParameterError(f"optimizer.name is {optimizer.name!r}, whose steps with these options are {step[0]}: "
+                             "expected finite numbers.")  # fmt: skip
+
+
+def _line(error: Exception) -> str:
+    """An exception in one line."""
+    return " ".join(str(error).split()).rstrip(".")[:200]

@@ -1,0 +1,53 @@
+"""What a tuning found: best.json for programs, and tuned.yaml, the tuned gait as a sweep file."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from nermo_mjx.sweep.reading import dump
+from nermo_mjx.tune.history import Log, columns
+from nermo_mjx.tune.spec import Tuning
+
+#: Runs of tuned.yaml: they start a little apart, so that the sweep shows whether the best stands on a knife's edge.
+REPEATS: Final = 3
+
+
+def best_of(tuning: Tuning, log: Log) -> dict[str, Any] | None:
+    """The content of best.json: the evaluated point of the lowest objective; None if no robot walked to the end.
+
+    `parameters` and `metrics` by name in SI units and radians; `objective`; `iteration` and `start` that it is from;
+    `simulated_seconds` of the whole tuning and `simulated_seconds_to_best`, gradients at their cost in forward runs;
+    `iterations` done, and whether the tuning is `complete`.
+    """
+    names = [column.name for column in columns(tuning, log.metrics)]
+    value = log.rows[:, :, names.index("objective")]
+    if not np.isfinite(value).any():
+        return None
+    iteration, start = (int(i) for i in np.unravel_index(np.nanargmin(value), value.shape))
+    row = dict(zip(names, log.rows[iteration, start].tolist(), strict=True))
+    return {
+        "parameters": {name: row[name] for name in tuning.names},
+        "objective": row["objective"],
+        "metrics": {name: row[name] for name in log.metrics},
+        "iteration": iteration,
+        "start": start,
+        "simulated_seconds": float(log.rows[-1, 0, names.index("simulated_seconds")]),
+        "simulated_seconds_to_best": row["simulated_seconds"],
+        "iterations": len(log) - 1,
+        "complete": len(log) > tuning.iterations,
+    }
+
+
+def tuned_sweep(tuning: Tuning, best: dict[str, Any]) -> str:
+    """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from starts a little apart."""
+    known = tuning.parameters
+    # float32 may stand a rounding outside of what is allowed: the digits that count are seven.
+    values = {name: float(np.clip(value, known[name].low, known[name].high))
+              for name, value in best["parameters"].items()}  # fmt: skip
+    numbers = {name: float(f"{value:.7g}") if math.isfinite(value) else value for name, value in values.items()}
+    data = tuning.walk_fields() | {"set": {**tuning.fixed, **numbers}, "randomize": {"repeats": REPEATS}}
+    head = f"# Iteration {best['iteration']} of start {best['start']}: objective {best['objective']:.6g}.\n"
+    return head + dump({**data, "seed": tuning.seed, "plots": False})

@@ -1,0 +1,176 @@
+"""Run a tuning: go on from its directory's newest checkpoint, step until the iterations are done, keep the best."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.sweep.interruption import Interruption, interruptible
+from nermo_mjx.sweep.provenance import session
+from nermo_mjx.tune.directory import Directory
+from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.history import empty_log, history_table
+from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.state import TuneState, initial_state
+from nermo_mjx.tune.tuner import Tuner
+
+
+class TuningInterrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM; the message says how to go on."""
+
+
+class TuningFailed(RuntimeError):
+    """Nothing to tune from: no robot walks; the message says what to change."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Progress:
+    """How far a tuning is.
+
+    Attributes:
+        iteration, iterations: steps done and wanted. Before the first evaluation, `best` is None.
+        resumed: iterations that earlier sessions had done.
+        best: lowest objective so far; None while no robot walked to the end.
+        value: lowest objective among the points of this iteration; None if no robot walked to the end.
+        metrics: of that point, by name.
+        simulated_seconds: simulated so far, gradients at their cost in forward runs [s].
+    """
+
+    iteration: int
+    iterations: int
+    resumed: int
+    best: float | None = None
+    value: float | None = None
+    metrics: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    simulated_seconds: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class TuningResult:
+    """A tuning's outcome.
+
+    Attributes:
+        out: its directory.
+        tuning: what was tuned.
+        best: content of best.json (`nermo_mjx.tune.outcome.best_of`).
+        history: the history's table (`nermo_mjx.tune.history`).
+        state: after the last iteration.
+        iterations_run: evaluations that this call made.
+    """
+
+    out: Path
+    tuning: Tuning
+    best: dict[str, Any]
+    history: pa.Table
+    state: TuneState
+    iterations_run: int
+
+
+def run_tuning(
+    spec: Tuning | Mapping[str, Any] | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    problem: Problem | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> TuningResult:
+    """Tune parameters by gradient into a directory, or go on with what it holds.
+
+    A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led; every evaluation is
+    one batch of starts x (1 + samples) worlds. After each, the state is stored: whoever kills the process loses the
+    iteration in flight, and the tuning that goes on ends with the same numbers, bit for bit, on the same machine.
+
+    Args:
+        spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
+        out: the directory; see `nermo_mjx.tune.directory`.
+        problem: stands in for the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        progress: called before the first evaluation and after each.
+
+    Raises:
+        SpecError: the tuning is wrong; nothing has been written.
+        StoreError: the directory holds something else, is in use, or cannot be written.
+        TuningFailed: no robot walks to the end.
+        TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+    """
+    tuning = spec if isinstance(spec, Tuning) else _as_tuning(spec)
+    with Directory(out, tuning) as directory, _explained(directory) as interruption:
+        state, log = directory.checkpoints.restore(initial_state(tuning)) or (initial_state(tuning), None)
+        resumed = 0 if log is None else len(log)
+        report = progress or (lambda _: None)
+        report(Progress(min(resumed, tuning.iterations), tuning.iterations, resumed))
+        if log is None or len(log) <= tuning.iterations:
+            directory.note_session(session(begun_at=resumed))
+            tuner = Tuner(tuning, problem or _simulation(tuning))
+        while log is None or len(log) <= tuning.iterations:
+            began = time.perf_counter()
+            state, found = tuner.step(state)
+            if found.lost.all() and not np.isfinite(state.best_value).any():
+                raise TuningFailed(f"{directory.out}: no world of iteration {0 if log is None else len(log)} walked to "
+                                   "its end, nor did one before: choose other starts or bounds.")  # fmt: skip
+            before = empty_log(tuning, tuple(found.metrics)) if log is None else log
+            log = before.extended(tuning, found, time.perf_counter() - began)
+            with interruption.shielded():
+                best = directory.keep(state, log)
+            report(_reached(tuning, resumed, len(log), found.value, found.metrics, best))
+        best = directory.publish(log)
+        if best is None:
+            raise TuningFailed(f"{directory.out}: the robot walked to the end at no point of this tuning: choose other "
+                               "starts or bounds.")  # fmt: skip
+        return TuningResult(directory.out, tuning, best, history_table(tuning, log), state, len(log) - resumed)
+
+
+def load_tuning(out: str | os.PathLike[str]) -> Tuning:
+    """The tuning that a directory was made for; raises `SpecError`."""
+    return Tuning.from_file(Path(out) / "tuning.yaml")
+
+
+def _as_tuning(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Tuning:
+    return Tuning.from_dict(spec) if isinstance(spec, Mapping) else Tuning.from_file(spec)
+
+
+def _simulation(tuning: Tuning) -> Problem:
+    from nermo_mjx.tune.problem import WalkProblem  # engines, and what they compile, only where they are needed
+
+    return WalkProblem(tuning)
+
+
+def _reached(
+    tuning: Tuning,
+    resumed: int,
+    done: int,
+    value: np.ndarray,
+    metrics: Mapping[str, np.ndarray],
+    best: Mapping[str, Any] | None,
+) -> Progress:
+    """Progress after `done` evaluations, the last of which gave these values (starts,)."""
+    alive = bool(np.isfinite(value).any())
+    at = int(np.nanargmin(value)) if alive else 0
+    return Progress(
+        iteration=min(done - 1, tuning.iterations),
+        iterations=tuning.iterations,
+        resumed=resumed,
+        best=None if best is None else best["objective"],
+        value=float(value[at]) if alive else None,
+        metrics={name: float(column[at]) for name, column in metrics.items()} if alive else {},
+        simulated_seconds=0.0 if best is None else best["simulated_seconds"],
+    )
+
+
+@contextlib.contextmanager
+def _explained(directory: Directory) -> Iterator[Interruption]:
+    """Turn Ctrl-C and SIGTERM into a `TuningInterrupted` that says how to go on."""
+    try:
+        with interruptible() as interruption:
+            yield interruption
+    except KeyboardInterrupt:
+        raise TuningInterrupted(
+            f"stopped; what is finished is kept in {directory.out}. To go on, run the same command again, or: "
+            f"nermo-mjx tune {directory.out / 'tuning.yaml'} --out {directory.out}"
+        ) from None

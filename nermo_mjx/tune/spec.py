@@ -1,0 +1,191 @@
+"""What a tuning is: the checked content of a tuning file. Everything wrong with it is said here, before work begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.stats import qmc
+
+from nermo_mjx.rollout import all_parameters
+from nermo_mjx.sweep.axes import Axis
+from nermo_mjx.sweep.reading import Document, describe, dump, nearest, read_file, read_mapping, read_text
+from nermo_mjx.sweep.sections import SETUP_FIELDS, read_fixed, read_run, read_setup, read_whole
+from nermo_mjx.sweep.walk_spec import WalkSpec, check_sources
+from nermo_mjx.sweep.workspace import check_workspace
+from nermo_mjx.tune import sections
+from nermo_mjx.tune.bounds import Bounds
+from nermo_mjx.tune.objective import Objective
+from nermo_mjx.tune.optimizer import Optimizer
+from nermo_mjx.tune.sampling import Estimator
+from nermo_mjx.tune.sections import Tuned
+
+#: How a derivative is taken: by parameter count, by tangents, or by cotangents.
+MODES: Final = ("auto", "forward", "reverse")
+#: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
+LONGEST_RUN: Final = 120.0
+_FIELDS: Final = (
+    *SETUP_FIELDS, "pilot", "run", "set", "tune", "objective", "recording", "optimizer", "estimator", "starts",
+    "iterations", "seed", "mode", "plots", "video",
+)  # fmt: skip
+#: Fields that do not change what an iteration computes: a tuning may go on with others.
+FREE: Final = ("iterations", "plots", "video")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuning(WalkSpec):
+    """A checked tuning of p parameters. Build it with `from_file`, `from_text` or `from_dict`.
+
+    Attributes:
+        setup, run, fixed, pilot: see `WalkSpec`.
+        tuned: the tuned parameters in the order of the file.
+        objective: what is minimized.
+        recording: what `trajectory_error` compares with.
+        optimizer, estimator: how an iteration steps, and from which gradient.
+        starts: points that are tuned side by side in one batch; the first is the given one, the others are drawn.
+        iterations: steps; there is one evaluation more, of what the last step led to.
+        seed: of the other starts, and of the estimator's perturbations.
+        mode: how derivatives are taken: `auto`, `forward` or `reverse`.
+        plots, video: whether figures, and a video of the best, are made in the end.
+    """
+
+    tuned: tuple[Tuned, ...]
+    objective: Objective
+    recording: Path | None = None
+    optimizer: Optimizer = dataclasses.field(default_factory=Optimizer)
+    estimator: Estimator = dataclasses.field(default_factory=Estimator)
+    starts: int = 1
+    iterations: int = 40
+    seed: int = 0
+    mode: str = "auto"
+    plots: bool = True
+    video: bool = False
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Tuning:
+        """Read a YAML tuning file; raises `SpecError`."""
+        return _read(read_file(path, "tuning"))
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "tuning") -> Tuning:
+        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        return _read(read_text(text, source, "tuning"))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Tuning:
+        """Read a dict with the fields of a tuning file; raises `SpecError`."""
+        return _read(read_mapping(data, "tuning"))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the p tuned parameters; numbers of a point come in this order."""
+        return tuple(each.name for each in self.tuned)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds of the tuned parameters, as arrays (p,)."""
+        low, high = (jnp.array([getattr(each, end) for each in self.tuned], float) for end in ("low", "high"))
+        return Bounds(low, high, jnp.array([each.periodic for each in self.tuned]))
+
+    def start_points(self) -> np.ndarray:
+        """Where each start begins (starts, p): the given point, then Sobol points within the bounds."""
+        given = np.array([[each.start for each in self.tuned]])
+        exponent = max(self.starts - 2, 0).bit_length()  # a power of two keeps the sequence balanced
+        sobol = qmc.Sobol(len(self.tuned), rng=np.random.default_rng(self.seed))
+        shares = sobol.random_base2(exponent)[: self.starts - 1]
+        low, high = (np.array([getattr(each, end) for each in self.tuned]) for end in ("low", "high"))
+        return np.concatenate([given, low + (high - low) * shares])
+
+    def resolved(self) -> dict[str, Any]:
+        """The tuning with all defaults written out; it reads back as the same tuning."""
+        data = self.walk_fields()
+        data["tune"] = {each.name: each.written() for each in self.tuned}
+        data["objective"] = [term.written() for term in self.objective.terms]
+        if self.recording is not None:
+            data["recording"] = str(self.recording)
+        data["optimizer"] = self.optimizer.written()
+        data["estimator"] = self.estimator.written()
+        return data | {name: getattr(self, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")}
+
+    def to_yaml(self) -> str:
+        """The resolved tuning as a tuning file."""
+        return dump(self.resolved())
+
+    def digest(self) -> str:
+        """A hash of all that decides an iteration: the tuning, defaults of what it does not name, the recording.
+
+        How many iterations there are, figures and video do not count: a tuning can be prolonged.
+        """
+        decisive = {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")}
+        defaults = {name: about.default for name, about in self.parameters.items()}
+        recording = "" if self.recording is None else hashlib.sha256(self.recording.read_bytes()).hexdigest()
+        return hashlib.sha256(json.dumps([decisive, defaults, recording]).encode()).hexdigest()[:16]
+
+
+def _read(doc: Document) -> Tuning:
+    data = doc.data
+    setup, pilot = read_setup(doc)
+    parameters = all_parameters(setup)
+    for key in data:
+        if key in parameters and key not in _FIELDS:
+            doc.fail((key,), "is a parameter, not a field of a tuning: put it under 'tune' or 'set'.")
+        if key in ("vary", "randomize", "sample"):
+            doc.fail((key,), "is a field of a sweep, not of a tuning: what is to change stands under 'tune'.")
+        if key not in _FIELDS:
+            doc.fail((key,), f"is not a field of a tuning; allowed are {', '.join(_FIELDS)}{nearest(key, _FIELDS)}")
+    for key in ("plots", "video"):
+        if not isinstance(data.get(key, True), bool):
+            doc.fail((key,), f"is {describe(data[key])}: expected true or false.")
+    if data.get("mode", "auto") not in MODES:
+        doc.fail(("mode",), f"is {describe(data['mode'])}: allowed are {', '.join(MODES)}"
+                            f"{nearest(str(data['mode']), MODES)}")  # fmt: skip
+    if "distance" in pilot:
+        doc.fail(("pilot", setup.pilot, "distance"), "ends each run at a distance: such a length jumps by whole cycles "
+                 "and has no derivative; give run: {cycles: 8}.")  # fmt: skip
+    objective = sections.read_objective(doc)
+    tuning = Tuning(
+        setup=setup,
+        run=read_run(doc, pilot),
+        fixed=read_fixed(doc, parameters),
+        pilot=pilot,
+        tuned=sections.read_tuned(doc, parameters),
+        objective=objective,
+        recording=sections.read_recording(doc, objective),
+        optimizer=sections.read_optimizer(doc),
+        estimator=sections.read_estimator(doc),
+        starts=read_whole(doc, ("starts",), 1, 100_000) if "starts" in data else 1,
+        iterations=read_whole(doc, ("iterations",), 1, 1_000_000) if "iterations" in data else 40,
+        seed=read_whole(doc, ("seed",), 0, 2**32 - 1) if "seed" in data else 0,
+        mode=data.get("mode", "auto"),
+        plots=data.get("plots", True),
+        video=data.get("video", False),
+    )
+    _check_together(doc, tuning)
+    return tuning
+
+
+def _check_together(doc: Document, tuning: Tuning) -> None:
+    """What no field shows alone: a parameter with two sources or without effect, a run too long, a leg too short."""
+    check_sources(doc, tuning, {"tune": list(tuning.names)})
+    _check_length(doc, tuning)
+    ranges = [Axis(each.name, "values", tuple(np.linspace(each.low, each.high, 5))) for each in tuning.tuned]
+    check_workspace(doc, tuning.setup, tuning.fixed, {"tune": ranges}, grid=False)
+
+
+def _check_length(doc: Document, tuning: Tuning) -> None:
+    """A run of so many cycles lasts the longer, the lower its frequency."""
+    low = {each.name: each.low for each in tuning.tuned}.get("frequency")
+    if low is None or tuning.run.duration is not None:
+        return
+    cycles = float(tuning.run.cycles)  # type: ignore[arg-type]
+    if cycles > LONGEST_RUN * low:
+        lasts = f"would last {cycles / low:g} s" if low > 0 else "would never end"
+        doc.fail(("tune", "frequency", "bounds"), f"begins at {low:g} Hz, where {cycles:g} cycles {lasts}: allowed is "
+                 f"{cycles / LONGEST_RUN:.3g} Hz or more, or give run: {{duration: seconds}}.")  # fmt: skip

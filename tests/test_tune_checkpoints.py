@@ -1,0 +1,187 @@
+"""Checkpoints: exact, whole or not at all, and damage that is found."""
+
+import resource
+import shutil
+import signal
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from test_tune_run import same, tune
+from tune_fake import SPEC, FakeProblem
+
+from nermo_mjx.sweep import StoreError
+from nermo_mjx.tune import Tuning, run_tuning
+from nermo_mjx.tune.checkpoints import KEPT, Checkpoints
+from nermo_mjx.tune.history import empty_log
+from nermo_mjx.tune.state import initial_state
+
+TUNING = {
+    "tune": {"duty": {"bounds": [0.4, 0.7]}, "stride": {"bounds": [0.5, 1.0]}},
+    "objective": [{"maximize": "speed"}],
+    "starts": 3,
+}
+
+
+@pytest.fixture
+def done(tmp_path):
+    """A finished tuning."""
+    return tune(tmp_path / "out")[0]
+
+
+def steps(out):
+    return sorted(int(path.name) for path in (out / "checkpoints").iterdir() if path.name.isdecimal())
+
+
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        "adam",
+        {"name": "sgd", "momentum": 0.9, "clip": 1.0},
+        {"learning_rate": {"cosine": {"init_value": 1, "decay_steps": 9}}},
+    ],
+)
+def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
+    """Every leaf, of any optimizer, with its type and its bits, NaN included."""
+    tuning = Tuning.from_dict(TUNING | {"optimizer": optimizer})
+    state = initial_state(tuning)
+    log = empty_log(tuning, ("speed",))
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((2, *log.rows.shape[1:]))
+    rows[0, 0, 0] = np.nan
+    log = type(log)(log.metrics, rows)
+    state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
+    with Checkpoints(tmp_path / "c", "digest") as checkpoints:
+        checkpoints.save(state, log)
+    with Checkpoints(tmp_path / "c", "digest") as checkpoints:
+        found = checkpoints.restore(initial_state(tuning))
+    assert found is not None
+    assert jax.tree.structure(found[0]) == jax.tree.structure(state)
+    for a, b in zip(jax.tree.leaves(found[0]), jax.tree.leaves(state), strict=True):
+        assert a.dtype == b.dtype
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+    assert found[1].rows.tobytes() == rows.tobytes()
+    assert found[1].metrics == log.metrics
+
+
+def test_the_last_few_are_kept(done):
+    """One checkpoint an iteration; the newest three stay."""
+    assert steps(done.out) == list(range(8 - KEPT, 8))
+
+
+def data_files(out, step):
+    return [path for path in (out / "checkpoints" / str(step)).rglob("d/*") if path.is_file()]
+
+
+def cut(out, step):
+    for path in data_files(out, step):
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def flip_bits(out, step):
+    """One in each eighth byte; Orbax keeps some of its files twice."""
+    for path in data_files(out, step):
+        content = bytearray(path.read_bytes())
+        content[::8] = bytes(byte ^ 16 for byte in content[::8])
+        path.write_bytes(content)
+
+
+def empty(out, step):
+    shutil.rmtree(out / "checkpoints" / str(step))
+    (out / "checkpoints" / str(step)).mkdir()
+
+
+def without_about(out, step):
+    shutil.rmtree(out / "checkpoints" / str(step) / "about")
+
+
+def without_numbers(out, step):
+    shutil.rmtree(out / "checkpoints" / str(step) / "tuning")
+
+
+def swapped(out, step):
+    """The numbers of another iteration."""
+    without_numbers(out, step)
+    shutil.copytree(out / "checkpoints" / str(step - 1) / "tuning", out / "checkpoints" / str(step) / "tuning")
+
+
+@pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, without_numbers, swapped])
+def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
+    """Whatever happened to the newest, the iteration is done again, and the end is the same."""
+    damage(done.out, steps(done.out)[-1])
+    result, problem = tune(done.out)
+    assert len(problem.batches) == 1
+    assert same(result, done)
+    assert steps(done.out) == list(range(8 - KEPT, 8))
+
+
+def test_all_damaged_begins_again(done):
+    """Nothing whole is left: the tuning starts from its beginning, and ends the same."""
+    for step in steps(done.out):
+        cut(done.out, step)
+    result, problem = tune(done.out)
+    assert len(problem.batches) == 7
+    assert same(result, done)
+
+
+def test_what_a_killed_process_left_half_written_is_removed(done):
+    """Orbax writes beside and renames; a directory that was never renamed is no checkpoint."""
+    half = done.out / "checkpoints" / "8.orbax-checkpoint-tmp-1"
+    shutil.copytree(done.out / "checkpoints" / "7", half)
+    (done.out / ".history.parquet.tmp").write_text("half")
+    result, problem = tune(done.out)
+    assert problem.batches == []
+    assert same(result, done)
+    assert not half.exists()
+    assert not list(done.out.glob(".*.tmp"))
+
+
+def test_a_full_disk_is_one_sentence(tmp_path, capfd):
+    """Where the system refuses more bytes, what is finished stays, nothing else is printed, and it goes on later."""
+    handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
+    tuning, problem = Tuning.from_dict(SPEC), FakeProblem(Tuning.from_dict(SPEC))
+
+    def fill(progress):
+        if progress.iteration == 2:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
+
+    try:
+        with pytest.raises(StoreError, match=r"cannot write in .*: File too large\. What is finished is kept"):
+            run_tuning(tuning, tmp_path, problem=problem, progress=fill)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert capfd.readouterr().err == ""
+    assert steps(tmp_path) == [1, 2, 3]
+    assert tune(tmp_path)[0].iterations_run == 4
+
+
+def test_another_precision_is_refused_and_nothing_is_lost(done):
+    """A tuning in float32 does not go on in float64: its numbers would be others."""
+    before = steps(done.out)
+    with jax.enable_x64(True), pytest.raises(StoreError, match="was begun in float32, and JAX computes in float64"):
+        tune(done.out)
+    assert steps(done.out) == before
+
+
+def test_checkpoints_of_another_tuning_are_not_taken(tmp_path, done):
+    """Copied in from elsewhere, they do not match the digest, and the tuning begins by itself."""
+    other = tmp_path / "other"
+    tune(other, {"iterations": 1, "seed": 8})
+    for path in (other / "checkpoints").iterdir():
+        shutil.rmtree(path)
+    shutil.copytree(done.out / "checkpoints" / "7", other / "checkpoints" / "7")
+    result, problem = tune(other, {"iterations": 1, "seed": 8})
+    assert len(problem.batches) == 2
+    assert result.best["complete"]
+
+
+def test_orbax_alone_can_read_a_checkpoint(done):
+    """Parameters, optimizer state, step and key are there for whoever has Orbax and not this package."""
+    import orbax.checkpoint as ocp
+
+    with ocp.StandardCheckpointer() as reader:
+        content = reader.restore(Path(done.out, "checkpoints", "7", "tuning").absolute())["state"]
+    assert set(content) >= {"u", "optimizer", "iteration", "key", "best_u", "best_value"}
+    np.testing.assert_array_equal(content["u"], done.state.u)

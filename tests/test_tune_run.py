@@ -1,0 +1,394 @@
+"""Running a tuning: convergence, bounds, worlds that fall, the files, and going on after every kind of stop."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from sweep_fake import FakeSimulator
+from tune_fake import BEST, SPEC, FakeProblem
+
+from nermo_mjx.sweep import StoreError, Sweep, run_sweep
+from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
+from nermo_mjx.tune.state import initial_state
+from nermo_mjx.tune.tuner import Tuner
+
+ESTIMATORS = {
+    "exact": "exact",
+    "smoothed": {"smoothed": {"samples": 8, "sigma": 0.1}},
+    "evolution": {"evolution": {"samples": 16, "sigma": 0.1}},
+    "mixture": {"mixture": {"samples": 8, "sigma": 0.1}},
+}
+
+
+def tune(out, change=None, **of_problem):
+    """Run `SPEC` with changes on the fake problem; the result and the problem."""
+    tuning = Tuning.from_dict(SPEC | (change or {}))
+    problem = FakeProblem(tuning, **of_problem)
+    return run_tuning(tuning, out, problem=problem), problem
+
+
+def lasting(table):
+    """The history without the one column that no two runs have alike."""
+    return table.drop_columns(["wall_seconds"])
+
+
+def same(one, other):
+    """Bitwise the same state and history."""
+    leaves = zip(jax.tree.leaves(one.state), jax.tree.leaves(other.state), strict=True)
+    assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in leaves)
+    a, b = (lasting(result.history).to_pandas() for result in (one, other))
+    assert a.to_numpy(float).tobytes() == b.to_numpy(float).tobytes()
+    return True
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """The tuning run without a stop."""
+    return tune(tmp_path_factory.mktemp("tuning"))[0]
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory):
+    """A tuning with a sampled estimator, run without a stop."""
+    return tune(tmp_path_factory.mktemp("tuning"), {"estimator": ESTIMATORS["mixture"]})[0]
+
+
+# --- tuning
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_it_finds_the_best_point(name):
+    """From the slow side of the circle, every estimator comes to the optimum of the closed form.
+
+    With roll's share in the objective it lies at the amplitude where 10 (x - 0.25) + 0.4 x = 0. 3 % of the ranges are
+    what smoothing moves it by (the objective is no parabola in u), and what the noise of the zeroth order leaves.
+    """
+    rate = {"cosine": {"init_value": 0.3, "decay_steps": 80}}
+    change = {"starts": 1, "optimizer": {"name": "adam", "learning_rate": rate}, "estimator": ESTIMATORS[name]}
+    tuning = Tuning.from_dict(SPEC | change)
+    problem = FakeProblem(tuning)
+    tuner, state = Tuner(tuning, problem), initial_state(tuning)
+    for _ in range(80):
+        state, found = tuner.step(state)
+    amplitude, phase = found.points[0]
+    tolerance = 0.005 if name == "exact" else 0.03
+    assert abs(amplitude - 2.5 / 10.4) < 0.4 * tolerance
+    assert abs(phase - BEST[1]) < 2 * np.pi * tolerance
+    assert float(state.best_value[0]) <= found.value[0]
+    assert problem.compiled == 1
+    assert problem.batches == [(tuning.estimator.worlds, name != "evolution")] * 80
+
+
+def test_every_point_is_within_the_bounds(tmp_path):
+    """Steps as long as the range lead nowhere else."""
+    result, _ = tune(tmp_path, {"optimizer": {"name": "sgd", "learning_rate": 500.0}, "iterations": 6})
+    amplitude, phase = (result.history.column(name).to_numpy() for name in result.tuning.names)
+    assert ((amplitude >= 0.0) & (amplitude <= 0.4)).all()
+    assert (np.abs(phase) <= np.pi + 1e-6).all()
+    assert np.ptp(amplitude) > 0.3
+
+
+def test_a_start_on_a_bound_leaves_it(tmp_path):
+    """Amplitude 0 is allowed as a start, and is not where the tuning ends."""
+    change = {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.0}}, "iterations": 10}
+    result, _ = tune(tmp_path, change | {"starts": 1, "optimizer": {"name": "adam", "learning_rate": 0.5}})
+    assert result.history.column("spine.amplitude").to_pylist()[0] == pytest.approx(0.004, rel=1e-3)
+    assert result.best["parameters"]["spine.amplitude"] > 0.15
+
+
+def test_one_program_evaluates_all_worlds_of_all_starts(tmp_path):
+    """Three starts with eight perturbed worlds each are one batch of 27, and compile once."""
+    _, problem = tune(tmp_path, {"starts": 3, "estimator": ESTIMATORS["smoothed"]})
+    assert problem.batches == [(27, True)] * 7
+    assert problem.compiled == 1
+
+
+def test_the_first_iteration_is_the_given_start(reference):
+    """The first row is the start of the file; exact gradients are those of the problem, in the parameters' units."""
+    row = lasting(reference.history).slice(0, 1).to_pylist()[0]
+    assert row["spine.amplitude"] == pytest.approx(0.05, rel=1e-5)
+    assert row["spine.phase"] == pytest.approx(2.5, rel=1e-5)
+    # -speed / 0.1 gives 10 (x - 0.25); 0.1 roll_std / 0.05 gives 0.4 x.
+    assert row["gradient.spine.amplitude"] == pytest.approx(10 * (0.05 - 0.25) + 0.4 * 0.05, rel=1e-4)
+    assert row["gradient.spine.phase"] == pytest.approx(0.2 * np.sin(2.5 - BEST[1]), rel=1e-4)
+
+
+def test_the_best_may_be_the_last(reference):
+    """The point that the last step leads to is evaluated, too."""
+    iterations = reference.history.column("iteration").to_pylist()
+    assert iterations == [i for i in range(7) for _ in range(2)]
+    assert reference.best["iteration"] == 6
+    assert reference.best["objective"] == min(reference.history.column("objective").to_pylist())
+
+
+def test_the_effort_counts_gradients_at_their_cost(tmp_path, reference):
+    """5 s a world, three times that with its gradient: two starts and seven evaluations make 210 s."""
+    assert reference.best["simulated_seconds"] == 7 * 2 * 5.0 * 3.0
+    values_only, _ = tune(tmp_path, {"estimator": ESTIMATORS["evolution"]})
+    assert values_only.best["simulated_seconds"] == 7 * 2 * 17 * 5.0
+    at_best = values_only.best["simulated_seconds_to_best"]
+    assert at_best == (values_only.best["iteration"] + 1) * 2 * 17 * 5.0
+
+
+# --- worlds that do not walk
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_worlds_that_fall_poison_nothing(tmp_path, name):
+    """Worlds below an amplitude of 0.1 fall: they are counted, and every number that steers stays finite."""
+    change = {"estimator": ESTIMATORS[name], "starts": 4, "iterations": 12}
+    change["tune"] = SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.11}}
+    result, _ = tune(tmp_path, change, falls=lambda points: points[:, 0] < 0.1)
+    frame = result.history.to_pandas()
+    assert frame["discarded"].sum() > 0
+    assert (frame["ok"] == (frame["spine.amplitude"] >= 0.1)).all()
+    assert frame["objective"].isna().equals(~frame["ok"])
+    steering = frame[[f"gradient.{name}" for name in result.tuning.names] + list(result.tuning.names)]
+    assert np.isfinite(steering.to_numpy()).all()
+    assert all(np.isfinite(leaf).all() for leaf in (result.state.u, result.state.best_u))
+    assert result.best["parameters"]["spine.amplitude"] >= 0.1
+
+
+def test_a_start_does_not_depend_on_the_others(tmp_path):
+    """The given start walks the same way beside a start that falls from the first step on as beside one that walks."""
+    kept, _ = tune(tmp_path / "a")
+    other = kept.history.column("spine.phase").to_pylist()[1]
+    beside, _ = tune(tmp_path / "b", falls=lambda points: jnp.abs(points[:, 1] - other) < 0.02)
+    first = [
+        lasting(result.history).to_pandas().query("start == 0").drop(columns="iteration") for result in (kept, beside)
+    ]
+    assert first[0].equals(first[1])
+    assert not beside.history.column("ok").to_pylist()[1]
+
+
+def test_a_start_that_falls_goes_back_towards_its_best_point(tmp_path):
+    """A step over the cliff is halved until the robot walks again; the optimizer waits meanwhile."""
+    change = {"starts": 1, "iterations": 8, "optimizer": {"name": "sgd", "learning_rate": 3.0}}
+    result, _ = tune(tmp_path, change, falls=lambda points: points[:, 0] > 0.06)
+    frame = result.history.to_pandas()
+    assert frame["ok"].iloc[0]
+    assert not frame["ok"].iloc[1]
+    u = np.log(frame["spine.amplitude"] / (0.4 - frame["spine.amplitude"]))
+    assert u.iloc[2] == pytest.approx((u.iloc[0] + u.iloc[1]) / 2, rel=1e-3)
+    assert frame["ok"].iloc[2:].any()
+    assert (frame["gradient.spine.amplitude"].to_numpy()[~frame["ok"].to_numpy()] == 0.0).all()
+
+
+def test_nothing_that_walks_is_an_error_at_once(tmp_path):
+    """All worlds fall at all starts: no iteration could change that. Another tuning may take the directory."""
+    with pytest.raises(TuningFailed, match="no world of iteration 0 walked"):
+        tune(tmp_path, falls=lambda points: jnp.ones(len(points), bool))
+    assert not (tmp_path / "best.json").exists()
+    assert tune(tmp_path, {"seed": 9})[0].best["complete"]
+
+
+def test_a_problem_that_says_ok_to_nan_is_not_believed():
+    """A world with a number that is not finite does not count, whatever its flag says."""
+    tuning = Tuning.from_dict(SPEC)
+    problem = FakeProblem(tuning)
+    real = problem.evaluate
+
+    def careless(points, gradient):
+        found = real(points, gradient)
+        return type(found)(
+            found.value.at[0].set(jnp.nan), found.gradient.at[1, 0].set(jnp.inf), found.metrics, found.ok
+        )
+
+    problem.evaluate = careless
+    state, found = Tuner(tuning, problem).step(initial_state(tuning))
+    assert not found.ok.any()
+    assert found.lost.all()
+    assert np.isfinite(state.u).all()
+
+
+# --- going on
+
+
+@pytest.mark.parametrize("stop_at", range(7))
+def test_an_interrupted_tuning_goes_on_bit_for_bit(tmp_path, noisy, stop_at):
+    """Stopped in any iteration, the same call goes on and ends with the same state and history."""
+    change = {"estimator": ESTIMATORS["mixture"]}
+    with pytest.raises(TuningInterrupted, match=r"run the same command again, or: nermo-mjx tune"):
+        tune(tmp_path, change, stop_at=stop_at)
+    if stop_at:
+        assert read_history(tmp_path).num_rows == 2 * stop_at
+        assert json.loads((tmp_path / "best.json").read_text())["complete"] is False
+    result, problem = tune(tmp_path, change)
+    assert len(problem.batches) == result.iterations_run == 7 - stop_at
+    assert problem.compiled == 1
+    assert same(result, noisy)
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_killed_process_is_gone_on_with(tmp_path, reference, number):
+    """Killed by a signal in its fourth evaluation, the tuning loses no more than that one."""
+    out, log = tmp_path / "out", tmp_path / "log"
+    script = Path(__file__).with_name("tune_fake.py")
+    environment = os.environ | {"PYTHONPATH": str(script.parents[1])}
+    process = subprocess.Popen([sys.executable, script, out, log], stdout=subprocess.PIPE, text=True, env=environment)
+    waited = time.monotonic()
+    while (log.read_text().count("\n") if log.exists() else 0) < 4:
+        assert process.poll() is None, "the tuning ended too early"
+        assert time.monotonic() - waited < 120
+        time.sleep(0.005)
+    process.send_signal(number)
+    printed, _ = process.communicate(timeout=60)
+    if number == signal.SIGTERM:
+        assert process.returncode == 3
+        assert f"nermo-mjx tune {out}/tuning.yaml --out {out}" in printed
+    result, _ = tune(out)
+    assert result.iterations_run in (3, 4)
+    assert same(result, reference)
+    sessions = json.loads((out / "run.json").read_text())["sessions"]
+    assert [session["begun_at"] for session in sessions] == [0, 7 - result.iterations_run]
+
+
+def test_a_finished_tuning_is_not_run_again(tmp_path, reference):
+    """The same call evaluates nothing and gives the same; files that were lost are made again."""
+    tune(tmp_path)
+    for name in ("best.json", "tuned.yaml", "history.parquet"):
+        (tmp_path / name).unlink()
+    result, problem = tune(tmp_path)
+    assert problem.batches == []
+    assert same(result, reference)
+    assert json.loads((tmp_path / "best.json").read_text()) == result.best
+    assert len(json.loads((tmp_path / "run.json").read_text())["sessions"]) == 1
+
+
+def test_a_tuning_can_be_prolonged(tmp_path, reference):
+    """Three iterations and then three more are the same six; the file says so, too."""
+    short, _ = tune(tmp_path, {"iterations": 3})
+    assert (short.best["iterations"], short.best["complete"]) == (3, True)
+    result, _ = tune(tmp_path)
+    assert result.iterations_run == 3
+    assert same(result, reference)
+    assert load_tuning(tmp_path).iterations == 6
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"seed": 4}, "seed"),
+        ({"optimizer": "sgd"}, "optimizer"),
+        ({"objective": [{"maximize": "speed"}], "starts": 3}, "objective, starts"),
+    ],
+)
+def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
+    """Another seed, optimizer or objective is refused in a sentence that says what differs."""
+    tune(tmp_path, {"iterations": 2})
+    with pytest.raises(StoreError, match=f"holds another tuning, with another {word} .*choose another directory"):
+        tune(tmp_path, change)
+    (tmp_path / "tuning.yaml").unlink()
+    with pytest.raises(StoreError, match="checkpoints of an unknown tuning"):
+        tune(tmp_path)
+
+
+def test_two_processes_never_write_one_directory(tmp_path):
+    """While one tuning holds the directory, a second call is refused; afterwards it is free."""
+    tuning = Tuning.from_dict(SPEC)
+    seen = []
+
+    def meanwhile(progress):
+        if progress.iteration == 2 and not seen:
+            seen.append(True)
+            with pytest.raises(StoreError, match="another process works in"):
+                tune(tmp_path)
+
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), progress=meanwhile)
+    assert seen
+    tune(tmp_path)
+
+
+def test_a_path_that_cannot_hold_results_is_said_so(tmp_path):
+    """A file in place of the directory is the user's error."""
+    (tmp_path / "out").write_text("")
+    with pytest.raises(ValueError, match="is a file: a directory is needed"):
+        tune(tmp_path / "out")
+
+
+# --- files
+
+
+def test_the_directory_holds_what_other_programs_rely_on(reference):
+    """best.json, history.parquet, checkpoints/ and the rest, and nothing half-written."""
+    names = sorted(path.name for path in reference.out.iterdir() if path.name[0] != ".")
+    assert names == ["best.json", "checkpoints", "history.parquet", "run.json", "tuned.yaml", "tuning.yaml"]
+    best = json.loads((reference.out / "best.json").read_text())
+    assert best == reference.best
+    assert set(best["parameters"]) == {"spine.amplitude", "spine.phase"}
+    assert set(best["metrics"]) == {"speed", "roll_std"}
+    assert best["objective"] == pytest.approx(
+        -best["metrics"]["speed"] / 0.1 + 2 * best["metrics"]["roll_std"], rel=1e-5
+    )
+    assert Tuning.from_file(reference.out / "tuning.yaml") == reference.tuning
+
+
+def test_every_column_says_its_unit_meaning_and_role(noisy):
+    """Units of parameters, gradients and metrics stand in the Parquet file itself; pandas needs nothing else."""
+    about = {field.name: field.metadata for field in pq.read_schema(noisy.out / "history.parquet")}
+    assert list(about) == [
+        "iteration", "start", "objective", "spine.amplitude", "spine.phase",
+        "gradient.spine.amplitude", "gradient_error.spine.amplitude", "first_order.spine.amplitude",
+        "gradient.spine.phase", "gradient_error.spine.phase", "first_order.spine.phase",
+        "speed", "roll_std", "ok", "discarded", "simulated_seconds", "wall_seconds",
+    ]  # fmt: skip
+    assert about["spine.phase"][b"unit"] == b"rad"
+    assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"
+    assert about["speed"][b"unit"] == b"m/s"
+    assert about["speed"][b"role"] == b"metric"
+    assert about["simulated_seconds"][b"role"] == b"effort"
+    assert all(metadata[b"description"] for metadata in about.values())
+    frame = read_history(noisy.out).to_pandas()
+    assert frame["gradient_error.spine.amplitude"].notna().all()
+    assert frame["wall_seconds"].is_monotonic_increasing
+
+
+def test_exact_gradients_have_no_error_column(reference):
+    """What is not sampled has no standard error, and no share of the first order."""
+    assert not [name for name in reference.history.column_names if "error" in name or "first_order" in name]
+
+
+def test_a_directory_without_history_is_said_so(tmp_path):
+    """Reading what is not there, or damaged, is one sentence."""
+    with pytest.raises(StoreError, match="holds no history"):
+        read_history(tmp_path)
+    (tmp_path / "history.parquet").write_text("no table")
+    with pytest.raises(StoreError, match="holds no history"):
+        read_history(tmp_path)
+
+
+def test_a_sweep_runs_the_tuned_gait(tmp_path, reference):
+    """tuned.yaml is a sweep file: the tuned and the fixed values, run from starts a little apart."""
+    sweep = Sweep.from_file(reference.out / "tuned.yaml")
+    expected = {"frequency": 0.8} | reference.best["parameters"]
+    assert sweep.fixed == pytest.approx(expected, rel=1e-6)
+    assert (sweep.setup, sweep.run) == (reference.tuning.setup, reference.tuning.run)
+    result = run_sweep(sweep, tmp_path, simulator=FakeSimulator())
+    assert result.table.num_rows == 3
+    assert result.complete
+
+
+def test_progress_tells_how_far_and_how_good(tmp_path, reference):
+    """One report before the first evaluation, one after each; a resumed tuning starts where it was."""
+    with pytest.raises(TuningInterrupted):
+        tune(tmp_path, stop_at=3)
+    tuning, seen = Tuning.from_dict(SPEC), []
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), progress=seen.append)
+    assert [report.iteration for report in seen] == [3, 3, 4, 5, 6]
+    assert {report.iterations for report in seen} == {6}
+    assert {report.resumed for report in seen} == {3}
+    best = [report.best for report in seen[1:]]
+    assert best == sorted(best, reverse=True)
+    assert best[-1] == reference.best["objective"]
+    assert set(seen[-1].metrics) == {"speed", "roll_std"}
+    assert seen[-1].simulated_seconds == reference.best["simulated_seconds"]

@@ -1,0 +1,91 @@
+"""A problem that answers at once, in closed form, for tests of everything around it."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+from nermo_mjx.tune import Evaluation, Tuning
+
+SPEC = {
+    "spine": "stride_extension",
+    "run": {"cycles": 4, "warmup_cycles": 1},
+    "set": {"frequency": 0.8},
+    "tune": {
+        "spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05},
+        "spine.phase": {"bounds": [-3.14159, 3.14159], "start": 2.5, "periodic": True},
+    },
+    "objective": [{"maximize": "speed", "scale": 0.1}, {"minimize": "roll_std", "weight": 0.1, "scale": 0.05}],
+    "optimizer": {"name": "adam", "learning_rate": 0.2},
+    "iterations": 6,
+    "starts": 2,
+    "seed": 3,
+}
+#: The amplitude and phase at which the fake robot is fastest.
+BEST = (0.25, -0.6)
+
+
+def speed(amplitude, phase):
+    """Speed of the fake robot [m/s]: 0.1 at best."""
+    return 0.1 - 0.5 * (amplitude - BEST[0]) ** 2 - 0.02 * (1 - jnp.cos(phase - BEST[1]))
+
+
+class FakeProblem:
+    """Metrics in closed form.
+
+    Attributes:
+        batches: (number of worlds, with gradient) of each call; compiled: how often the program was traced.
+        falls: tells from points (n, p) which worlds fall; their numbers are NaN.
+        stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
+        delay: seconds that each call takes; log: a file that gets a line a call.
+    """
+
+    simulated_seconds, gradient_cost = 5.0, 3.0
+
+    def __init__(self, tuning, falls=lambda points: jnp.zeros(len(points), bool), stop_at=None, delay=0.0, log=None):
+        self.names, self.objective, self.stop_at, self.delay, self.log = (
+            tuning.names, tuning.objective, stop_at, delay, log,
+        )  # fmt: skip
+        self.batches, self.compiled = [], 0
+
+        def metrics(point):
+            return {"speed": speed(*point[:2]), "roll_std": 0.1 + 0.1 * point[0] ** 2}
+
+        def value(point):
+            found = metrics(point)
+            return self.objective.value(found), found
+
+        def program(points, gradient):
+            self.compiled += 1
+            fell = falls(points)
+            (values, found), slope = jax.vmap(jax.value_and_grad(value, has_aux=True))(points)
+            bad = lambda leaf: jnp.where(fell.reshape(-1, *[1] * (leaf.ndim - 1)), jnp.nan, leaf)  # noqa: E731
+            return Evaluation(bad(values), bad(slope) if gradient else None, jax.tree.map(bad, found), ~fell)
+
+        self._program = jax.jit(program, static_argnums=1)
+
+    def evaluate(self, points, gradient):
+        if len(self.batches) == self.stop_at:
+            raise KeyboardInterrupt
+        self.batches.append((len(points), gradient))
+        if self.log:
+            with open(self.log, "a") as file:
+                file.write("evaluated\n")
+        time.sleep(self.delay)
+        return self._program(points, gradient)
+
+
+if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
+    from nermo_mjx.tune import TuningInterrupted, run_tuning
+
+    Path(sys.argv[2]).write_text("")
+    try:
+        run_tuning(SPEC, sys.argv[1], problem=FakeProblem(Tuning.from_dict(SPEC), delay=0.1, log=sys.argv[2]))
+    except TuningInterrupted as stopped:
+        print(stopped, flush=True)
+        os._exit(3)
