@@ -1,7 +1,8 @@
 """Batched digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine, on MuJoCo and MJX.
 
 The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
-`METRICS` and `all_parameters`; `control_parameters` (a pytree of arrays); `Sweep`, `run_sweep` and `read_table`;
+`Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`; `control_parameters` (a pytree
+of arrays); `Sweep`, `run_sweep` and `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
 `run_experiment` and `run_experiments`; `Recording` and `render`; and the geometry in `kinematics`. Names are imported
 on first use.
 """
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
     from nermo_mjx.experiments.run import run_experiment, run_experiments
     from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, load_robot
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
+    from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
+    from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
     from nermo_mjx.view import Recording, render
 
 _HOMES = {
@@ -30,15 +33,18 @@ _HOMES = {
     "nermo_mjx.experiments.run": ("run_experiment", "run_experiments"),
     "nermo_mjx.robot": ("LIMBS", "SERVOS", "ParameterError", "Robot", "load_robot"),
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
+    "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
+    "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
     "nermo_mjx.view": ("Recording", "render"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "LIMBS", "METRICS", "SERVOS", "ParameterError", "Recording", "Robot", "Run", "RunResult", "Setup", "Simulator",
-    "Sweep", "SweepResult", "__version__", "all_parameters", "control_parameters", "kinematics", "load_robot",
-    "read_table", "render", "run_experiment", "run_experiments", "run_sweep",
+    "LIMBS", "METRICS", "SERVOS", "ParameterError", "Recording", "Robot", "Rollout", "Run", "RunResult", "Setup",
+    "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters",
+    "control_parameters", "kinematics", "load_robot", "read_history", "read_table", "render", "run_experiment",
+    "run_experiments", "run_landscape", "run_sweep", "run_tuning",
 ]  # fmt: skip
 
 

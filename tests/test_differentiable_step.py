@@ -101,7 +101,7 @@ _DRY = Small(
 )  # fmt: skip
 MODELS = {
     "a pendulum at its limit": _PENDULUM,
-    "a pendulum at its limit, RK4": dataclasses.replace(_PENDULUM, integrator="RK4", steps=25),
+    "a pendulum at its limit, RK4": dataclasses.replace(_PENDULUM, integrator="RK4"),
     "a tendon that pulls a joint, implicitfast": _TENDON,
     "a sphere and a box on a plane, elliptic": dataclasses.replace(_FLOOR, cone="elliptic"),
     "a sphere and a box on a plane, pyramidal": _FLOOR,

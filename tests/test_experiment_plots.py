@@ -24,7 +24,7 @@ from nermo_mjx.experiments.plots.draw import DRAWERS, draw, pictures
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.sweep.figures import STYLE
+from nermo_mjx.sweep.style import STYLE
 from nermo_mjx.view.recording import Recording
 
 BOTH = ("exact", "as_published")

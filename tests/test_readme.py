@@ -83,7 +83,13 @@ def test_links_inside_the_repository_lead_somewhere() -> None:
 
 
 def test_one_address_and_one_version_everywhere() -> None:
-    for name in ("README.md", "pyproject.toml", "CITATION.cff", "notebooks/01_first_walk.ipynb"):
+    for name in (
+        "README.md",
+        "pyproject.toml",
+        "CITATION.cff",
+        "notebooks/01_first_walk.ipynb",
+        "notebooks/03_gradient_tuning.ipynb",
+    ):
         found = set(
             re.findall(r"github(?:\.com)?/([\w-]+/[\w-]+)|github\.com/([\w-]+/[\w-]+)", (ROOT / name).read_text())
         )

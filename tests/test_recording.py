@@ -54,6 +54,17 @@ def test_numpy_alone_can_read_a_recording(tmp_path: Path) -> None:
         assert json.loads(str(file["header"]))["metadata"]["setup"] == {"gait": "trt"}
 
 
+def test_a_part_of_a_recording_is_one_too() -> None:
+    recording = some_recording()
+    part = recording.between(0.02, 0.06)
+    np.testing.assert_allclose(part.time, [0.02, 0.04, 0.06])
+    np.testing.assert_array_equal(part.qpos, recording.qpos[1:4])
+    np.testing.assert_array_equal(part.sensors["foot_position"], recording.sensors["foot_position"][1:4])
+    assert part.metadata == recording.metadata
+    assert recording.between(0.03, 0.03).time.tolist() == [0.04], "at least one sample"
+    assert recording.between(1.0, 2.0).time.tolist() == [0.08]
+
+
 def test_another_layout_is_refused_with_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nermo_mjx.view.recording.LAYOUT", 7)
     path = some_recording().save(tmp_path / "walk.npz")

@@ -16,6 +16,7 @@ from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, render
 from nermo_mjx.view.camera import smooth_path
+from nermo_mjx.view.side_by_side import Pane, render_side_by_side
 from nermo_mjx.view.video import frame_samples
 
 SCENE = """
@@ -78,7 +79,7 @@ def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path
 
 
 @pytest.mark.usefixtures("drawing")
-@pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "front", "rear"])
+@pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "high", "front", "rear"])
 def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjModel, tmp_path: Path, camera: str) -> None:
     path = render(walk(model, seconds=4.0), model, tmp_path / "w.gif", fps=1, width=64, height=48, camera=camera)
     for frame in imageio.mimread(path):
@@ -136,6 +137,29 @@ def test_the_camera_follows_a_steady_walk_without_lag_and_without_shaking() -> N
     np.testing.assert_allclose(smooth_path(steady, 1 / 50), steady, atol=1e-9)
     shaken = steady + 0.01 * np.sin(2 * np.pi * 2.0 * time)[:, None]
     assert np.abs(smooth_path(shaken, 1 / 50) - steady)[25:-25].max() < 0.001
+
+
+@pytest.mark.usefixtures("drawing")
+def test_side_by_side_shows_both_in_step_with_captions_and_ways(model: mujoco.MjModel, tmp_path: Path) -> None:
+    slow, fast = walk(model, seconds=2.0, speed=0.1), walk(model, seconds=1.0, speed=0.2)
+    panes = [Pane(slow, "Start", ["speed 100 mm/s"]), Pane(fast, "Best", ["speed 200 mm/s", "a long line " * 12])]
+    path = render_side_by_side(panes, model, tmp_path / "both.mp4", fps=4, width=120, height=80, speed=0.5)
+    frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
+    assert len(frames) == 9, "as long as the shorter one, 1 s at half speed and 4 frames/s, both ends included"
+    assert frames[0].shape[1] == 2 * 120 + 4
+    assert frames[0].shape[0] > 80 + 3 * 18 + 40, "long captions have more lines"
+    bars = frames[-1][-40 + 11, :, 0] < 100
+    left, right = bars[:120].sum(), bars[124:].sum()
+    assert right == pytest.approx(104, abs=3), "the furthest fills its track"
+    assert left == pytest.approx(right / 2, abs=3)
+    assert np.abs(frames[0] - frames[-1])[:60].mean() < 1.0, "captions stand still"
+
+
+def test_side_by_side_needs_a_recording_and_an_even_picture(model: mujoco.MjModel, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="at least one recording"):
+        render_side_by_side([], model, tmp_path / "v.mp4")
+    with pytest.raises(ParameterError, match="even width"):
+        render_side_by_side([Pane(walk(model), "a")], model, tmp_path / "v.mp4", width=63)
 
 
 def test_a_machine_without_gl_gets_the_remedy(

@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import sys
 import time
+import types
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from nermo_mjx.robot import load_robot
 from nermo_mjx.tune import Evaluation, Tuning
 
 SPEC = {
@@ -23,6 +26,7 @@ SPEC = {
     "objective": [{"maximize": "speed", "scale": 0.1}, {"minimize": "roll_std", "weight": 0.1, "scale": 0.05}],
     "optimizer": {"name": "adam", "learning_rate": 0.2},
     "iterations": 6,
+    "plots": False,
     "starts": 2,
     "seed": 3,
 }
@@ -30,7 +34,7 @@ SPEC = {
 BEST = (0.25, -0.6)
 
 
-def speed(amplitude, phase):
+def speed(amplitude, phase=BEST[1]):
     """Speed of the fake robot [m/s]: 0.1 at best."""
     return 0.1 - 0.5 * (amplitude - BEST[0]) ** 2 - 0.02 * (1 - jnp.cos(phase - BEST[1]))
 
@@ -78,6 +82,45 @@ class FakeProblem:
                 file.write("evaluated\n")
         time.sleep(self.delay)
         return self._program(points, gradient)
+
+
+class FakeWalker:
+    """A simulator of what pictures show, with the metrics of `FakeProblem`; recorded, the robot glides along.
+
+    Attributes:
+        batches: (number of worlds, recorded) of each call.
+        falls: tells from named values which worlds fall.
+        error: raised in each call, if it is one.
+    """
+
+    def __init__(self, falls=lambda values: False, error=None):
+        self.batches, self.falls, self.error = [], falls, error
+
+    def run(self, values, run, record=False, *, progress=None):
+        if self.error is not None:
+            raise self.error
+        sizes = {len(column) for column in values.values()}
+        assert len(sizes) == 1, "every parameter comes as an array of one length"
+        n = sizes.pop()
+        self.batches.append((n, record))
+        if progress:
+            progress(1.0)
+        amplitude, phase = values["spine.amplitude"], values.get("spine.phase", np.full(n, BEST[1]))
+        fell = np.broadcast_to(self.falls(values), n)
+        pace = np.asarray(speed(amplitude, phase))
+        metrics = {"speed": np.where(fell, np.nan, pace), "roll_std": 0.1 + 0.1 * amplitude**2}
+        trace = _glide(pace, run.duration) if record else None
+        return types.SimpleNamespace(metrics=metrics, status=np.where(fell, "fell", "ok"), engine="c", trace=trace)
+
+
+def _glide(pace, seconds):
+    """Robots in their first pose that move ahead at a pace each."""
+    model = load_robot().model
+    time = 0.01 * (1 + np.arange(round(seconds / 0.01)))
+    qpos = np.tile(model.qpos0, (len(pace), len(time), 1))
+    qpos[:, :, 1] -= pace[:, None] * time
+    still = (np.zeros((len(pace), len(time), size)) for size in (model.nv, model.nu))
+    return types.SimpleNamespace(time=time, qpos=qpos, qvel=next(still), ctrl=next(still), sensors={})
 
 
 if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG

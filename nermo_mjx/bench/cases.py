@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import time
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax.experimental.compilation_cache import compilation_cache
 from mujoco import rollout
 
+from nermo_mjx.bench.compilation import compile_cold
 from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.timing import compare
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.mjx_engine import MjxEngine, mjx
+from nermo_mjx.physics.mjx_engine import MjxEngine
+from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 
@@ -44,7 +42,7 @@ def c_case(worlds: int) -> dict[str, Any]:
     assert isinstance(engine, CEngine)
     ticks, steps = TICKS["c"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
-    ours = _compile(engine.step, session.params, session.loop_state, session.sensordata)
+    ours = compile_cold(engine.step, session.params, session.loop_state, session.sensordata)
     session.advance(ticks)  # past the start-up, into the walk
 
     size = mujoco.mj_stateSize(simulator.robot.model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -79,7 +77,7 @@ def mjx_case(worlds: int) -> dict[str, Any]:
     ticks, steps = TICKS["mjx"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
     count = jnp.int32(ticks)
-    ours = _compile(engine.advance, session.params, session.fields, session.carry, count)
+    ours = compile_cold(engine.advance, session.params, session.fields, session.carry, count)
 
     walking = jax.block_until_ready(ours.program(session.params, session.fields, session.carry, count))
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
@@ -91,7 +89,7 @@ def mjx_case(worlds: int) -> dict[str, Any]:
 
         return jax.lax.scan(tick, data, ctrl)[0]
 
-    plain = _compile(jax.jit(scan), data, ctrl)
+    plain = compile_cold(jax.jit(scan), data, ctrl)
     carry = jax.tree.map(jnp.copy, walking)
 
     def run_ours() -> None:
@@ -119,35 +117,6 @@ def _targets(simulator: Simulator, batch: Batch, ticks: int) -> jax.Array:
     trace = engine.open(batch.params, batch.qpos, batch.fields).record(2 * ticks)
     steps = np.repeat(np.moveaxis(trace.ctrl[:, ticks:], 0, 1), simulator.loop.steps_per_tick, axis=0)
     return jnp.asarray(steps)
-
-
-class _Compiled(NamedTuple):
-    trace_s: float
-    compile_s: float
-    program: Any
-
-
-def _compile(function: Any, *arguments: Any) -> _Compiled:
-    """Seconds to trace and lower, seconds to compile with a cold cache, and the program."""
-    began = time.perf_counter()
-    lowered = function.lower(*arguments)
-    traced = time.perf_counter()
-    with _without_cache():
-        program = lowered.compile()
-    return _Compiled(traced - began, time.perf_counter() - traced, program)
-
-
-@contextlib.contextmanager
-def _without_cache() -> Iterator[None]:
-    """Compile in earnest, though the persistent cache may hold the program."""
-    directory = getattr(jax.config, "jax_compilation_cache_dir")  # noqa: B009 (jax declares its options at run time)
-    jax.config.update("jax_compilation_cache_dir", None)
-    compilation_cache.reset_cache()
-    try:
-        yield
-    finally:
-        jax.config.update("jax_compilation_cache_dir", directory)
-        compilation_cache.reset_cache()
 
 
 def _case(

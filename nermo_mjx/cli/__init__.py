@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from nermo_mjx.cli import bench, experiment, identify, model, render, sweep, walk
+from nermo_mjx.cli import bench, experiment, identify, landscape, model, render, sweep, tune, walk
 from nermo_mjx.cli.group import CommandGroup
 from nermo_mjx.version import __version__
 
@@ -12,6 +12,7 @@ EPILOG = """\b
 First steps:
   nermo-mjx walk --video walk.mp4
   nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned
   nermo-mjx experiment all --quick --out runs/look
 """
 
@@ -26,5 +27,5 @@ def main() -> None:
     """
 
 
-for module in (sweep, experiment, identify, walk, render, model, bench):
+for module in (sweep, tune, landscape, experiment, identify, walk, render, model, bench):
     main.add_command(module.command)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 ENGINES = ("auto", "c", "mjx")
+GRADIENT_MODES = ("forward", "reverse")
 ROBOTS = ("nermo_lite",)
 TAILS = ("rigid", "articulated")
 GAITS = ("trt", "trt1", "lat")
@@ -11,4 +12,4 @@ STEERINGS = ("leg", "spine", "mix")
 PROFILES = ("exact", "as_published")
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze")
 PILOTS = ("straight", "arc", "open_loop")
-VIEWS = ("three_quarter", "side", "top", "front", "rear")
+VIEWS = ("three_quarter", "high", "side", "top", "front", "rear")

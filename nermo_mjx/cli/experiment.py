@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.assignments import assignment
 from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
 from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
-from nermo_mjx.cli.progress import Progress, duration
+from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
@@ -63,7 +62,7 @@ def command(
         from nermo_mjx.experiments.run import run_experiments
 
         values = _values(assignments)
-        with _Stages(quiet) as stages:
+        with Stages(quiet, compiles=lambda what: "," not in what) as stages:
             result = run_experiments(
                 EXPERIMENTS if name == ALL else [name], out, engine=engine,
                 profiles=PROFILES if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
@@ -84,36 +83,6 @@ def _values(assignments: tuple[str, ...]) -> dict[str, float]:
     known = dict(quantities(WorldParameters))
     unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
     return dict(assignment(text, known, unknown) for text in assignments)
-
-
-class _Stages:
-    """One progress display after the other: each experiment's, its plots', its video's."""
-
-    def __init__(self, quiet: bool) -> None:
-        self._quiet = quiet
-        self._what = ""
-        self._shown = contextlib.ExitStack()
-
-    def __enter__(self) -> _Stages:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._shown.close()
-
-    def share(self, what: str, share: float) -> None:
-        """So much is done of what is going on."""
-        if what != self._what:
-            self._shown.close()
-            self._what = what
-            self._progress = self._shown.enter_context(Progress(what, quiet=self._quiet, compiles="," not in what))
-        self._progress.share(share)
-
-    def say(self, sentence: str) -> None:
-        """A sentence on a line of its own."""
-        self._shown.close()
-        self._what = ""
-        if not self._quiet:
-            click.echo(sentence, err=True)
 
 
 def _print(result: ExperimentsResult) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import IO, Any
+
+import click
 
 COMPILING = "compiling, once per machine"
 #: Seconds without any progress after which a first compilation is the reason; a cached program starts sooner.
@@ -38,8 +42,11 @@ class Progress:
         self._what, self._unit, self._quiet, self._every = what, unit, quiet, every
         self._stream = stream or sys.stderr
         self._bar: Any = None
-        self._timer = threading.Timer(PATIENCE, self.note, [COMPILING]) if compiles and not quiet else None
+        self._timer = threading.Timer(PATIENCE, self._name_compilation) if compiles and not quiet else None
+        self._compiling = False
+        # When this process began to count, and at which share; and the same for its pace, without the compilation.
         self._start: tuple[float, float] | None = None
+        self._pace_start: tuple[float, float] | None = None
         self._last_line = time.monotonic()
 
     def __enter__(self) -> Progress:
@@ -63,17 +70,24 @@ class Progress:
         """So many of all are done."""
         self.share(done / total if total else 1.0, done, total)
 
-    def share(self, fraction: float, done: int | None = None, total: int | None = None) -> None:
-        """A share of the work is done, and so many of all; the first call may start above 0 where work is resumed."""
+    def share(self, fraction: float, done: int | None = None, total: int | None = None, detail: str = "") -> None:
+        """A share of the work is done, and so many of all; the first call may start above 0 where work is resumed.
+
+        Args:
+            detail: what else is known by now.
+        """
         now = time.monotonic()
         if self._start is None:
-            self._start = (now, fraction)
+            self._start = self._pace_start = (now, fraction)
         if fraction > self._start[1]:
             self._stop_waiting()
+            if self._compiling:
+                self._compiling, self._pace_start = False, (now, fraction)
         if self._quiet:
             return
         counted = "" if done is None or total is None else f", {done:,} of {total:,} {self._unit}"
-        text = f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}"
+        known = f", {detail}" if detail else ""  # last: a narrow terminal cuts it off
+        text = f"{fraction:.0%}{counted}{self._pace(now, fraction, total)}{known}"
         finished = fraction >= 1.0 > self._start[1] and done == total
         if self._bar is not None:
             self._bar.update(self._task, completed=fraction, note=text)
@@ -90,6 +104,10 @@ class Progress:
         else:
             self._line(text)
 
+    def _name_compilation(self) -> None:
+        self._compiling = True
+        self.note(COMPILING)
+
     def _stop_waiting(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
@@ -100,12 +118,57 @@ class Progress:
 
     def _pace(self, now: float, fraction: float, total: int | None) -> str:
         """Rate and time left, from what this process did."""
-        assert self._start is not None
-        seconds, share = now - self._start[0], fraction - self._start[1]
+        assert self._pace_start is not None
+        seconds, share = now - self._pace_start[0], fraction - self._pace_start[1]
         if seconds <= 0 or share <= 0:
             return ""
-        rate = f", {total * share / seconds:.3g} {self._unit}/s" if total else ""
-        return rate + (f", {duration((1 - fraction) * seconds / share)} left" if fraction < 1 else "")
+        rate = total * share / seconds if total else 0.0
+        pace = f", {rate:.3g} {self._unit}/s" if rate >= 0.1 else f", {duration(1 / rate)} each" if rate else ""
+        return pace + (f", {duration((1 - fraction) * seconds / share)} left" if fraction < 1 else "")
+
+
+class Stages:
+    """One display after the other, for work in several parts; a context manager.
+
+    Args:
+        quiet: show nothing.
+        compiles: whether the parts of a name compile something at first.
+    """
+
+    def __init__(self, quiet: bool, compiles: Callable[[str], bool]) -> None:
+        self._quiet, self._compiles = quiet, compiles
+        self._what = ""
+        self._shown = contextlib.ExitStack()
+
+    def __enter__(self) -> Stages:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def part(self, what: str, unit: str = "") -> Progress:
+        """The display of a part, begun where another one was shown."""
+        if what != self._what:
+            self.close()
+            self._what = what
+            shown = Progress(what, unit, quiet=self._quiet, compiles=self._compiles(what))
+            self._progress = self._shown.enter_context(shown)
+        return self._progress
+
+    def share(self, what: str, share: float) -> None:
+        """So much is done of a part."""
+        self.part(what).share(share)
+
+    def say(self, sentence: str) -> None:
+        """A sentence on a line of its own."""
+        self.close()
+        if not self._quiet:
+            click.echo(sentence, err=True)
+
+    def close(self) -> None:
+        """The end of what is shown."""
+        self._shown.close()
+        self._what = ""
 
 
 def duration(seconds: float) -> str:

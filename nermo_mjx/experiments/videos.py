@@ -8,8 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.robot import RobotConfig, load_robot
 from nermo_mjx.view import Recording, render
@@ -59,20 +57,13 @@ def shoot(outcome: Outcome, shot: Shot, path: Path, progress: Callable[[float], 
                           if field.name in setup})  # fmt: skip
     end = _end(outcome, recording, shot)
     speed = max(shot.speed, float(math.ceil(end / LONGEST)) if math.isfinite(end) else 0.0)
-    shown = first(recording, min(speed * LONGEST, end))
+    began = float(recording.time[0])
+    shown = recording.between(began, began + min(speed * LONGEST, end))
     render(
         shown, robot.model, path, fps=FPS, width=WIDTH, height=HEIGHT, camera=shot.camera, speed=speed,
         progress=None if progress is None else lambda done, frames: progress(done / frames),
     )  # fmt: skip
     return speed
-
-
-def first(recording: Recording, seconds: float) -> Recording:
-    """The beginning of a recording, of at least one sample."""
-    count = max(1, int(np.searchsorted(recording.time, recording.time[0] + seconds, side="right")))
-    arrays = {name: getattr(recording, name)[:count] for name in ("time", "qpos", "qvel", "ctrl")}
-    sensors = {name: values[:count] for name, values in recording.sensors.items()}
-    return dataclasses.replace(recording, **arrays, sensors=sensors)
 
 
 def _end(outcome: Outcome, recording: Recording, shot: Shot) -> float:

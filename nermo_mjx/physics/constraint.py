@@ -20,31 +20,49 @@ from nermo_mjx.physics.rows import Layout, Problem
 
 def gradient(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, " nv"]:
     """g(a), zero at the solution."""
-    force = forces(layout, problem, qacc)
+    force = forces(layout, problem, residual(problem, qacc))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
-def forces(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, " nefc"]:
-    """Constraint force f of each row at the acceleration `qacc`.
+def hessian(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, "nv nv"]:
+    """dg/da = M - J^T f'(r) J, symmetric and positive definite."""
+    at = residual(problem, qacc)
+
+    def along(column: Array) -> Array:
+        slope: Array = jax.jvp(lambda r: forces(layout, problem, r), (at,), (column,))[1]
+        return slope
+
+    change = problem.jacobian.T @ jax.vmap(along, in_axes=1, out_axes=1)(problem.jacobian)
+    return problem.inertia - 0.5 * (change + change.T)
+
+
+def residual(problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, " nefc"]:
+    """r = J a - aref."""
+    return problem.jacobian @ qacc - problem.aref
+
+
+def forces(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> Float[Array, " nefc"]:
+    """Constraint force f of each row at the residual r.
 
     Equalities are two-sided springs, f = -D r. Dry friction is a spring that yields at +-frictionloss. Limits,
     frictionless contacts and the edges of pyramids only push: f = -D r where r < 0. An elliptic contact lies in one of
     three zones, see `_cone`.
     """
-    residual = problem.jacobian @ qacc - problem.aref
     spring = -problem.stiffness * residual
     row = np.arange(residual.shape[0])
     dry = row < layout.equality + layout.frictionloss
     # To MuJoCo a row of dry friction without loss, which a batch may contain, is a spring.
     yields = dry & (row >= layout.equality) & (problem.frictionloss > 0.0)
     yielding = jnp.clip(spring, -problem.frictionloss, problem.frictionloss)
-    force = jnp.where(yields, yielding, jnp.where(dry | (residual < 0.0), spring, 0.0))
-    for dim in sorted({dim for dim, _ in layout.cones}):
-        chosen = np.array([i for i, (each, _) in enumerate(layout.cones) if each == dim])
-        rows = np.array([layout.cones[i][1] for i in chosen])[:, None] + np.arange(dim)
-        cones = jax.vmap(_cone)(residual[rows], problem.stiffness[rows], problem.cone[chosen, :dim])
-        force = force.at[rows].set(cones)
-    return force
+    simple = jnp.where(yields, yielding, jnp.where(dry | (residual < 0.0), spring, 0.0))
+    first, contact = residual.shape[0] - sum(dim * count for dim, count in layout.cones), 0
+    parts = [simple[:first]]
+    for dim, count in layout.cones:
+        end = first + dim * count
+        part = (array[first:end].reshape(count, dim) for array in (residual, problem.stiffness))
+        parts.append(jax.vmap(_cone)(*part, problem.cone[contact : contact + count, :dim]).ravel())
+        first, contact = end, contact + count
+    return jnp.concatenate(parts)
 
 
 def _cone(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]) -> Array:

@@ -21,9 +21,8 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
-from nermo_mjx.physics import constraint, rows
+from nermo_mjx.physics import constraint, rows, stages
 from nermo_mjx.physics.checkpointing import KEPT
-from nermo_mjx.physics.impedance import make_constraint
 from nermo_mjx.physics.integration import integrate
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.rows import Layout, Problem
@@ -52,30 +51,20 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Forward dynamics with exact derivatives, as `mjx.forward`: accelerations, constraint forces and sensors."""
-    data = mjx.sensor_pos(model, _position(model, data))
-    data = mjx.sensor_vel(model, mjx.fwd_velocity(model, data))
-    data = mjx.fwd_acceleration(model, mjx.fwd_actuation(model, data))
+    data = mjx.sensor_pos(model, stages.position(model, data))
+    data = mjx.sensor_vel(model, stages.velocity(model, data))
+    data = stages.acceleration(model, mjx.fwd_actuation(model, data))
     return mjx.sensor_acc(model, solve(model, data))
 
 
-def _position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.fwd_position`, whose constraint rows have no finite derivative (see `impedance`)."""
-    for stage in (
-        mjx.kinematics, mjx.com_pos, mjx.camlight, mjx.tendon, mjx.crb, mjx.tendon_armature, mjx.factor_m,
-        mjx.collision, make_constraint, mjx.transmission,
-    ):  # fmt: skip
-        data = stage(model, data)
-    return data
-
-
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.solve`, after `mjx.fwd_acceleration`, with the derivative of the solution."""
+    """As `mjx.solve`, after `stages.acceleration`, with the derivative of the solution."""
     if rows.is_unconstrained(data):
         return data.replace(qacc=data.qacc_smooth)
     qacc = checkpoint_name(mjx.solve(*jax.lax.stop_gradient((model, data))).qacc, KEPT)
     layout, problem = rows.read(model, data)
     qacc = _solution(layout, qacc, problem)
-    force = constraint.forces(layout, problem, qacc)
+    force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
     return rows.with_solution(data, qacc, force, problem.jacobian.T @ force)
 
 
@@ -90,5 +79,4 @@ def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
     qacc, problem = primals
     _, change = tangents
     _, residual = jax.jvp(lambda p: constraint.gradient(layout, p, qacc), (problem,), (change,))
-    hessian = jax.jacfwd(lambda a: constraint.gradient(layout, problem, a))(qacc)
-    return qacc, -cho_solve(cho_factor(0.5 * (hessian + hessian.T)), residual)
+    return qacc, -cho_solve(cho_factor(constraint.hessian(layout, problem, qacc)), residual)

@@ -32,11 +32,13 @@ def make_constraint(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     if contacts is None or rows.is_unconstrained(made):
         return made
     stiffness, aref, jacobian = rows.row_arrays(made)
-    row = contacts.row
+    others = len(aref) - len(contacts.solimp)
     distance = jnp.where(contacts.pushes & (contacts.distance < 0.0), contacts.distance, 0.0)
-    constants = contacts.solref, contacts.distance, distance, jacobian[row] @ data.qvel
-    changed = _with_impedance(stiffness[row], aref[row], contacts.solimp, *jax.lax.stop_gradient(constants))
-    return rows.with_row_arrays(made, stiffness.at[row].set(changed[0]), aref.at[row].set(changed[1]))
+    constants = contacts.solref, contacts.distance, distance, jacobian[others:] @ data.qvel
+    changed = _with_impedance(stiffness[others:], aref[others:], contacts.solimp, *jax.lax.stop_gradient(constants))
+    # Joined and not written into place: XLA makes a loop of what is written on a CPU.
+    joined = (jnp.concatenate([old[:others], new]) for old, new in zip((stiffness, aref), changed, strict=True))
+    return rows.with_row_arrays(made, *joined)
 
 
 @jax.custom_jvp

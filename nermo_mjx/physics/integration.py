@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.physics.linear import solve_definite
 from nermo_mjx.physics.mjx_import import mjx
 
 #: Nodes a and weights b of the classical Runge-Kutta method of fourth order.
@@ -21,6 +23,8 @@ _RK4_NODES: Final = (0.5, 0.5, 1.0)
 _RK4_WEIGHTS: Final = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 
 Forward = Callable[[mjx.Model, mjx.Data], mjx.Data]
+#: Velocity, acceleration and rate of activation.
+Rates = tuple[Array, Array, Array]
 
 
 def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
@@ -33,41 +37,58 @@ def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
     """
     if model.opt.integrator == mjx.IntegratorType.RK4:
         return _runge_kutta(model, data, forward)
-    advance = mjx.euler if model.opt.integrator == mjx.IntegratorType.EULER else mjx.implicit
-    after = advance(model, data)
-    return after.replace(qpos=positions(model, data.qpos, after.qvel))
+    if model.opt.integrator == mjx.IntegratorType.EULER:
+        after, qacc = mjx.euler(model, data), _damped_acceleration(model, data)
+        after = after.replace(qvel=data.qvel + model.opt.timestep * qacc)
+    else:
+        after = mjx.implicit(model, data)
+    return after.replace(qpos=positions(model, data.qpos, model.opt.timestep * after.qvel))
+
+
+def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Float[Array, " nv"]:
+    """Acceleration of Euler's method, implicit in the joints' damping B: (M + h B) a = q + J^T f."""
+    if model.opt.disableflags & mjx.DisableBit.EULERDAMP:
+        qacc: Array = data.qacc
+        return qacc
+    matrix = mjx.full_m(model, data) + jnp.diag(model.opt.timestep * model.dof_damping)
+    return solve_definite(matrix, data.qfrc_smooth + data.qfrc_constraint)
 
 
 def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Data:
     dt = model.opt.timestep
-    stage, velocity = start, start.qvel
-    sums = [_RK4_WEIGHTS[0] * rate for rate in (velocity, start.qacc, start.act_dot)]
-    for node, weight in zip(_RK4_NODES, _RK4_WEIGHTS[1:], strict=True):
-        stage = stage.replace(
-            qpos=positions(model, start.qpos, node * velocity), qvel=start.qvel + dt * node * stage.qacc,
-            act=start.act + dt * node * stage.act_dot, time=start.time + dt * node,
+
+    def stage(rates: Rates, node: Array) -> tuple[Rates, Rates]:
+        velocity, acceleration, activation = (node * dt * rate for rate in rates)
+        data = start.replace(
+            qpos=positions(model, start.qpos, velocity), qvel=start.qvel + acceleration, act=start.act + activation,
+            time=start.time + node * dt,
         )  # fmt: skip
-        velocity = stage.qvel
-        stage = forward(model, stage)
-        rates = (velocity, stage.qacc, stage.act_dot)
-        sums = [total + weight * rate for total, rate in zip(sums, rates, strict=True)]
-    velocity, qacc, act_dot = sums
-    stage = stage.replace(qpos=start.qpos, qvel=start.qvel, act=start.act, time=start.time, act_dot=act_dot)
+        after = forward(model, data)
+        found = (data.qvel, after.qacc, after.act_dot)
+        return found, found
+
+    first = (start.qvel, start.qacc, start.act_dot)
+    # A scan, so that forward dynamics is compiled once for all three stages.
+    _, others = jax.lax.scan(stage, first, jnp.asarray(_RK4_NODES, start.qpos.dtype))
+    weight = jnp.asarray(_RK4_WEIGHTS[1:], start.qpos.dtype)
+    velocity, acceleration, activation = (
+        _RK4_WEIGHTS[0] * one + weight @ rest for one, rest in zip(first, others, strict=True)
+    )
     # Euler's step advances activation and time in the same way.
-    after = mjx.euler(model, stage)
-    return after.replace(qpos=positions(model, start.qpos, velocity), qvel=start.qvel + dt * qacc)
+    after = mjx.euler(model, start.replace(act_dot=activation))
+    return after.replace(qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration)
 
 
-def positions(model: mjx.Model, qpos: Float[Array, " nq"], qvel: Float[Array, " nv"]) -> Float[Array, " nq"]:
-    """`qpos` after one time step at the velocity `qvel`."""
-    dt, parts = model.opt.timestep, []
+def positions(model: mjx.Model, qpos: Float[Array, " nq"], change: Float[Array, " nv"]) -> Float[Array, " nq"]:
+    """`qpos` after a change in the tangent space, a velocity times a time."""
+    parts = []
     for kind, q, v in zip(np.asarray(model.jnt_type), model.jnt_qposadr, model.jnt_dofadr, strict=True):
         if kind == mjx.JointType.FREE:
-            parts += [qpos[q : q + 3] + dt * qvel[v : v + 3], _turned(qpos[q + 3 : q + 7], dt * qvel[v + 3 : v + 6])]
+            parts += [qpos[q : q + 3] + change[v : v + 3], _turned(qpos[q + 3 : q + 7], change[v + 3 : v + 6])]
         elif kind == mjx.JointType.BALL:
-            parts.append(_turned(qpos[q : q + 4], dt * qvel[v : v + 3]))
+            parts.append(_turned(qpos[q : q + 4], change[v : v + 3]))
         else:
-            parts.append((qpos[q] + dt * qvel[v])[None])
+            parts.append((qpos[q] + change[v])[None])
     return jnp.concatenate(parts) if parts else qpos
 
 

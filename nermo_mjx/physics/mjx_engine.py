@@ -16,7 +16,6 @@ from mujoco.batch import Batch
 
 from nermo_mjx.physics import differentiable
 from nermo_mjx.physics.engine import Loop, Trace
-from nermo_mjx.physics.ground_frame import GroundFrame
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
@@ -49,7 +48,6 @@ class MjxEngine:
         self.robot, self.loop = robot, loop
         self.model = mjx.put_model(robot.model)
         self.data = mjx.make_data(self.model)
-        self.frame = GroundFrame(robot.model, robot.joints.root)
         self.open_worlds = jax.jit(jax.vmap(self.start))
         self.advance = jax.jit(self._advance, donate_argnums=2)
         self.record = jax.jit(self._record, static_argnums=3, donate_argnums=2)
@@ -60,10 +58,8 @@ class MjxEngine:
 
     def physics_step(self, model: mjx.Model, state: MjxState, ctrl: Float[Array, " nu"]) -> tuple[MjxState, Array]:
         """One step of physics in one world: the new state, and the step's sensor readings."""
-        qpos, shift = self.frame.leave(state.qpos)
-        data = differentiable.step(model, self.data.replace(ctrl=ctrl, **state._replace(qpos=qpos)._asdict()))
-        physics = MjxState(self.frame.enter(data.qpos, shift), data.qvel, data.act, data.qacc_warmstart)
-        return physics, self.frame.enter_readings(data.sensordata, shift)
+        data = differentiable.step(model, self.data.replace(ctrl=ctrl, **state._asdict()))
+        return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart), data.sensordata
 
     def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         """Carry of one world before its first tick, from its state and its sensors there."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,7 +23,8 @@ class Layout:
 
     Attributes:
         equality, frictionloss: number of rows of each; they come first, in this order.
-        cones: dimension and first row of each contact with an elliptic cone; empty with pyramidal cones.
+        cones: dimension of the contacts with elliptic cones, and how many there are of it, in the order of their rows,
+            which come last; empty with pyramidal cones.
     """
 
     equality: int
@@ -52,16 +54,14 @@ class Problem(NamedTuple):
 
 
 class ContactRows(NamedTuple):
-    """What the contacts' rows are made of, for rows (n,) of the problem.
+    """What the contacts' rows are made of, the last n rows of the problem.
 
     Attributes:
-        row: their places among all rows.
         distance: of the contact, less its margin; negative when it touches [m].
         pushes: whether the row acts on the distance, which the friction rows of an elliptic cone do not.
         solref, solimp: of the row, as MuJoCo's XML has them.
     """
 
-    row: np.ndarray
     distance: Float[Array, " n"]
     pushes: np.ndarray
     solref: Float[Array, "n 2"]
@@ -77,16 +77,25 @@ def is_unconstrained(data: mjx.Data) -> bool:
 def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
     """The constraint problem of data that went through position, velocity, actuation and acceleration."""
     rows: Any = data._impl
-    contact = rows.contact
-    chosen = np.flatnonzero((np.asarray(contact.dim) > 1) & _elliptic(model))
-    dims, first = (np.asarray(array)[chosen].tolist() for array in (contact.dim, contact.efc_address))
-    friction = contact.friction[chosen]
+    contact, dims = _in_row_order(rows.contact)
+    chosen = dims[(dims > 1) & _elliptic(model)]
+    cones = tuple((int(dim), int(count)) for dim, count in zip(*np.unique(chosen, return_counts=True), strict=True))
+    friction = contact.friction[len(dims) - len(chosen) :]
     mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
-    layout = Layout(int(rows.ne), int(rows.nf), tuple(zip(dims, first, strict=True)))
-    return layout, Problem(
+    return Layout(int(rows.ne), int(rows.nf), cones), Problem(
         inertia=mjx.full_m(model, data), smooth=data.qfrc_smooth, jacobian=rows.efc_J, aref=rows.efc_aref,
         stiffness=rows.efc_D, frictionloss=rows.efc_frictionloss, cone=jnp.concatenate([mu, friction], axis=1),
     )  # fmt: skip
+
+
+def with_velocities(data: mjx.Data) -> mjx.Data:
+    """Data with the rates of change of its actuators' and tendons' lengths, the first part of `mjx.fwd_velocity`."""
+    inner: Any = data._impl
+    rates = {
+        "_impl.actuator_velocity": inner.actuator_moment @ data.qvel, "_impl.ten_velocity": inner.ten_J @ data.qvel
+    }  # fmt: skip
+    changed: mjx.Data = data.tree_replace(rates)
+    return changed
 
 
 def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Array) -> mjx.Data:
@@ -98,8 +107,7 @@ def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Ar
 def contact_rows(model: mjx.Model, data: mjx.Data) -> ContactRows | None:
     """The rows of all contacts, after collision; None where the model has none."""
     rows: Any = data._impl
-    contact = rows.contact
-    dims, first = np.asarray(contact.dim), np.asarray(contact.efc_address)
+    contact, dims = _in_row_order(rows.contact)
     if not len(dims):
         return None
     counts = np.where(dims == 1, 1, dims if _elliptic(model) else 2 * (dims - 1))
@@ -108,7 +116,7 @@ def contact_rows(model: mjx.Model, data: mjx.Data) -> ContactRows | None:
     pushes = (offset == 0) | (not _elliptic(model))
     given = ~pushes[:, None] & jnp.any(contact.solreffriction[owner] != 0.0, axis=1, keepdims=True)
     return ContactRows(
-        row=first[owner] + offset, distance=(contact.dist - contact.includemargin)[owner], pushes=pushes,
+        distance=(contact.dist - contact.includemargin)[owner], pushes=pushes,
         solref=jnp.where(given, contact.solreffriction[owner], contact.solref[owner]), solimp=contact.solimp[owner],
     )  # fmt: skip
 
@@ -136,6 +144,15 @@ def with_row_arrays(data: mjx.Data, stiffness: Array, aref: Array) -> mjx.Data:
     """Data with another D and aref of its rows."""
     changed: mjx.Data = data.tree_replace({"_impl.efc_D": stiffness, "_impl.efc_aref": aref})
     return changed
+
+
+def _in_row_order(contact: Any) -> tuple[Any, np.ndarray]:
+    """Contacts in the order of their rows, which is by dimension, and their dimensions."""
+    dims = np.asarray(contact.dim)
+    order = np.argsort(dims, kind="stable")
+    if (order == np.arange(len(dims))).all():
+        return contact, dims
+    return jax.tree.map(lambda leaf: leaf[order], contact), dims[order]
 
 
 def _elliptic(model: mjx.Model) -> bool:

@@ -38,7 +38,7 @@ class Path(NamedTuple):
 
 
 class Rollout:
-    """One world's walk as a pure function, for `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jvp` and all that is made of them.
+    """One walk as a pure function, for `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jvp` and all that is made of them.
 
         rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=4, warmup_cycles=1))
         speed = lambda amplitude: rollout({"spine.amplitude": amplitude})["speed"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import io
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -16,64 +14,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FuncFormatter
 
-#: One look for all figures; viridis, blue on white and red to blue read well for the colour-blind and in print.
-STYLE: dict[Any, Any] = {
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 9.5,
-    "figure.titlesize": 11.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#555555",
-    "axes.labelcolor": "#222222",
-    "xtick.color": "#555555",
-    "ytick.color": "#555555",
-    "axes.grid": False,
-    "legend.frameon": False,
-    "svg.hashsalt": "nermo",
-    "svg.fonttype": "none",
-}
-COLOURS, GAIN_COLOURS = "viridis", "RdBu"
-LINE, BAND, MISSING, BEST = "#23648f", "#9dc3de", "#d9d9d9", "#e4572e"
-_SHOWN_UNITS = {
-    "rad": ("deg", 180 / math.pi),
-    "m/s": ("mm/s", 1e3),
-    "m": ("mm", 1e3),
-    "rad/s": ("deg/s", 180 / math.pi),
-}
+from nermo_mjx.sweep.style import BAND, BEST, COLOURS, LINE, MISSING, Quantity, add_note, horizontal_grid, set_scales
 
-
-@dataclasses.dataclass(frozen=True)
-class Quantity:
-    """Values of one column as a figure shows them: angles in degrees, lengths in mm, speeds in mm/s.
-
-    Attributes:
-        name, unit: what the axis is called; the unit is empty for a pure number.
-        values: (n,), in that unit.
-        log: whether the axis is logarithmic.
-    """
-
-    name: str
-    unit: str
-    values: np.ndarray
-    log: bool = False
-
-    @property
-    def label(self) -> str:
-        """Name and unit for an axis."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
-
-    def shown(self, value: float) -> str:
-        """One value with its unit, for a title."""
-        return f"{value + 0.0:.4g} {self.unit}".rstrip()
-
-
-def shown(name: str, unit: str, values: np.ndarray, *, log: bool = False) -> Quantity:
-    """A column in SI units as a `Quantity`."""
-    unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
-    return Quantity(name, unit, np.asarray(values, dtype=float) * factor, log)
+GAIN_COLOURS = "RdBu"
 
 
 def heat_maps(
@@ -108,7 +53,7 @@ def heat_maps(
         ax.add_patch(matplotlib.patches.Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white",
                                                   hatch="////", lw=0, zorder=0))  # fmt: skip
         ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
-        _scales(ax, x, y)
+        set_scales(ax, x, y)
         ax.set_title(name)
         if np.isfinite(candidates).any():
             i, j = np.unravel_index(int(np.nanargmax(candidates)), grid.shape)
@@ -122,7 +67,7 @@ def heat_maps(
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
     ring = "; ring: best of its panel" if len(panels) > 1 else ""
-    _note(figure, f"{note}star: best, {z.shown(best) if gain is None else _signed(best)}{ring}")
+    add_note(figure, f"{note}star: best, {z.shown(best) if gain is None else _signed(best)}{ring}")
     return figure
 
 
@@ -136,10 +81,10 @@ def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
         at = int(np.nanargmax(mean))
         ax.scatter(xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
         note += f"star: best, {z.shown(mean[at])} at {x.shown(xs[at])}"
-    _scales(ax, x)
-    _horizontal_grid(ax)
+    set_scales(ax, x)
+    horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
-    _note(figure, note)
+    add_note(figure, note)
     return figure
 
 
@@ -150,12 +95,12 @@ def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: 
         ax.scatter(x.values, z.values, s=7, color=BAND, alpha=0.55, lw=0, rasterized=len(z.values) > 2000)
         centres, mean, _ = _binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
         ax.plot(centres, mean, color=LINE, lw=2)
-        _scales(ax, x)
-        _horizontal_grid(ax)
+        set_scales(ax, x)
+        horizontal_grid(ax)
         ax.set_title(name)
         ax.set_xlabel(x.label)
     figure.supylabel(z.label, fontsize=9.5)
-    _note(figure, note)
+    add_note(figure, note)
     return figure
 
 
@@ -167,18 +112,11 @@ def pair_scatters(pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
                    rasterized=len(z.values) > 2000)  # fmt: skip
         ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
-        _scales(ax, x, y)
+        set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     _colour_bar(figure, axes, scale, z.label)
-    _note(figure, f"{note}star: best, {z.shown(float(np.max(z.values)))}")
+    add_note(figure, f"{note}star: best, {z.shown(float(np.max(z.values)))}")
     return figure
-
-
-def encode(figure: Figure, form: str) -> bytes:
-    """The figure as PNG or SVG; the same figure gives the same bytes."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format=form, dpi=160, metadata={"Date": None} if form == "svg" else {"Software": None})
-    return stream.getvalue()
 
 
 def _panels(count: int, size: float, title: str) -> tuple[Figure, list[Axes]]:
@@ -224,11 +162,6 @@ def _signed(percent: float) -> str:
     return f"{'0' if text in ('+0', '-0') else text.replace('-', '−')} %"
 
 
-def _note(figure: Figure, text: str) -> None:
-    """A small line below the panels."""
-    figure.text(0.01, 0.005, text, fontsize=8, color="#555555", va="bottom")
-
-
 def _outer_labels(axes: Sequence[Axes], x: str, y: str) -> None:
     """Axis and tick labels at the outside of the panels only."""
     columns = _columns(len(axes))
@@ -236,26 +169,6 @@ def _outer_labels(axes: Sequence[Axes], x: str, y: str) -> None:
         bottom, left = i + columns >= len(axes), i % columns == 0
         ax.tick_params(labelbottom=bottom, labelleft=left)
         ax.set(xlabel=x if bottom else "", ylabel=y if left else "")
-
-
-def _scales(ax: Axes, x: Quantity, y: Quantity | None = None) -> None:
-    for quantity, axis, scale in ((x, ax.xaxis, ax.set_xscale), (y, ax.yaxis, ax.set_yscale)):
-        if quantity is None:
-            continue
-        if quantity.log:
-            scale("log")
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FormatStrFormatter("%g"))
-            axis.set_minor_locator(NullLocator())
-        elif quantity.unit == "deg" and np.ptp(quantity.values) >= 180:
-            axis.set_major_locator(MaxNLocator(6, steps=[1, 3, 4.5, 6, 9, 10]))
-        else:
-            axis.set_major_locator(MaxNLocator(5))
-
-
-def _horizontal_grid(ax: Axes) -> None:
-    ax.grid(axis="y", color="#e6e6e6", lw=0.8)
-    ax.set_axisbelow(True)
 
 
 def _cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys: np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 from scipy import stats
 
-from nermo_mjx.sweep.figures import STYLE, Quantity, encode, heat_maps, line, pair_scatters, scatters, shown
+from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
+from nermo_mjx.sweep.style import STYLE, Quantity, lay_out, shown, write_figure
 from nermo_mjx.sweep.summary import LEADING, spine_ratio
 from nermo_mjx.sweep.table import columns_of, meta
 
@@ -45,11 +46,8 @@ def draw_plots(
     with matplotlib.rc_context(STYLE):
         for metric in metrics:
             for name, figure in _figures(table, metric) if metric in table.column_names else []:
-                figure.draw_without_rendering()  # lays the panels out, once for both files
-                figure.set_layout_engine("none")
-                for form in ("png", "svg"):
-                    files.append(folder / f"{name}.{form}")
-                    (write or Path.write_bytes)(files[-1], encode(figure, form))
+                lay_out(figure)
+                files += write_figure(figure, folder, name, write)
     return files
 
 

@@ -6,6 +6,8 @@ DIR/checkpoints/      Orbax checkpoints, the newest few
 DIR/history.parquet   one row an iteration and start
 DIR/best.json         the best point and what it cost to find
 DIR/tuned.yaml        a sweep file with the best point's values
+DIR/plots/            figures, and the landscape behind the paths
+DIR/video.mp4         start and best side by side
 """
 
 from __future__ import annotations
@@ -75,6 +77,11 @@ class Directory:
             self.write("best.json", to_json(best))
             self.write("tuned.yaml", tuned_sweep(self.tuning, best).encode())
         return best
+
+    def discard(self, name: str) -> None:
+        """Remove a file that is made of what is about to change."""
+        with clear_errors(self.out):
+            (self.out / name).unlink(missing_ok=True)
 
     def write(self, name: str, content: bytes) -> None:
         """Replace a file of the directory, atomically and durably."""

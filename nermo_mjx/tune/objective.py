@@ -18,7 +18,7 @@ _NO_AIM: Final = ("distance", "duration", "fell", "diverged")
 #: What a term may name.
 OBJECTIVE_METRICS: Final[dict[str, Metric]] = {
     **{name: about for name, about in METRICS.items() if name not in _NO_AIM},
-    TRAJECTORY_ERROR: Metric("1", "difference from the recording, relative to its spread"),
+    TRAJECTORY_ERROR: Metric("1", "mean squared difference from the recording, over its variance"),
 }
 #: What a term may do with its metric.
 AIMS: Final = ("maximize", "minimize", "hold")

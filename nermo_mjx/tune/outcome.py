@@ -41,6 +41,21 @@ def best_of(tuning: Tuning, log: Log) -> dict[str, Any] | None:
     }
 
 
+def start_of(tuning: Tuning, log: Log) -> dict[str, Any]:
+    """The given start, as its first evaluation found it: `parameters`, `objective`, `metrics`, and whether `ok`.
+
+    Numbers are not finite where the robot did not walk to the end.
+    """
+    names = [column.name for column in columns(tuning, log.metrics)]
+    row = dict(zip(names, log.rows[0, 0].tolist(), strict=True))
+    return {
+        "parameters": {name: row[name] for name in tuning.names},
+        "objective": row["objective"],
+        "metrics": {name: row[name] for name in log.metrics},
+        "ok": bool(row["ok"]),
+    }
+
+
 def tuned_sweep(tuning: Tuning, best: dict[str, Any]) -> str:
     """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from starts a little apart."""
     known = tuning.parameters

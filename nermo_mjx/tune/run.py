@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -13,11 +14,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.rollout import Simulator
 from nermo_mjx.sweep.interruption import Interruption, interruptible
 from nermo_mjx.sweep.provenance import session
+from nermo_mjx.tune.background import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.history import empty_log, history_table
+from nermo_mjx.tune.outcome import start_of
+from nermo_mjx.tune.pictures import VIDEO, Painter, Pictures
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.state import TuneState, initial_state
 from nermo_mjx.tune.tuner import Tuner
@@ -60,18 +65,22 @@ class TuningResult:
     Attributes:
         out: its directory.
         tuning: what was tuned.
+        start: the given start as first evaluated (`nermo_mjx.tune.outcome.start_of`).
         best: content of best.json (`nermo_mjx.tune.outcome.best_of`).
         history: the history's table (`nermo_mjx.tune.history`).
         state: after the last iteration.
         iterations_run: evaluations that this call made.
+        pictures: figures and video that were made of it, and notes on what could not be made.
     """
 
     out: Path
     tuning: Tuning
+    start: dict[str, Any]
     best: dict[str, Any]
     history: pa.Table
     state: TuneState
     iterations_run: int
+    pictures: Pictures
 
 
 def run_tuning(
@@ -79,7 +88,9 @@ def run_tuning(
     out: str | os.PathLike[str],
     *,
     problem: Problem | None = None,
+    simulator: SimulatorLike | None = None,
     progress: Callable[[Progress], None] | None = None,
+    drawing: Callable[[str, float], None] | None = None,
 ) -> TuningResult:
     """Tune parameters by gradient into a directory, or go on with what it holds.
 
@@ -91,7 +102,10 @@ def run_tuning(
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
         out: the directory; see `nermo_mjx.tune.directory`.
         problem: stands in for the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        simulator: stands in for `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
+            the paths, and the video. Where only a problem stands in, there are neither.
         progress: called before the first evaluation and after each.
+        drawing: called with what is being drawn in the end, and the share of it.
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
@@ -99,7 +113,7 @@ def run_tuning(
         TuningFailed: no robot walks to the end.
         TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
-    tuning = spec if isinstance(spec, Tuning) else _as_tuning(spec)
+    tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
     with Directory(out, tuning) as directory, _explained(directory) as interruption:
         state, log = directory.checkpoints.restore(initial_state(tuning)) or (initial_state(tuning), None)
         resumed = 0 if log is None else len(log)
@@ -107,7 +121,8 @@ def run_tuning(
         report(Progress(min(resumed, tuning.iterations), tuning.iterations, resumed))
         if log is None or len(log) <= tuning.iterations:
             directory.note_session(session(begun_at=resumed))
-            tuner = Tuner(tuning, problem or _simulation(tuning))
+            directory.discard(VIDEO)
+            tuner = Tuner(tuning, problem or simulation_of(tuning))
         while log is None or len(log) <= tuning.iterations:
             began = time.perf_counter()
             state, found = tuner.step(state)
@@ -123,7 +138,10 @@ def run_tuning(
         if best is None:
             raise TuningFailed(f"{directory.out}: the robot walked to the end at no point of this tuning: choose other "
                                "starts or bounds.")  # fmt: skip
-        return TuningResult(directory.out, tuning, best, history_table(tuning, log), state, len(log) - resumed)
+        start, history = start_of(tuning, log), history_table(tuning, log)
+        painter = Painter(directory, _walker(tuning, problem, simulator), drawing or (lambda what, share: None))
+        pictures = painter.paint(history, start, best)
+        return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
 
 
 def load_tuning(out: str | os.PathLike[str]) -> Tuning:
@@ -131,14 +149,25 @@ def load_tuning(out: str | os.PathLike[str]) -> Tuning:
     return Tuning.from_file(Path(out) / "tuning.yaml")
 
 
-def _as_tuning(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Tuning:
+def as_tuning(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Tuning:
+    """The tuning of a dict or of a file; raises `SpecError`."""
     return Tuning.from_dict(spec) if isinstance(spec, Mapping) else Tuning.from_file(spec)
 
 
-def _simulation(tuning: Tuning) -> Problem:
+def simulation_of(tuning: Tuning) -> Problem:
+    """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
     from nermo_mjx.tune.problem import WalkProblem  # engines, and what they compile, only where they are needed
 
     return WalkProblem(tuning)
+
+
+def _walker(
+    tuning: Tuning, problem: Problem | None, simulator: SimulatorLike | None
+) -> Callable[[], SimulatorLike] | None:
+    """What makes the simulator of the pictures, once; None if nothing is to walk in them."""
+    if simulator is not None:
+        return lambda: simulator
+    return None if problem is not None else functools.cache(lambda: Simulator(tuning.setup, "c"))
 
 
 def _reached(

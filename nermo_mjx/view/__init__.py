@@ -1,7 +1,8 @@
 """What users see of a run: recordings and videos."""
 
+from nermo_mjx.view.encoding import VideoError
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
-from nermo_mjx.view.video import CAMERAS, VideoError, check_video, render
+from nermo_mjx.view.video import CAMERAS, check_video, render
 
 __all__ = [
     "CAMERAS",

@@ -20,6 +20,7 @@ class Angle:
 
 CAMERAS: Final[dict[str, Angle]] = {
     "three_quarter": Angle(38.0, -22.0),
+    "high": Angle(30.0, -38.0),
     "side": Angle(0.0, -6.0),
     "top": Angle(0.0, -89.9),
     "front": Angle(90.0, -12.0),

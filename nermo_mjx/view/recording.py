@@ -63,6 +63,14 @@ class Recording:
         """Time from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0])
 
+    def between(self, begin: float, end: float) -> Recording:
+        """The samples from one time to another [s], both included; at least the first one after `begin`."""
+        first = min(int(np.searchsorted(self.time, begin - 1e-9)), len(self.time) - 1)
+        last = max(first + 1, int(np.searchsorted(self.time, end + 1e-9)))
+        arrays = {name: getattr(self, name)[first:last] for name in ("time", "qpos", "qvel", "ctrl")}
+        sensors = {name: values[first:last] for name, values in self.sensors.items()}
+        return dataclasses.replace(self, **arrays, sensors=sensors)
+
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the NPZ file at once or not at all: a killed process leaves no half of it.
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import os
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,20 +16,15 @@ from jaxtyping import Float, Int, UInt8
 from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
+from nermo_mjx.view.encoding import SUFFIXES, Progress, VideoError, require_encoder, write_video
 from nermo_mjx.view.recording import Recording, RecordingError
 
-Progress = Callable[[int, int], None]
-SUFFIXES: Final = (".mp4", ".gif")
 #: Without a graphics card a frame takes as long as its samples, shadow map, mirror images and facets do: with these,
 #: a frame of 640 x 480 takes 0.08 s of one core, without them 0.3 s.
 SHADOW_MAP: Final = 1024
 SAMPLES: Final = 4
 SLICES: Final = 14
 STACKS: Final = 8
-
-
-class VideoError(RuntimeError):
-    """A video that cannot be made; the message is one sentence, with the remedy where there is one."""
 
 
 def render(
@@ -65,20 +59,8 @@ def render(
     check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed)
     recording.check_model(model)
     samples = frame_samples(recording, fps, speed)
-    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with _writer(partial, fps, width, height) as write:
-            for done, frame in enumerate(draw(recording, model, samples, width, height, camera, speed / fps), start=1):
-                write(frame)
-                if progress is not None:
-                    progress(done, len(samples))
-        partial.replace(path)
-    except OSError as error:
-        raise VideoError(f"{path}: the video cannot be written ({error.strerror or error}).") from None
-    finally:
-        partial.unlink(missing_ok=True)
-    return path
+    frames = draw(recording, model, samples, width, height, camera, speed / fps)
+    return write_video(path, frames, len(samples), fps=fps, width=width, height=height, progress=progress)
 
 
 def check_video(
@@ -112,7 +94,7 @@ def check_video(
     if camera not in CAMERAS and camera not in own:
         raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join([*CAMERAS, *filter(None, own)])}.")
     if suffix == ".mp4":
-        _encoder()
+        require_encoder()
     try:
         runtime.require_gl()
     except runtime.RenderingUnavailable as error:
@@ -191,12 +173,21 @@ def _track(
     _pose(model, data, recording.qpos[samples[0]])
     centre, radius = body_radius(model, data, root)
     offset = centre - data.xpos[root]
+    positions = root_path(recording, model, data, samples)
+    fovy = float(model.vis.global_.fovy)
+    return following_camera(camera, radius, fovy, aspect), smooth_path(positions, interval) + offset
+
+
+def root_path(
+    recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, samples: Int[np.ndarray, " F"]
+) -> Float[np.ndarray, "F 3"]:
+    """Where the body that a camera follows is in each of the samples [m]; `data` is only worked in."""
+    root = root_body(model)
     positions = np.empty((len(samples), 3))
     for i, sample in enumerate(samples):
         _pose(model, data, recording.qpos[sample])
         positions[i] = data.xpos[root]
-    fovy = float(model.vis.global_.fovy)
-    return following_camera(camera, radius, fovy, aspect), smooth_path(positions, interval) + offset
+    return positions
 
 
 def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " nq"]) -> None:
@@ -219,37 +210,3 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
         yield renderer
     finally:
         renderer.close()
-
-
-@contextlib.contextmanager
-def _writer(path: Path, fps: int, width: int, height: int) -> Iterator[Callable[[np.ndarray], object]]:
-    if path.suffix == ".gif":
-        import imageio.v2 as imageio
-
-        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
-        with writer:
-            yield writer.append_data
-        return
-    encoder = _encoder().write_frames(
-        str(path), (width, height), fps=fps, codec="libx264", pix_fmt_out="yuv420p", quality=8, macro_block_size=2,
-        ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
-    )  # fmt: skip
-    with warnings.catch_warnings():
-        # JAX warns of every fork; the child becomes ffmpeg at once.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        encoder.send(None)
-    try:
-        yield lambda frame: encoder.send(np.ascontiguousarray(frame))
-    finally:
-        encoder.close()
-
-
-def _encoder() -> Any:
-    """The module that runs ffmpeg, which it brings along."""
-    try:
-        import imageio_ffmpeg
-
-        imageio_ffmpeg.get_ffmpeg_exe()
-    except (ImportError, RuntimeError):
-        raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
-    return imageio_ffmpeg

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from nermo_mjx.sweep.figures import BAND, BEST, LINE, MISSING, STYLE, encode
 from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.sweep.style import BAND, BEST, LINE, MISSING, STYLE, lay_out, write_figure
 
 #: Costs above this share of the start's are cut off: candidates that fell say only that they fell.
 _SHOWN: Final = 2.0
@@ -27,11 +27,8 @@ def draw(content: Mapping[str, Any], folder: Path) -> list[Path]:
     files: list[Path] = []
     with matplotlib.rc_context(STYLE):
         for name, figure in (("search", _search(content)), ("residuals", _residuals(content))):
-            figure.draw_without_rendering()  # lays the axes out, once for both files
-            figure.set_layout_engine("none")
-            for form in ("png", "svg"):
-                files.append(folder / f"identification-{name}.{form}")
-                replace_file(files[-1], encode(figure, form))
+            lay_out(figure)
+            files += write_figure(figure, folder, f"identification-{name}", replace_file)
     return files
 
 

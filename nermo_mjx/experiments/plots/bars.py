@@ -21,7 +21,7 @@ from nermo_mjx.experiments.plots.page import (
     published_entry,
     swatch,
 )
-from nermo_mjx.sweep import figures
+from nermo_mjx.sweep import style
 
 #: Share of a group's width that its bars fill.
 _FILLED: Final = 0.82
@@ -71,14 +71,14 @@ def repeats(outcome: Outcome, column: str, **wanted: object) -> np.ndarray:
     Empty where the table has no such case.
     """
     rows = outcome.where(**wanted)
-    values = figures.shown(column, outcome.about[column].unit, outcome.columns[column][rows]).values
+    values = style.shown(column, outcome.about[column].unit, outcome.columns[column][rows]).values
     well = outcome.columns["status"][rows] == "ok" if "status" in outcome.columns else np.full(len(values), True)
     return np.where(well & np.isfinite(values), values, np.nan)
 
 
 def axis_label(outcome: Outcome, column: str, name: str) -> str:
     """Name and shown unit of a column."""
-    return figures.shown(name, outcome.about[column].unit, np.zeros(0)).label
+    return style.shown(name, outcome.about[column].unit, np.zeros(0)).label
 
 
 def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | None = None) -> None:

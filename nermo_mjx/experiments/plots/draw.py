@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Final
 
 import matplotlib
-import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots import balance, maze, report, straight_line, turning
-from nermo_mjx.sweep.figures import STYLE, encode
 from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.sweep.style import STYLE, lay_out, write_figure
 
 Drawer = Callable[[Outcome, Sequence[Line]], Iterator[tuple[str, Figure | None]]]
 DRAWERS: Final[dict[str, Drawer]] = {
@@ -23,7 +22,6 @@ DRAWERS: Final[dict[str, Drawer]] = {
     "balance": balance.figures,
     "maze": maze.figures,
 }
-FORMS: Final = ("png", "svg")
 
 
 def draw(outcome: Outcome, lines: Sequence[Line], out: Path) -> list[Path]:
@@ -43,10 +41,8 @@ def draw(outcome: Outcome, lines: Sequence[Line], out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     for name, figure in pictures(outcome, lines):
-        for form in FORMS:
-            files.append(out / f"{outcome.experiment}-{name}.{form}")
-            with matplotlib.rc_context(STYLE):
-                replace_file(files[-1], encode(figure, form))
+        with matplotlib.rc_context(STYLE):
+            files += write_figure(figure, out, f"{outcome.experiment}-{name}", replace_file)
     return files
 
 
@@ -57,9 +53,5 @@ def pictures(outcome: Outcome, lines: Sequence[Line]) -> list[tuple[str, Figure]
         drawn = [*DRAWERS[outcome.experiment](outcome, lines), *report.figures(outcome, lines)]
         kept = [(name, figure) for name, figure in drawn if figure is not None]
         for _, figure in kept:
-            for _ in range(2):  # lays the axes out; those of equal scales take a second time
-                figure.draw_without_rendering()
-            figure.set_layout_engine("none")
-            for ax in figure.axes:  # the layout's last digits differ from run to run, and with them the files' bytes
-                ax.set_position(np.round(ax.get_position(original=True).bounds, 6).tolist())
+            lay_out(figure)
     return kept

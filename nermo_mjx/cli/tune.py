@@ -1,0 +1,158 @@
+"""`nermo-mjx tune`: parameters by gradient."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.progress import Stages, duration
+
+if TYPE_CHECKING:
+    from nermo_mjx.tune import Progress, Tuning, TuningResult
+
+EPILOG = """\b
+Examples:
+  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
+  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
+  nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
+"""
+#: Metrics of the point that are named while it goes on; more would not fit a line.
+_NAMED = 3
+
+
+@click.command("tune", epilog=EPILOG)
+@click.argument("spec", metavar="SPEC.yaml", type=click.Path(path_type=Path))
+@click.option(
+    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
+)
+@options.number("--iterations", "Steps, instead of those in the file.", click.IntRange(1, 1_000_000))
+@options.number("--starts", "Points tuned side by side, instead.", click.IntRange(1, 100_000))
+@options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
+@click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
+@click.option("--video/--no-video", default=None, help="Render start and best, whatever the file says.")
+@options.report
+def command(spec: Path, out: Path, as_json: bool, quiet: bool, **chosen: Any) -> None:
+    """Tune the parameters that a tuning file names, by gradient.
+
+    Writes the best point, the history of all iterations, a sweep file with
+    the tuned values, checkpoints, plots and, on demand, a video to DIR. After
+    Ctrl-C or a crash, give the same command again: it goes on, and ends with
+    the same numbers. More iterations prolong a tuning that is done.
+    """
+    with stdout_reserved():
+        from nermo_mjx.tune import Tuning, run_tuning
+
+        tuning = Tuning.from_file(spec)
+        tuning = dataclasses.replace(tuning, **{name: value for name, value in chosen.items() if value is not None})
+        with Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages:
+            display = _Display(stages, tuning)
+            result = run_tuning(tuning, out, progress=display.report, drawing=stages.share)
+            for note in result.pictures.notes:
+                stages.say(note)
+    if as_json:
+        print_json(_content(result))
+    elif not quiet:
+        _print(result)
+
+
+class _Display:
+    """Passes a tuning's progress on to what shows it."""
+
+    def __init__(self, stages: Stages, tuning: Tuning) -> None:
+        self._stages, self._tuning = stages, tuning
+        self._begun = False
+
+    def report(self, progress: Progress) -> None:
+        """Show how far the tuning is; there is one evaluation more than steps."""
+        total = progress.iterations + 1
+        done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
+        self._begun = True
+        self._stages.part("tune", "evaluations").share(done / total, done, total, self._known(progress))
+
+    def _known(self, progress: Progress) -> str:
+        """The best objective so far, and the metrics of this iteration's best point."""
+        if progress.best is None:
+            return ""
+        parts = [f"best {progress.best:.4g}"]
+        for name in self._tuning.objective.metrics[:_NAMED]:
+            if name in progress.metrics:
+                parts.append(_number_and_unit(name, progress.metrics[name]))
+        return ", ".join(parts)
+
+
+def _content(result: TuningResult) -> dict[str, Any]:
+    """What a tuning gave, in SI units and radians."""
+    pictures = result.pictures
+    return {
+        "out": result.out,
+        "iterations_run": result.iterations_run,
+        "start": result.start,
+        "best": result.best,
+        "plots": list(pictures.plots),
+        "video": pictures.video,
+        "notes": list(pictures.notes),
+    }
+
+
+def _print(result: TuningResult) -> None:
+    best = result.best
+    columns = [("", "left"), ("start", "right"), ("best", "right"), ("change", "right"), ("", "left")]
+    where = f" of start {best['start']}" if result.tuning.starts > 1 else ""
+    print_table(f"Iteration {best['iteration']}{where} is the best", columns, _rows(result))
+    wall = result.history.column("wall_seconds")[-1].as_py()
+    effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
+    click.echo(f"{best['iterations']} iterations ({effort})")
+    if not result.start["ok"]:
+        click.echo("From the given start, the robot did not walk to the end.")
+    places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
+    places |= {"plots": "plots"} if result.pictures.plots else {}
+    for name, place in places.items():
+        click.echo(f"{name:<8}{result.out / place}")
+    if result.pictures.video is not None:
+        click.echo(f"video   {result.pictures.video}")
+
+
+def _rows(result: TuningResult) -> list[list[str]]:
+    """Every parameter, every metric of the objective, and the objective itself, as people read them."""
+    start, best = result.start, result.best
+    names = dict.fromkeys(result.tuning.names, "parameters")
+    names |= dict.fromkeys(result.tuning.objective.metrics, "metrics")
+    rows = []
+    for name, kind in names.items():
+        (before, after), unit = _shown(result.tuning, name, (start[kind][name], best[kind][name]))
+        rows.append([name, *_cells(before, after), unit])
+    return [*rows, ["objective", *_cells(start["objective"], best["objective"]), "lower is better"]]
+
+
+def _cells(before: float, after: float) -> list[str]:
+    change = after - before
+    return [_digits(before), _digits(after), f"{change + 0.0:+.3g}" if math.isfinite(change) else "-"]
+
+
+def _digits(value: float) -> str:
+    return f"{value + 0.0:.4g}" if math.isfinite(value) else "-"
+
+
+def _number_and_unit(metric: str, value: float) -> str:
+    from nermo_mjx.sweep.style import shown
+    from nermo_mjx.tune.objective import OBJECTIVE_METRICS
+
+    quantity = shown(metric, OBJECTIVE_METRICS[metric].unit, value)
+    return f"{metric} {float(quantity.values):.4g} {quantity.unit}".rstrip()
+
+
+def _shown(tuning: Tuning, name: str, values: tuple[float, float]) -> tuple[tuple[float, float], str]:
+    """Two values of a parameter or metric as figures show them, and the unit."""
+    from nermo_mjx.sweep.style import shown
+    from nermo_mjx.tune.objective import OBJECTIVE_METRICS
+
+    about = tuning.parameters.get(name) or OBJECTIVE_METRICS[name]
+    quantity = shown(name, about.unit, values)
+    before, after = quantity.values.tolist()
+    return (before, after), quantity.unit

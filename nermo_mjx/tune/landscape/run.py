@@ -1,0 +1,119 @@
+"""Measure a landscape into a directory: the table first, then everything that is made of it.
+
+DIR/landscape.parquet   one row a point: parameters, objective, exact gradient, metrics
+DIR/landscape.json      how well slopes and secants agree, by parameter and width; versions, machine, command
+DIR/report.md           the same to read, with its figures
+DIR/plots/              a figure for each parameter
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.files import clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.sweep.lock import hold
+from nermo_mjx.sweep.provenance import session
+from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.landscape.lines import lines_of
+from nermo_mjx.tune.landscape.plan import plan
+from nermo_mjx.tune.landscape.report import content_of, page
+from nermo_mjx.tune.landscape.table import KEY, evaluate, key, read
+from nermo_mjx.tune.run import as_tuning, simulation_of
+from nermo_mjx.tune.spec import Tuning
+
+#: Points of a line: with the secants about nine of them, 131 walks a parameter.
+POINTS = 41
+_TABLE = "landscape.parquet"
+
+
+@dataclasses.dataclass(frozen=True)
+class LandscapeResult:
+    """A measured landscape.
+
+    Attributes:
+        out: its directory.
+        tuning: whose objective it is.
+        table: all points, see `nermo_mjx.tune.landscape.table`.
+        content: of landscape.json.
+        plots: files of the figures.
+        evaluated: points that this call evaluated; 0 if the directory held them.
+    """
+
+    out: Path
+    tuning: Tuning
+    table: pa.Table
+    content: dict[str, Any]
+    plots: tuple[Path, ...]
+    evaluated: int
+
+
+def run_landscape(
+    spec: Tuning | Mapping[str, Any] | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    problem: Problem | None = None,
+    points: int = POINTS,
+    span: float = 1.0,
+    progress: Callable[[int, int], None] | None = None,
+) -> LandscapeResult:
+    """Measure whether a tuning's gradients can be trusted, on a line along each parameter through the given start.
+
+    Objective and exact slope are found at `points` points of each line, and about nine of them secants of five widths.
+    Where the slope equals narrow secants, the derivative is right; where it equals wide ones, it leads somewhere. A
+    directory that holds the points already is not evaluated again.
+
+    Args:
+        spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer, estimator and
+            further starts do not matter.
+        out: the directory.
+        problem: stands in for the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        points: of each line, 5 or more.
+        span: length of the lines as a share of the bounds, in (0, 1]; shorter lines lie about the start.
+        progress: called with the points done, and all of them.
+
+    Raises:
+        SpecError: the tuning is wrong; nothing has been written.
+        ParameterError: points or span is not allowed.
+        StoreError: the directory holds another landscape, is in use, or cannot be written.
+    """
+    tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
+    if points < 5:
+        raise ParameterError(f"points is {points}: allowed is 5 or more.")
+    if not 0.0 < span <= 1.0:
+        raise ParameterError(f"span is {span:g}: allowed is (0, 1].")
+    folder = Path(out)
+    with contextlib.ExitStack() as stack, clear_errors(folder):
+        make_writable(folder)
+        stack.callback(os.close, hold(folder))
+        wanted = key(tuning, points, span)
+        table, evaluated = read(folder / _TABLE, wanted), 0
+        if table is None:
+            chosen = plan(tuning, points, span)
+            about = {KEY.decode(): wanted, "session": to_json(session(points=points, span=span)).decode()}
+            table = evaluate(tuning, problem or simulation_of(tuning), chosen, progress or (lambda *_: None), about)
+            evaluated = len(chosen)
+            replace_file(folder / _TABLE, parquet_bytes(table))  # before anything that can still fail
+        return _publish(folder, tuning, table, evaluated)
+
+
+def _publish(folder: Path, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
+    """Make everything else from the table."""
+    from nermo_mjx.tune.landscape.plots import draw_plots
+
+    lines = lines_of(tuning, table)
+    content = content_of(tuning, table, lines)
+    replace_file(folder / "landscape.json", to_json(content))
+    plots = draw_plots(tuning, lines, folder / "plots", write=replace_file)
+    content["plots"] = [path.relative_to(folder).as_posix() for path in plots]
+    replace_file(folder / "landscape.json", to_json(content))
+    replace_file(folder / "report.md", page(content).encode())
+    return LandscapeResult(folder, tuning, table, content, tuple(plots), evaluated)

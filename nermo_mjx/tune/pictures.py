@@ -1,0 +1,113 @@
+"""What a finished tuning gives to look at: figures, the landscape behind its paths, a video of start and best."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.files import parquet_bytes
+from nermo_mjx.tune import background
+from nermo_mjx.tune.background import Background, SimulatorLike
+from nermo_mjx.tune.directory import Directory
+from nermo_mjx.view import RecordingError, VideoError
+
+#: The landscape is kept, so that it is simulated once.
+LANDSCAPE: Final = "plots/landscape.parquet"
+VIDEO: Final = "video.mp4"
+
+
+@dataclasses.dataclass(frozen=True)
+class Pictures:
+    """Files made from a tuning's results.
+
+    Attributes:
+        plots: figures, as PNG and SVG.
+        video: of start and best; None if there is none.
+        notes: a sentence on each thing that was wanted and could not be made.
+    """
+
+    plots: tuple[Path, ...] = ()
+    video: Path | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Painter:
+    """Makes the pictures of one directory; nothing that it cannot make does harm to the rest.
+
+    Attributes:
+        directory: where they go.
+        simulator: makes what walks in them, the first time that it is needed; None: nothing walks in them.
+        drawing: called with what is being made, and the share of it.
+    """
+
+    directory: Directory
+    simulator: Callable[[], SimulatorLike] | None
+    drawing: Callable[[str, float], None]
+
+    def paint(self, history: pa.Table, start: Mapping[str, Any], best: Mapping[str, Any]) -> Pictures:
+        """Make the pictures that the tuning wants.
+
+        Args:
+            history: the tuning's table.
+            start, best: the point it began with and the best one, see `nermo_mjx.tune.outcome`.
+        """
+        tuning, notes = self.directory.tuning, []
+        plots: list[Path] = []
+        if tuning.plots:
+            from nermo_mjx.tune.plots import draw_plots
+
+            landscape, problem = self._landscape(best["parameters"])
+            notes += problem
+            self.drawing("plots", 0.0)
+            plots = draw_plots(
+                tuning, history, self.directory.out / "plots", background=landscape,
+                write=lambda path, content: self.directory.write(self._name(path), content),
+            )  # fmt: skip
+        video = None
+        if tuning.video and self.simulator is not None:
+            video, problem = self._video(start, best)
+            notes += problem
+        return Pictures(tuple(plots), video, tuple(notes))
+
+    def _landscape(self, best: Mapping[str, float]) -> tuple[Background | None, list[str]]:
+        """The objective around the paths, as kept or simulated."""
+        tuning = self.directory.tuning
+        if self.simulator is None or not background.has_background(tuning):
+            return None, []
+        others = {name: best[name] for name in tuning.names if name not in background.grid_axes(tuning)}
+        table = background.read(self.directory.out / LANDSCAPE, tuning, others)
+        if table is None:
+            self.drawing("landscape", 0.0)
+            try:
+                table = background.simulate(
+                    tuning, others, self.simulator(), lambda share: self.drawing("landscape", share)
+                )
+            except ParameterError as error:
+                return None, [f"There is no landscape behind the paths, because some of it cannot be walked: {error}"]
+            self.directory.write(LANDSCAPE, parquet_bytes(table))
+        return background.background_of(tuning, table), []
+
+    def _video(self, start: Mapping[str, Any], best: Mapping[str, Any]) -> tuple[Path | None, list[str]]:
+        """The video, as kept or made anew."""
+        from nermo_mjx.tune.video import check, shoot
+
+        path = self.directory.out / VIDEO
+        if path.exists():
+            return path, []
+        assert self.simulator is not None
+        try:
+            check(self.directory.tuning, path)
+            self.drawing("video", 0.0)
+            return shoot(self.directory.tuning, start, best, self.simulator(), path,
+                         lambda share: self.drawing("video", share)), []  # fmt: skip
+        except (VideoError, RecordingError) as error:
+            return None, [f"There is no video. {error}"]
+
+    def _name(self, path: Path) -> str:
+        return path.relative_to(self.directory.out).as_posix()

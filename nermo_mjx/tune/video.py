@@ -1,0 +1,91 @@
+"""The video of a tuning: the walk it began with and the best one, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from nermo_mjx.rollout import Run
+from nermo_mjx.sweep.style import shown
+from nermo_mjx.tune.background import SimulatorLike
+from nermo_mjx.tune.objective import OBJECTIVE_METRICS
+from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.view import check_video, recording_of
+from nermo_mjx.view.side_by_side import Pane, render_side_by_side
+
+#: Gait cycles that are shown, and the time that they may take at most [s].
+CYCLES, LONGEST = 2.0, 4.0
+#: Slowed, so that one sees when the spine bends. A picture takes 0.1 s of one core without a graphics card.
+SPEED: Final = 0.5
+FPS, WIDTH, HEIGHT = 25, 480, 360
+#: From above, the spine's bending is seen best, and the feet still.
+CAMERA: Final = "high"
+
+
+def check(tuning: Tuning, path: Path) -> None:
+    """Raise `VideoError` if this machine cannot make the video, before anything walks for it."""
+    check_video(tuning.setup.load().model, path, camera=CAMERA)
+
+
+def shoot(
+    tuning: Tuning,
+    start: Mapping[str, Any],
+    best: Mapping[str, Any],
+    simulator: SimulatorLike,
+    path: Path,
+    progress: Callable[[float], None] | None = None,
+) -> Path:
+    """Walk the given start and the best point once more, after their warm-up, and render both.
+
+    Args:
+        start, best: `parameters`, `objective` and `metrics` of each; `iteration` and `start` of the best.
+        simulator: that walks them, of the tuning's setup.
+
+    Raises:
+        VideoError: this machine cannot draw or encode.
+        RecordingError: neither of them has a state that can be shown.
+    """
+    values = {name: np.full(2, value) for name, value in tuning.constants.items()}
+    values |= {name: np.array([start["parameters"][name], best["parameters"][name]]) for name in tuning.names}
+    begin, end = _span(tuning, values)
+    trace = simulator.run(values, Run(duration=end), record=True).trace
+    where = f", start {best['start']}" if tuning.starts > 1 else ""
+    titles = ("Start", f"Best, iteration {best['iteration']}{where}")
+    model = tuning.setup.load().model
+    panes = [
+        Pane(recording_of(trace, model, world=i, metadata={}).between(begin, end), title, _caption(tuning, point))
+        for i, (title, point) in enumerate(zip(titles, (start, best), strict=True))
+    ]
+    return render_side_by_side(
+        panes, model, path, fps=FPS, width=WIDTH, height=HEIGHT, camera=CAMERA, speed=SPEED,
+        progress=None if progress is None else lambda done, frames: progress(done / frames),
+    )  # fmt: skip
+
+
+def _span(tuning: Tuning, values: Mapping[str, np.ndarray]) -> tuple[float, float]:
+    """From when to when both walks are shown [s]: some gait cycles after the longer warm-up."""
+    defaults = tuning.parameters
+    frequency, ratio = (values.get(name, np.full(2, float(defaults[name].default)))  # type: ignore[arg-type]
+                        for name in ("frequency", "tracking.clock_ratio"))  # fmt: skip
+    begin, end = (float(np.max(each)) for each in tuning.run.seconds(frequency, ratio))
+    shown = min(CYCLES * float(np.max(ratio / frequency)), LONGEST)
+    # A run of a cycle or two is shown from its beginning on.
+    begin = max(0.0, min(begin, end - shown))
+    return begin, begin + min(shown, end)
+
+
+def _caption(tuning: Tuning, point: Mapping[str, Any]) -> list[str]:
+    """What the objective reads, and below it the parameters, as figures show them."""
+    known = tuning.parameters
+    metrics = [_text(name, OBJECTIVE_METRICS[name].unit, point["metrics"][name]) for name in tuning.objective.metrics]
+    parameters = [_text(name, known[name].unit, value) for name, value in point["parameters"].items()]
+    return [", ".join(metrics), ", ".join(parameters)]
+
+
+def _text(name: str, unit: str, value: float) -> str:
+    quantity = shown(name, unit, np.asarray(value))
+    number = f"{float(quantity.values):.3g}" if np.isfinite(value) else "–"
+    return f"{name} {number} {quantity.unit}".rstrip()

@@ -1,0 +1,90 @@
+"""From frames to a video file: MP4 (H.264) or GIF."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import UInt8
+
+#: Called with (frames done, frames in all).
+Progress = Callable[[int, int], None]
+SUFFIXES: Final = (".mp4", ".gif")
+
+
+class VideoError(RuntimeError):
+    """A video that cannot be made; the message is one sentence, with the remedy where there is one."""
+
+
+def write_video(
+    path: Path,
+    frames: Iterable[UInt8[np.ndarray, "height width 3"]],
+    count: int,
+    *,
+    fps: int,
+    width: int,
+    height: int,
+    progress: Progress | None = None,
+) -> Path:
+    """Encode frames as they come; the file appears only when it is whole.
+
+    Args:
+        count: of the frames.
+        progress: called with (frames done, frames in all).
+
+    Raises:
+        VideoError: it cannot be written.
+    """
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _writer(partial, fps, width, height) as write:
+            for done, frame in enumerate(frames, start=1):
+                write(frame)
+                if progress is not None:
+                    progress(done, count)
+        partial.replace(path)
+    except OSError as error:
+        raise VideoError(f"{path}: the video cannot be written ({error.strerror or error}).") from None
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+@contextlib.contextmanager
+def _writer(path: Path, fps: int, width: int, height: int) -> Iterator[Callable[[np.ndarray], object]]:
+    if path.suffix == ".gif":
+        import imageio.v2 as imageio
+
+        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
+        with writer:
+            yield writer.append_data
+        return
+    encoder = require_encoder().write_frames(
+        str(path), (width, height), fps=fps, codec="libx264", pix_fmt_out="yuv420p", quality=8, macro_block_size=2,
+        ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        # JAX warns of every fork; the child becomes ffmpeg at once.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        encoder.send(None)
+    try:
+        yield lambda frame: encoder.send(np.ascontiguousarray(frame))
+    finally:
+        encoder.close()
+
+
+def require_encoder() -> Any:
+    """The module that runs ffmpeg, which it brings along; raises `VideoError` where there is none."""
+    try:
+        import imageio_ffmpeg
+
+        imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
+    return imageio_ffmpeg

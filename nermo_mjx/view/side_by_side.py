@@ -1,0 +1,161 @@
+"""Several recordings in one video, side by side and in step, each with its caption and the way it has gone."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.view.camera import smooth_path
+from nermo_mjx.view.encoding import Progress, write_video
+from nermo_mjx.view.recording import Recording
+from nermo_mjx.view.video import check_video, draw, frame_samples, root_path
+
+#: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
+_LINE, _FOOTER, _GAP = 18, 40, 4
+#: Pixels to an inch of matplotlib, and mean width of a character of a caption [pixels].
+_DPI, _CHARACTER = 100, 6.6
+_BAR, _TRACK, _INK, _PAPER = (35, 100, 143), (226, 226, 226), "#222222", 255
+
+
+@dataclasses.dataclass(frozen=True)
+class Pane:
+    """One recording and what stands above it.
+
+    Attributes:
+        recording: from its first sample on.
+        title: in bold.
+        caption: lines below the title; long ones are broken.
+    """
+
+    recording: Recording
+    title: str
+    caption: Sequence[str] = ()
+
+
+def render_side_by_side(
+    panes: Sequence[Pane],
+    model: mujoco.MjModel,
+    path: str | os.PathLike[str],
+    *,
+    fps: int = 25,
+    width: int = 480,
+    height: int = 360,
+    camera: str = "three_quarter",
+    speed: float = 1.0,
+    progress: Progress | None = None,
+) -> Path:
+    """Render recordings of one model into one video; it is as long as the shortest of them.
+
+    Each robot has its own camera. A bar below it shows how far it has come since the beginning, on one scale for all.
+
+    Args:
+        panes: from left to right.
+        model, path, fps, camera, speed, progress: as for `render`.
+        width, height: of one picture in pixels; the video has all of them and their captions.
+
+    Raises:
+        ParameterError: no panes, or something is asked for that cannot be.
+        VideoError: this machine cannot draw or encode.
+        RecordingError: a recording does not fit the model.
+    """
+    if not panes:
+        raise ParameterError("A video side by side needs at least one recording.")
+    path = Path(path)
+    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed)
+    for pane in panes:
+        pane.recording.check_model(model)
+    samples = [frame_samples(pane.recording, fps, speed) for pane in panes]
+    count = min(map(len, samples))
+    samples = [each[:count] for each in samples]
+    header = _header(panes, width)
+    ways = _ways(panes, model, samples, speed / fps)
+    pictures = zip(*(draw(pane.recording, model, each, width, height, camera, speed / fps)
+                     for pane, each in zip(panes, samples, strict=True)), strict=True)  # fmt: skip
+
+    def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+        for i, row in enumerate(pictures):
+            footer = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
+            yield np.concatenate([header, _beside(list(row)), footer])
+
+    size = (header.shape[1], header.shape[0] + height + _FOOTER)
+    return write_video(path, frames(), count, fps=fps, width=size[0], height=size[1], progress=progress)
+
+
+def _ways(
+    panes: Sequence[Pane], model: mujoco.MjModel, samples: Sequence[np.ndarray], interval: float
+) -> Float[np.ndarray, "panes F"]:
+    """How far each robot is from where it began, the steps' swaying left out [m]."""
+    data, ways = mujoco.MjData(model), []
+    for pane, each in zip(panes, samples, strict=True):
+        positions = smooth_path(root_path(pane.recording, model, data, each), interval)[:, :2]
+        ways.append(np.linalg.norm(positions - positions[0], axis=1))
+    return np.array(ways)
+
+
+def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
+    """The captions, above one another's pictures; all have the height of the longest."""
+    most = int(width / _CHARACTER)
+    texts = [[part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes]
+    height = _LINE * (1 + max(map(len, texts))) + 10
+    strips = []
+    for pane, lines in zip(panes, texts, strict=True):
+        figure = _strip(width, height + height % 2)
+        _write(figure, 8, 4, pane.title, fontsize=10.5, fontweight="bold")
+        for i, line in enumerate(lines, start=1):
+            _write(figure, 8, 5 + i * _LINE, line, fontsize=8.5)
+        strips.append(_pixels(figure))
+    return _beside(strips)
+
+
+def _footer(
+    seconds: float, speed: float, ways: Float[np.ndarray, " panes"], furthest: float, width: int
+) -> UInt8[np.ndarray, "height width 3"]:
+    """A bar for each robot's way, its length in millimetres, and the time."""
+    strips = []
+    room = width - 16
+    for i, way in enumerate(ways):
+        figure = _strip(width, _FOOTER)
+        slowed = {1.0: "", 0.5: ", half speed"}.get(speed, f", speed {speed:g}")
+        clock = f"{seconds:.2f} s{slowed}"
+        _write(figure, 8, 19, f"{1e3 * way:.0f} mm" + (f" in {clock}" if i == 0 else ""), fontsize=8.5)
+        strip = _pixels(figure)
+        strip[7:15, 8 : 8 + room] = _TRACK
+        strip[7:15, 8 : 8 + round(room * way / max(furthest, 1e-6))] = _BAR
+        strips.append(strip)
+    return _beside(strips)
+
+
+def _beside(pictures: list[np.ndarray]) -> UInt8[np.ndarray, "height width 3"]:
+    """Pictures of one height in a row, a little apart."""
+    gap = np.full((len(pictures[0]), _GAP, 3), _PAPER, np.uint8)
+    parts = [part for picture in pictures for part in (gap, picture)][1:]
+    return np.concatenate(parts, axis=1)
+
+
+def _strip(width: int, height: int) -> Figure:
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _write(figure: Figure, x: float, y: float, text: str, **style: Any) -> None:
+    """Write a text whose upper left corner is so many pixels from that of the figure."""
+    width, height = figure.get_size_inches() * _DPI
+    figure.text(x / width, 1 - y / height, text, va="top", color=_INK, **style)
+
+
+def _pixels(figure: Figure) -> UInt8[np.ndarray, "height width 3"]:
+    canvas: Any = figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -1,0 +1,152 @@
+"""The whole walk as a differentiable function: both modes against each other, and against central differences."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.physics.checkpointing import checkpointed_scan
+from nermo_mjx.physics.mass_constants import MassConstants
+from nermo_mjx.robot import ParameterError, load_robot
+from nermo_mjx.rollout import Run, Setup
+from nermo_mjx.rollout.derivative import MOST_FORWARD, choose_mode, value_and_gradient
+from nermo_mjx.rollout.differentiable import Rollout
+
+#: One number of each kind: spine, gait, a stiffness, a mass, friction, contact.
+POINT = {
+    "spine.amplitude": 0.2, "spine.phase": -1.0, "frequency": 0.8, "stride": 0.9, "stiffness.ankle": 0.1,
+    "mass.front": 0.165, "contact.friction": 1.3, "contact.width": 0.001,
+}  # fmt: skip
+ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
+#: Half-width of the central differences, as a share of each value: wide against what the solver leaves (1e-11 of the
+#: speed), narrow against the distance of two touch-downs.
+SHARE = 1e-4
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """(point, speed at the point and around it, forward mode, reverse mode) of one gait cycle in float64."""
+    with jax.enable_x64(True):
+        rollout = Rollout(Setup(spine="stride_extension"), ONE_CYCLE, slowest=0.79)
+
+        def speed(point):
+            return rollout(dict(zip(POINT, point, strict=True)))["speed"]
+
+        first = np.array(list(POINT.values()))
+        ways = np.diag(SHARE * np.abs(first))
+        around = jax.jit(jax.vmap(lambda point: (speed(point), jax.jacfwd(speed)(point))))
+        values, slopes = map(np.asarray, around(np.concatenate([first[None], first + ways, first - ways])))
+        value, reverse = jax.jit(jax.value_and_grad(speed))(jnp.asarray(first))
+        return first, values, slopes[0], float(value), np.asarray(reverse)
+
+
+@pytest.mark.slow
+def test_both_modes_of_a_walk_agree(walked):
+    """Forward and reverse mode differ by the rounding of two programs, which a walk amplifies."""
+    first, values, ahead, value, reverse = walked
+    assert value == pytest.approx(values[0], rel=1e-9)
+    np.testing.assert_allclose(reverse, ahead, rtol=1e-8, atol=1e-8 * np.abs(ahead * first).max() / first.min())
+
+
+@pytest.mark.slow
+def test_the_gradient_of_a_walk_is_that_of_the_simulation(walked):
+    """Central differences, which know nothing of the rule for contacts."""
+    first, values, ahead, *_ = walked
+    high, low = np.split(values[1:], 2)
+    differences = (high - low) / (2 * SHARE * np.abs(first))
+    np.testing.assert_allclose(ahead, differences, rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_constants_that_follow_from_masses_are_mujocos(seed):
+    """`mj_setConst` of a robot whose bodies weigh otherwise; armature, tendons and servos enter it too."""
+    model = load_robot().model
+    constants = MassConstants(model)
+    other = model.__copy__()
+    scale = np.random.default_rng(seed).uniform(0.3, 3.0, model.nbody)
+    other.body_mass[:] *= scale
+    other.body_inertia[:] *= scale[:, None]
+    mujoco.mj_setConst(other, mujoco.MjData(other))
+    with jax.enable_x64(True):
+        found = constants(jnp.asarray(other.body_mass), jnp.asarray(other.body_inertia))
+    for name, values in found.items():
+        np.testing.assert_allclose(values, getattr(other, name), rtol=1e-9, err_msg=name)
+
+
+def test_readings_at_rest_are_mujocos():
+    """A robot put down anywhere reads where its IMU is; nothing moves or pushes in these readings."""
+    robot = load_robot()
+    data = mujoco.MjData(robot.model)
+    qpos = robot.model.qpos0.copy()
+    qpos[robot.joints.root : robot.joints.root + 7] = [0.3, -0.2, 0.06, 0.8, 0.1, -0.2, 0.55]
+    qpos[robot.joints.root + 3 : robot.joints.root + 7] /= np.linalg.norm([0.8, 0.1, -0.2, 0.55])
+    data.qpos[:] = qpos
+    mujoco.mj_forward(robot.model, data)
+    found, expected = robot.sensors(robot.sensordata_at_rest(jnp.asarray(qpos))), robot.sensors(data.sensordata)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-6)
+    np.testing.assert_allclose(found.orientation, expected.orientation, atol=1e-6)
+    assert not np.any(found.foot_force)
+    assert not np.any(found.linear_velocity)
+
+
+@pytest.mark.parametrize("length", [1, 2, 7, 640, 1500])
+def test_a_checkpointed_scan_is_a_scan(length):
+    """The same outputs and the same gradient, for lengths that its segments divide and others."""
+
+    def body(carry):
+        carry = jnp.sin(1.1 * carry) + 0.01
+        return carry, carry
+
+    def total(start, scan):
+        return jnp.sum(scan(start) ** 2)
+
+    def plain(start):
+        return jax.lax.scan(lambda carry, _: body(carry), start, None, length=length)[1]
+
+    def ours(start):
+        return checkpointed_scan(body, start, length)[1]
+
+    start = jnp.asarray(0.7)
+    np.testing.assert_allclose(ours(start), plain(start), rtol=1e-6)
+    np.testing.assert_allclose(jax.grad(total)(start, ours), jax.grad(total)(start, plain), rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_value_and_gradient_of_a_function_with_a_known_one(mode):
+    """Both modes give value, gradient and what else the function finds."""
+    value, gradient, rest = value_and_gradient(lambda x: (jnp.sum(x**3), {"sum": jnp.sum(x)}), mode)(jnp.arange(3.0))
+    assert (float(value), float(rest["sum"])) == (9.0, 3.0)
+    np.testing.assert_allclose(gradient, [0.0, 3.0, 12.0])
+
+
+def test_the_mode_follows_the_number_of_parameters():
+    assert choose_mode(MOST_FORWARD) == "forward"
+    assert choose_mode(MOST_FORWARD + 1) == "reverse"
+    assert choose_mode(2, "reverse") == "reverse"
+
+
+@pytest.mark.parametrize(
+    ("run", "message"),
+    [
+        (Run(cycles=4, distance=1.0), "run.distance is given"),
+        (Run(cycles=np.array([4.0, 5.0])), "one length for each world"),
+    ],
+)
+def test_runs_without_a_fixed_length_are_refused(run, message):
+    with pytest.raises(ParameterError, match=message):
+        Rollout(Setup(), run)
+
+
+def test_wrong_values_are_refused_before_anything_is_traced():
+    rollout = Rollout(Setup(), ONE_CYCLE)
+    with pytest.raises(ParameterError, match=r"spine\.amplitud"):
+        rollout({"spine.amplitud": 0.2})
+    with pytest.raises(ParameterError, match=r"frequency is -1: allowed is"):
+        rollout({"frequency": -1.0})
+    with pytest.raises(ParameterError, match=r"stride has shape \(2,\).*jax.vmap"):
+        rollout({"stride": np.array([0.5, 1.0])})
+    with pytest.raises(ParameterError, match=r"frequency is traced.*slowest"):
+        jax.eval_shape(lambda f: rollout({"frequency": f}), jnp.asarray(0.8))

@@ -1,0 +1,285 @@
+"""Landscapes: which points are measured, that the measures are right, and the files."""
+
+import dataclasses
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from tune_fake import SPEC, FakeProblem
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep import SpecError, StoreError
+from nermo_mjx.tune import Evaluation, Tuning, run_landscape
+from nermo_mjx.tune.landscape import run, table
+from nermo_mjx.tune.landscape.lines import lines_of
+from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
+from nermo_mjx.tune.landscape.plots import line_figure
+
+TUNING = Tuning.from_dict(SPEC)
+#: Height of a stair, and stairs over the bounds of the amplitude.
+STAIR, STAIRS = 0.01, 50
+
+
+class Staircase(FakeProblem):
+    """The fake robot on stairs along the amplitude, which its gradient does not see; it falls where `falls` says."""
+
+    def evaluate(self, points, gradient):
+        found = super().evaluate(points, gradient)
+        stairs = STAIR * np.floor(np.asarray(points)[:, 0] / 0.4 * STAIRS)
+        return Evaluation(found.value + jnp.asarray(stairs), found.gradient, found.metrics, found.ok)
+
+
+def measure(out, kind=FakeProblem, change=None, points=41, span=1.0, **of_problem):
+    tuning = Tuning.from_dict(SPEC | (change or {}))
+    problem = kind(tuning, **of_problem)
+    return run_landscape(tuning, out, problem=problem, points=points, span=span), problem
+
+
+@pytest.fixture(scope="module")
+def smooth(tmp_path_factory):
+    return measure(tmp_path_factory.mktemp("landscape"))
+
+
+@pytest.fixture(scope="module")
+def rough(tmp_path_factory):
+    return measure(tmp_path_factory.mktemp("landscape"), Staircase)[0]
+
+
+def by_width(result, name):
+    """Measures of a parameter, by the width's share."""
+    return {width["share"]: width for width in result.content["parameters"][name]["widths"]}
+
+
+# --- points
+
+
+def test_lines_run_through_the_start_from_bound_to_bound():
+    """41 points each, short of the bounds as a tuner's are; what does not change stands at the start."""
+    wanted = plan(TUNING, 41, 1.0)
+    for i, (low, high, other) in enumerate(((0.0, 0.4, 2.5), (-np.pi, np.pi, 0.05))):
+        line = (wanted.line == i) & (wanted.side == 0)
+        x = wanted.points[line, i]
+        assert len(x) == 41
+        assert (np.diff(x) > 0).all()
+        assert x[[0, -1]] == pytest.approx([low + 0.001 * (high - low), high - 0.001 * (high - low)], rel=1e-4)
+        assert (wanted.points[line, 1 - i] == other).all()
+    assert len(wanted) == 2 * (41 + 2 * CENTRES * len(WIDTHS))
+
+
+def test_secants_lie_about_points_of_the_line():
+    """Each pair's middle is its centre, its distance its width; nine of each width, spread over the line."""
+    wanted = plan(TUNING, 41, 1.0)
+    for i, extent in enumerate((0.4, 2 * np.pi)):
+        line = wanted.points[(wanted.line == i) & (wanted.side == 0), i]
+        for width in WIDTHS:
+            low, high = ((wanted.line == i) & (wanted.width == width) & (wanted.side == side) for side in (-1, 1))
+            assert low.sum() == high.sum() == CENTRES
+            ends = wanted.points[low, i], wanted.points[high, i]
+            np.testing.assert_allclose(ends[1] - ends[0], width * extent)
+            np.testing.assert_allclose((ends[0] + ends[1]) / 2, line[wanted.centre[low]], atol=1e-12)
+            assert np.ptp(ends[0]) > 0.8 * extent
+
+
+def test_a_short_line_lies_about_the_start_and_within_the_bounds():
+    """A tenth of the range about the start, or as near as the bounds allow; no secant leads out of them."""
+    near = plan(TUNING, 11, 0.1)
+    x = near.points[(near.line == 1) & (near.side == 0), 1]
+    assert (x.min() + x.max()) / 2 == pytest.approx(2.5)
+    assert np.ptp(x) == pytest.approx(0.1 * 2 * np.pi, rel=3e-3)
+    edge = dataclasses.replace(TUNING, tuned=(dataclasses.replace(TUNING.tuned[0], start=0.0), TUNING.tuned[1]))
+    at_bound = plan(edge, 11, 0.05)
+    x = at_bound.points[at_bound.line == 0, 0]
+    assert 0.0 < x.min() <= x.max() < 0.4
+    assert set(at_bound.width[at_bound.line == 0]) < {0.0, *WIDTHS}
+
+
+# --- evaluations
+
+
+def test_all_points_are_evaluated_by_one_program(smooth):
+    """262 walks with gradients in five batches of one size: one compilation."""
+    result, problem = smooth
+    assert result.evaluated == result.table.num_rows == 262
+    assert problem.batches == [(53, True)] * 5
+    assert problem.compiled == 1
+
+
+def test_the_table_holds_every_point_with_units_and_roles(smooth):
+    """Values, gradients by all parameters and metrics, at the points as they were rounded."""
+    result, problem = smooth
+    stored = pq.read_table(result.out / "landscape.parquet")
+    assert stored.equals(result.table)
+    frame = stored.to_pandas()
+    points = jnp.asarray(frame[list(TUNING.names)].to_numpy(), jnp.float32)
+    again = problem.evaluate(points, True)
+    np.testing.assert_allclose(frame["objective"], again.value, rtol=1e-6)
+    np.testing.assert_allclose(frame["gradient.spine.phase"], np.asarray(again.gradient)[:, 1], rtol=1e-5, atol=1e-7)
+    assert (frame["spine.amplitude"].to_numpy() == np.float32(frame["spine.amplitude"])).all()
+    about = {field.name: field.metadata for field in stored.schema}
+    assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"
+    assert about["speed"][b"role"] == b"metric"
+    assert {"line", "centre", "width", "side", "ok", "roll_std"} <= set(about)
+
+
+def test_points_once_found_are_kept(tmp_path, monkeypatch):
+    """Drawing fails: the table is there, and the same call goes on from it, evaluating nothing."""
+    monkeypatch.setattr("nermo_mjx.tune.landscape.plots.line_figure", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        measure(tmp_path)
+    assert (tmp_path / "landscape.json").exists()
+    monkeypatch.undo()
+    result, problem = measure(tmp_path)
+    assert (result.evaluated, problem.batches) == (0, [])
+    assert len(result.plots) == 4
+    other, problem = measure(tmp_path, change={"optimizer": "sgd", "seed": 5, "starts": 7})
+    assert other.evaluated == 0, "how a tuner would go does not matter"
+
+
+@pytest.mark.parametrize("more", [{"points": 21}, {"span": 0.5}, {"change": {"set": {"frequency": 0.7}}}])
+def test_a_directory_belongs_to_one_landscape(tmp_path, more):
+    """Other lines or another walk need another directory, and so do damaged points."""
+    few = {"points": 5}
+    measure(tmp_path, **few)
+    with pytest.raises(StoreError, match="holds another landscape; choose another directory"):
+        measure(tmp_path, **(few | more))
+    (tmp_path / "landscape.parquet").write_text("damaged")
+    with pytest.raises(StoreError, match="is damaged: remove it"):
+        measure(tmp_path, **few)
+
+
+@pytest.mark.parametrize(("points", "span", "sentence"), [(4, 1.0, "points is 4"), (9, 0.0, "span is 0"),
+                                                          (9, 1.5, "span is 1.5")])  # fmt: skip
+def test_what_is_not_allowed_is_said_before_anything_is_written(tmp_path, points, span, sentence):
+    with pytest.raises(ParameterError, match=sentence):
+        measure(tmp_path / "out", points=points, span=span)
+    with pytest.raises(SpecError):
+        run_landscape({"tune": {}}, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_path_and_a_dict_are_tunings_too(tmp_path, monkeypatch):
+    """The simulation is made of the tuning where nothing stands in."""
+    monkeypatch.setattr(run, "simulation_of", FakeProblem)
+    (tmp_path / "t.yaml").write_text(TUNING.to_yaml())
+    assert run_landscape(tmp_path / "t.yaml", tmp_path / "a", points=5).tuning == TUNING
+    assert run_landscape(SPEC, tmp_path / "b", points=5).evaluated > 0
+
+
+# --- measures
+
+
+def test_on_a_smooth_landscape_slopes_and_secants_agree(smooth):
+    """At all widths but the narrowest, where float32 rounds, the error is that of a difference quotient."""
+    result, _ = smooth
+    for name in TUNING.names:
+        widths = by_width(result, name)
+        assert [width["secants"] for width in widths.values()] == [CENTRES] * len(WIDTHS)
+        for share in (0.005, 0.02, 0.05, 0.1):
+            assert widths[share]["median_relative_error"] < 0.02
+            assert widths[share]["sign_agreement"] == 1.0
+        assert result.content["parameters"][name]["follows"] is True
+    amplitude = result.content["parameters"]["spine.amplitude"]
+    assert amplitude["ripple"] < 1e-6, "the objective is a parabola of the amplitude"
+    assert amplitude["lowest_at"] == pytest.approx(2.5 / 10.4, abs=0.01)
+    assert (amplitude["unit"], amplitude["bounds"], amplitude["start"]) == ("rad", [0.0, 0.4], 0.05)
+
+
+def test_error_and_signs_are_those_of_their_definition(smooth):
+    """The median of |slope - secant| / |secant|, from the table's own numbers."""
+    result, _ = smooth
+    frame = result.table.to_pandas()
+    own = frame[(frame["line"] == "spine.phase") & (frame["width"] == 0.1)]
+    low, high = (own[own["side"] == side].sort_values("centre") for side in (-1, 1))
+    secant = (high["objective"].to_numpy() - low["objective"].to_numpy()) / (
+        high["spine.phase"].to_numpy() - low["spine.phase"].to_numpy()
+    )
+    line = frame[(frame["line"] == "spine.phase") & (frame["side"] == 0)].reset_index()
+    slope = line["gradient.spine.phase"].to_numpy()[low["centre"].to_numpy()]
+    measured = by_width(result, "spine.phase")[0.1]
+    assert measured["median_relative_error"] == pytest.approx(np.median(np.abs(slope - secant) / np.abs(secant)))
+    assert measured["sign_agreement"] == np.mean(np.sign(slope) == np.sign(secant))
+    # A sine's difference quotient over a tenth of its period is short by sinc(0.1).
+    assert measured["median_relative_error"] == pytest.approx(1 / np.sinc(0.1) - 1, rel=0.05)
+
+
+def test_stairs_are_seen_where_they_are(rough):
+    """Along the amplitude wide secants see the stairs' rise, and the slope does not; the phase is as before."""
+    amplitude = by_width(rough, "spine.amplitude")
+    assert rough.content["parameters"]["spine.amplitude"]["follows"] is False
+    lines = {line.tuned.name: line for line in lines_of(rough.tuning, rough.table)}
+    wide = lines["spine.amplitude"].secants[-1]
+    np.testing.assert_allclose(wide.secant - wide.slope, STAIR * STAIRS / 0.4, atol=STAIR / wide.width)
+    assert 0.3 * STAIR / np.sqrt(12) < amplitude[0.05]["ripple"] < 2 * STAIR
+    assert rough.content["parameters"]["spine.amplitude"]["ripple"] > 1e-3
+    assert rough.content["parameters"]["spine.phase"]["follows"] is True
+
+
+def test_points_that_fall_are_left_out_and_counted(tmp_path):
+    """A secant with an end at which the robot falls does not count; the rest does."""
+    result, _ = measure(tmp_path, falls=lambda points: points[:, 0] > 0.3)
+    about = result.content["parameters"]["spine.amplitude"]
+    frame = result.table.to_pandas()
+    line = frame[(frame["line"] == "spine.amplitude") & (frame["side"] == 0)]
+    assert about["fell"] == (line["spine.amplitude"] > 0.3).sum() > 5
+    assert frame["objective"].isna().equals(~frame["ok"])
+    for width in about["widths"]:
+        assert 0 < width["secants"] < CENTRES
+    assert about["follows"] is True
+    assert f"at {about['fell']} of 41 points the robot fell" in (tmp_path / "report.md").read_text()
+
+
+def test_where_nothing_walks_nothing_is_said(tmp_path):
+    """No number is made of nothing, and no figure."""
+    result, _ = measure(tmp_path, points=5, falls=lambda points: jnp.ones(len(points), bool))
+    assert result.plots == ()
+    about = json.loads((tmp_path / "landscape.json").read_text())["parameters"]["spine.phase"]
+    assert (about["follows"], about["lowest"], about["widths"][0]["median_relative_error"]) == (None, None, None)
+    assert "too few places where the robot walks" in (tmp_path / "report.md").read_text()
+
+
+# --- files
+
+
+def test_report_and_json_say_the_same(smooth):
+    """The page has a row a width, a figure a parameter that exists, and what was run."""
+    result, _ = smooth
+    text = (result.out / "report.md").read_text()
+    stored = json.loads((result.out / "landscape.json").read_text())
+    assert stored["plots"] == [path.relative_to(result.out).as_posix() for path in result.plots]
+    assert text.count("| 2 % |") == 2
+    assert "7.2 deg" in text
+    assert "exact gradients can be followed" in text
+    for name in TUNING.names:
+        assert f"](plots/line-{name}.png)" in text
+        assert (result.out / f"plots/line-{name}.png").stat().st_size > 10_000
+    assert stored["precision"] == "float32"
+    assert {"versions", "machine", "command"} <= set(stored)
+
+
+def test_figures_have_a_tangent_at_each_point_and_a_bar_for_each_secant(smooth):
+    """In shown units: a slope per degree, tangents along the objective."""
+    result, _ = smooth
+    line = lines_of(result.tuning, result.table)[1]
+    above, below = line_figure(result.tuning, line).axes
+    tangents = [each for each in above.lines if len(each.get_xdata()) == 2 and each.get_linewidth() == 1.5]
+    assert len(tangents) == 41
+    rise = [np.ptp(each.get_ydata()) / np.ptp(each.get_xdata()) for each in tangents]
+    np.testing.assert_allclose(rise, np.abs(np.radians(1.0) * line.slope), rtol=1e-6)
+    exact = next(each for each in below.lines if len(each.get_xdata()) == 41)
+    np.testing.assert_allclose(exact.get_ydata(), np.radians(1.0) * line.slope)
+    bars = np.concatenate([each.get_segments() for each in below.collections])
+    assert sorted({round(float(np.ptp(bar[:, 0])), 3) for bar in bars}) == [0.36, 1.8, 7.2, 18.0, 36.0]
+    assert below.get_ylabel() == "slope [1/deg]"
+
+
+def test_batches_are_as_even_as_they_can_be(monkeypatch):
+    """Whatever the most is, all batches have one size, and no more is walked than that needs."""
+    monkeypatch.setattr(table, "CPU_BATCH", 7)
+    problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
+    found = table.evaluate(TUNING, problem, wanted, lambda *_: None, {})
+    sizes = {size for size, _ in problem.batches}
+    assert len(sizes) == 1
+    assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)
+    assert found.num_rows == len(wanted)

@@ -1,0 +1,278 @@
+"""`nermo-mjx tune` and `landscape`, as a user and as a script meet them."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from tune_fake import SPEC, FakeProblem, FakeWalker, speed
+
+import nermo_mjx
+from nermo_mjx.cli import main
+from nermo_mjx.cli import tune as tune_command
+from nermo_mjx.cli.progress import Progress, Stages
+from nermo_mjx.tune import Tuning
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    """The file of a small tuning."""
+    path = tmp_path / "tuning.yaml"
+    path.write_text(Tuning.from_dict(SPEC).to_yaml())
+    return path
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Simulations in closed form; how the next problem behaves, what was made, and what walked."""
+    made: dict[str, Any] = {"options": {}, "problems": [], "walker": FakeWalker()}
+
+    def problem(tuning: Tuning) -> FakeProblem:
+        made["problems"].append(FakeProblem(tuning, **made["options"]))
+        return made["problems"][-1]
+
+    monkeypatch.setattr("nermo_mjx.tune.problem.WalkProblem", problem)
+    monkeypatch.setattr("nermo_mjx.tune.run.Simulator", lambda *_: made["walker"])
+    return made
+
+
+def call(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def json_of(*arguments: str | Path) -> dict[str, Any]:
+    result = call(*arguments, "--json")
+    assert result.exit_code == 0, result.stderr
+    value = json.loads(result.stdout)
+    assert isinstance(value, dict)
+    return value
+
+
+# --- tune
+
+
+def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = json_of("tune", spec, "--out", out)
+    assert set(result) == {"out", "iterations_run", "start", "best", "plots", "video", "notes"}
+    assert result["best"] == json.loads((out / "best.json").read_text())
+    assert result["start"]["parameters"]["spine.phase"] == pytest.approx(2.5)
+    assert result["start"]["metrics"]["speed"] == pytest.approx(float(speed(0.05, 2.5)))
+    assert (result["iterations_run"], result["plots"], result["video"], result["notes"]) == (7, [], None, [])
+    again = json_of("tune", spec, "--out", out)
+    assert (again["iterations_run"], again["best"]) == (0, result["best"])
+    assert len(fakes["problems"]) == 1
+
+
+def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--plots", "--no-video")
+    result = json_of("tune", spec, "--out", out, *options)
+    tuning = Tuning.from_file(out / "tuning.yaml")
+    assert (tuning.iterations, tuning.starts, tuning.seed, tuning.plots, tuning.video) == (2, 3, 8, True, False)
+    assert [Path(path).name for path in result["plots"]] == [
+        f"{name}.{form}" for name in ("objective", "parameters", "gradients", "path") for form in ("png", "svg")
+    ]
+    assert fakes["walker"].batches == [(272, False)]
+
+
+def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = call("tune", spec, "--out", out)
+    assert result.exit_code == 0
+    best = json.loads((out / "best.json").read_text())
+    phase, pace = np.degrees(best["parameters"]["spine.phase"]), 1e3 * best["metrics"]["speed"]
+    assert re.search(rf"^spine\.phase +143\.2 +{phase:.4g} +[-+][\d.]+ +deg$", result.stdout, re.MULTILINE)
+    before = 1e3 * float(speed(0.05, 2.5))
+    assert re.search(rf"^speed +{before:.4g} +{pace:.4g} +\+[\d.]+ +mm/s$", result.stdout, re.MULTILINE)
+    assert re.search(r"^objective +-0\.\d+ +-0\.\d+ +-0\.\d+ +lower is better$", result.stdout, re.MULTILINE)
+    assert "Iteration 6 of start" in result.stdout
+    assert "6 iterations (3 min 30 s simulated, gradients at their cost, in " in result.stdout
+    for name in ("best.json", "history.parquet", "tuned.yaml"):
+        assert str(out / name) in result.stdout
+    assert str(out / "plots") not in result.stdout
+    assert re.search(
+        r"^tune: 100%, 7 of 7 evaluations, .*, best -0\.\d+, speed [\d.]+ mm/s", result.stderr, re.MULTILINE
+    )
+    quiet = call("tune", spec, "--out", tmp_path / "quiet", "--quiet")
+    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    fakes["options"] = {"falls": lambda points: points[:, 0] < 0.06}
+    result = call("tune", spec, "--out", tmp_path / "out", "--starts", "4")
+    assert result.exit_code == 0
+    assert "From the given start, the robot did not walk to the end." in result.stdout
+    assert re.search(r"^speed +- +[\d.]+ +- +mm/s$", result.stdout, re.MULTILINE)
+
+
+def test_a_stopped_tuning_says_how_to_go_on_and_goes_on(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    fakes["options"] = {"stop_at": 3}
+    stopped = call("tune", spec, "--out", out)
+    assert stopped.exit_code == 1
+    assert f"nermo-mjx tune {out}/tuning.yaml --out {out}" in stopped.stderr
+    assert "Traceback" not in stopped.stderr
+    fakes["options"] = {}
+    result = call("tune", out / "tuning.yaml", "--out", out)
+    assert result.exit_code == 0
+    assert len(fakes["problems"][-1].batches) == 4
+
+
+def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    missing = call("tune", tmp_path / "missing.yaml", "--out", tmp_path / "out")
+    assert (missing.exit_code, missing.stdout) == (2, "")
+    assert "there is no such file" in missing.stderr
+    text = spec.read_text()
+    spec.write_text(text.replace("spine.phase:", "spine.phse:"))
+    wrong = call("tune", spec, "--out", tmp_path / "out")
+    assert wrong.exit_code == 2
+    assert "spine.phase" in wrong.stderr
+    assert f"{spec}:" in wrong.stderr
+    assert not (tmp_path / "out").exists()
+    spec.write_text(text)
+    assert call("tune", spec).exit_code == 2
+    assert call("tune", spec, "--out", tmp_path / "out", "--iterations", "0").exit_code == 2
+    fakes["options"] = {"falls": lambda points: points[:, 0] > -1.0}
+    fell = call("tune", spec, "--out", tmp_path / "out", "--quiet")
+    assert (fell.exit_code, fell.stdout) == (1, "")
+    assert fell.stderr.startswith("nermo-mjx: ")
+    assert "choose other starts or bounds" in fell.stderr
+
+
+def test_what_could_not_be_made_is_a_sentence_and_no_failure(
+    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(nermo_mjx.runtime, "_gl_problem", "Nothing to draw with was found: install libosmesa6.")
+    result = call("tune", spec, "--out", tmp_path / "out", "--video")
+    assert result.exit_code == 0
+    assert "There is no video. Nothing to draw with was found: install libosmesa6.\n" in result.stderr
+    assert "video" not in result.stdout
+
+
+# --- progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def shown(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> None:
+    """Whatever is shown goes to the stream, at once."""
+
+    class Seen(Progress):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options | {"stream": stream, "every": 0.0})
+
+    monkeypatch.setattr("nermo_mjx.cli.progress.Progress", Seen)
+
+
+def test_a_tuning_counts_its_evaluations_and_names_the_best(
+    fakes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from nermo_mjx.tune import run_tuning
+
+    stream, tuning = io.StringIO(), Tuning.from_dict(SPEC)
+    shown(monkeypatch, stream)
+    with Stages(False, compiles=lambda what: False) as stages:
+        display = tune_command._Display(stages, tuning)
+        run_tuning(tuning, tmp_path, progress=display.report, drawing=stages.share)
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 8
+    assert lines[0] == "tune: 0%, 0 of 7 evaluations"
+    assert re.fullmatch(
+        r"tune: 29%, 2 of 7 evaluations, [\d.]+ evaluations/s, \d+ s left, "
+        r"best -0\.\d+, speed [\d.]+ mm/s, roll_std [\d.]+ deg", lines[2]
+    )  # fmt: skip
+    stream.truncate(0)
+    fakes["options"] = {"stop_at": 0}
+    longer = Tuning.from_dict(SPEC | {"iterations": 12})
+    with Stages(False, compiles=lambda what: False) as stages, pytest.raises(KeyboardInterrupt):
+        run_tuning(longer, tmp_path, progress=tune_command._Display(stages, longer).report)
+    assert "tune: 54%, 7 of 13 evaluations" in stream.getvalue(), "a resumed one starts where it was"
+
+
+def test_a_narrow_terminal_cuts_the_detail_and_not_the_time_left() -> None:
+    stream = Terminal()
+    with Progress("tune", "evaluations", stream=stream) as progress:
+        progress.share(0.0, 0, 10)
+        progress.share(0.5, 5, 10, "best -0.5, " + "speed 80 mm/s, " * 10)
+    text = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", stream.getvalue())
+    assert re.search(r"50%, 5 of 10 evaluations, [\d.e+]+ evaluations/s, \d+ s left", text)
+
+
+def test_the_pace_leaves_compilation_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A minute of compilation and then a second each: after two, eight seconds are left."""
+    clock = iter([0.0, 0.0, 60.0, 61.0])
+    monkeypatch.setattr("nermo_mjx.cli.progress.time.monotonic", lambda: next(clock))
+    stream = io.StringIO()
+    progress = Progress("tune", "evaluations", every=0.0, stream=stream)
+    progress.share(0.0, 0, 10)
+    progress._name_compilation()
+    progress.share(0.1, 1, 10)
+    progress.share(0.2, 2, 10)
+    assert stream.getvalue().splitlines()[-1] == "tune: 20%, 2 of 10 evaluations, 1 evaluations/s, 8 s left"
+
+
+def test_a_slow_pace_is_told_by_the_time_each_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter([0.0, 0.0, 90.0])
+    monkeypatch.setattr("nermo_mjx.cli.progress.time.monotonic", lambda: next(clock))
+    stream = io.StringIO()
+    progress = Progress("tune", "evaluations", every=0.0, stream=stream)
+    progress.share(0.0, 0, 10)
+    progress.share(0.1, 1, 10)
+    assert stream.getvalue().splitlines()[-1] == "tune: 10%, 1 of 10 evaluations, 1 min 30 s each, 13 min 30 s left"
+
+
+# --- landscape
+
+
+def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = call("landscape", spec, "--out", out, "--points", "21")
+    assert result.exit_code == 0
+    assert re.search(r"^spine\.phase +0\.36 deg +0\.1 % +\d ", result.stdout, re.MULTILINE)
+    assert "spine.amplitude: exact gradients can be followed." in result.stdout
+    for name in ("report.md", "plots", "landscape.parquet"):
+        assert (out / name).exists()
+        assert str(out / name) in result.stdout
+    assert re.search(r"^landscape: 100%, (\d+) of \1 walks", result.stderr, re.MULTILINE)
+    kept = json_of("landscape", spec, "--out", out, "--points", "21")
+    assert kept["evaluated"] == 0
+    assert kept["parameters"] == json.loads((out / "landscape.json").read_text())["parameters"]
+    quiet = call("landscape", spec, "--out", out, "--points", "21", "--quiet")
+    assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
+
+
+def test_landscape_refuses_what_cannot_be(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert call("landscape", spec, "--out", out, "--span", "0").exit_code == 2
+    assert call("landscape", spec, "--out", out, "--points", "4").exit_code == 2
+    assert call("landscape", tmp_path / "missing.yaml", "--out", out).exit_code == 2
+    assert not out.exists()
+    assert call("landscape", spec, "--out", out, "--points", "5", "--quiet").exit_code == 0
+    other = call("landscape", spec, "--out", out, "--points", "6")
+    assert other.exit_code == 1
+    assert other.stderr == f"nermo-mjx: {out} holds another landscape; choose another directory.\n"
+
+
+# --- Python
+
+
+def test_the_package_gives_what_tunes() -> None:
+    from nermo_mjx.rollout.differentiable import Rollout
+    from nermo_mjx.tune import read_history, run_landscape, run_tuning
+
+    assert (nermo_mjx.Tuning, nermo_mjx.Rollout) == (Tuning, Rollout)
+    assert (nermo_mjx.run_tuning, nermo_mjx.read_history) == (run_tuning, read_history)
+    assert nermo_mjx.run_landscape is run_landscape

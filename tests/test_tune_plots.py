@@ -1,0 +1,454 @@
+"""Pictures of a tuning: which figures there are, that they show the history's numbers, the landscape and the video."""
+
+import dataclasses
+import json
+import shutil
+
+import imageio.v2 as imageio
+import matplotlib
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.collections import PathCollection
+from matplotlib.contour import QuadContourSet
+from matplotlib.image import imread
+from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
+
+from nermo_mjx import runtime
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.sweep.style import STYLE
+from nermo_mjx.tune import (
+    Objective,
+    Term,
+    Tuning,
+    TuningInterrupted,
+    background,
+    figures,
+    load_tuning,
+    plots,
+    read_history,
+    run_tuning,
+)
+from nermo_mjx.tune import video as tune_video
+from nermo_mjx.tune.background import Background
+from nermo_mjx.tune.history import empty_log, history_table
+from nermo_mjx.tune.path_figure import path_figure
+from nermo_mjx.tune.plots import draw_plots
+from nermo_mjx.tune.state import initial_state
+from nermo_mjx.tune.traces import MOST_STARTS, Traces
+from nermo_mjx.tune.tuner import Tuner
+
+NAMES = ("objective", "parameters", "gradients", "path")
+MIXTURE = {"mixture": {"samples": 8, "sigma": 0.1}}
+
+
+def tune(out, change=None, walker=None, **of_problem):
+    """Run `SPEC` with plots and changes on the fakes."""
+    tuning = Tuning.from_dict(SPEC | {"plots": True} | (change or {}))
+    return run_tuning(tuning, out, problem=FakeProblem(tuning, **of_problem), simulator=walker)
+
+
+def traces_of(change=None, **of_problem):
+    """The traces of a tuning that needs no directory."""
+    tuning = Tuning.from_dict(SPEC | (change or {}))
+    tuner, state = Tuner(tuning, FakeProblem(tuning, **of_problem)), initial_state(tuning)
+    log = None
+    for _ in range(tuning.iterations + 1):
+        state, found = tuner.step(state)
+        log = (log or empty_log(tuning, tuple(found.metrics))).extended(tuning, found, 0.1)
+    return Traces(tuning, history_table(tuning, log))
+
+
+@pytest.fixture(autouse=True)
+def _style():
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A tuning that is done but for its pictures."""
+    return tune(tmp_path_factory.mktemp("tuning"), {"plots": False})
+
+
+@pytest.fixture
+def again(finished, tmp_path):
+    """`again(walker, change)`: the same command on a copy of it, so that nothing but the pictures is left to do."""
+
+    def run(walker=None, change=None):
+        if not (tmp_path / "out").exists():
+            shutil.copytree(finished.out, tmp_path / "out")
+        return tune(tmp_path / "out", change, walker)
+
+    return run
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """No figures; the landscapes that they would have had."""
+    landscapes = []
+    monkeypatch.setattr(plots, "draw_plots", lambda *_, background, **__: landscapes.append(background) or [])
+    return landscapes
+
+
+@pytest.fixture(scope="module")
+def drawn(finished, tmp_path_factory):
+    """A tuning with all figures, and what walked for them."""
+    out, walker = tmp_path_factory.mktemp("tuning") / "out", FakeWalker()
+    shutil.copytree(finished.out, out)
+    return tune(out, walker=walker), walker
+
+
+def texts(figure):
+    """All that is written in a figure."""
+    return " ".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
+
+
+def lines(ax, length):
+    """y values of the lines of so many points."""
+    return [np.asarray(line.get_ydata(), float) for line in ax.lines if len(line.get_ydata()) == length]
+
+
+def stars(figure):
+    """Places of the stars, one an axes that has one."""
+    long = len(matplotlib.markers.MarkerStyle("*").get_path().vertices)
+    return [tuple(c.get_offsets()[0]) for ax in figure.axes for c in ax.collections
+            if isinstance(c, PathCollection) and len(c.get_paths()[0].vertices) == long]  # fmt: skip
+
+
+# --- figures over the iterations
+
+
+def test_a_tuning_leaves_its_figures(drawn):
+    """PNG and SVG of each, no blank picture, and the landscape as a table."""
+    result, _ = drawn
+    assert [path.name for path in result.pictures.plots] == [f"{n}.{f}" for n in NAMES for f in ("png", "svg")]
+    for path in result.pictures.plots[::2]:
+        picture = imread(path)
+        assert min(picture.shape[:2]) > 500
+        assert len(np.unique(picture[..., 0])) > 30
+    folder = sorted(path.name for path in (result.out / "plots").iterdir())
+    assert folder == sorted([*(path.name for path in result.pictures.plots), "landscape.parquet"])
+    assert result.pictures.notes == ()
+
+
+def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
+    """Figures can be drawn again from the directory alone."""
+    result, _ = drawn
+    landscape = background.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
+    again = draw_plots(load_tuning(result.out), read_history(result.out), tmp_path, background=landscape)
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.pictures.plots]
+
+
+def test_objective_and_metrics_of_each_start_are_drawn():
+    """A line a start in shown units, the best so far as steps below, and the star where the best is."""
+    traces = traces_of()
+    figure = figures.objective_figure(traces)
+    objective, speeds, rolls = figure.axes
+    value = traces.column("objective")
+    *starts, best = lines(objective, 7)
+    np.testing.assert_allclose(np.stack(starts, axis=1), value)
+    np.testing.assert_allclose(best, np.minimum.accumulate(value.min(axis=1)))
+    np.testing.assert_allclose(np.stack(lines(speeds, 7), axis=1), 1e3 * traces.column("speed"))
+    np.testing.assert_allclose(np.stack(lines(rolls, 7), axis=1), np.degrees(traces.column("roll_std")))
+    iteration, start = traces.best
+    assert stars(figure)[0] == pytest.approx((iteration, value[iteration, start]))
+    text = texts(figure)
+    for word in ("speed [mm/s]", "roll_std [deg]", "start 0 (given)", "start 1", "more is better", "less is better"):
+        assert word in text
+    assert f"star: best, {value.min():.4g} in iteration 6 of start {start}" in text
+
+
+def test_a_held_metric_has_its_line():
+    """What a metric is held at is drawn in its shown unit."""
+    traces = traces_of({"objective": [{"hold": "speed", "at": 0.09, "scale": 0.01}]})
+    ax = figures.objective_figure(traces).axes[1]
+    assert [90.0, 90.0] in [np.asarray(line.get_ydata(), float).tolist() for line in ax.lines]
+
+
+def test_falls_are_marked_and_never_drawn_as_values():
+    """Where a robot fell there is a gap in its lines, and a cross."""
+    change = {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05}}, "iterations": 4}
+    traces = traces_of(change | {"starts": 1, "optimizer": {"name": "sgd", "learning_rate": 3.0}},
+                       falls=lambda points: points[:, 0] > 0.06)  # fmt: skip
+    assert not traces.ok.all()
+    figure = figures.objective_figure(traces)
+    assert np.array_equal(np.isfinite(lines(figure.axes[0], 5)[0]), traces.ok[:, 0])
+    assert np.array_equal(np.isfinite(lines(figure.axes[1], 5)[0]), traces.ok[:, 0])
+    (crosses,) = [line for line in figure.axes[0].lines if line.get_marker() == "x"]
+    assert np.asarray(crosses.get_xdata()).tolist() == np.flatnonzero(~traces.ok[:, 0]).tolist()
+
+
+def test_one_wild_value_does_not_flatten_the_rest():
+    """The axis leaves out what is far above, and says so; the given start stays in sight."""
+    ax = matplotlib.figure.Figure().subplots()
+    values = np.concatenate([np.linspace(3.0, 1.0, 30), [1e6]])[:, None]
+    ax.plot(values)
+    figures._cut(ax, values)
+    assert 3.0 < ax.get_ylim()[1] < 20.0
+    assert "1 higher" in [text.get_text() for text in ax.texts]
+
+
+def test_parameters_are_in_shown_units_with_their_bounds():
+    """Degrees, dashed bounds, and a periodic parameter that goes on beyond them."""
+    change = {"tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
+              "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
+    traces = traces_of(change)
+    figure = figures.parameters_figure(traces)
+    amplitude, phase = figure.axes
+    np.testing.assert_allclose(lines(amplitude, 21)[0], np.degrees(traces.column("spine.amplitude")[:, 0]))
+    bounds = [line.get_ydata()[0] for line in amplitude.lines if line.get_linestyle() == "--"]
+    assert bounds == pytest.approx([0.0, np.degrees(0.4)])
+    walked = lines(phase, 21)[0]
+    assert np.abs(np.diff(walked)).max() < 90
+    shown = np.degrees(traces.column("spine.phase")[:, 0])
+    np.testing.assert_allclose(np.cos(np.radians(walked)), np.cos(np.radians(shown)), atol=1e-5)
+    assert "spine.phase [deg]" in texts(figure)
+    assert "-180 to 180, periodic" in texts(figure)
+
+
+def test_gradients_are_per_range_and_tell_signal_from_noise():
+    """The norm counts each component per whole range; sampled ones have their standard error, mixtures their shares."""
+    traces = traces_of({"estimator": MIXTURE})
+    norm, error = traces.gradient_norm()
+    parts = [traces.column("gradient.spine.amplitude") * 0.4, traces.column("gradient.spine.phase") * 2 * np.pi]
+    np.testing.assert_allclose(norm, np.hypot(*parts), rtol=1e-6)
+    assert (error > 0).all()
+    assert (error <= np.hypot(traces.column("gradient_error.spine.amplitude") * 0.4,
+                              traces.column("gradient_error.spine.phase") * 2 * np.pi) * (1 + 1e-9)).all()  # fmt: skip
+    figure = figures.gradients_figure(traces)
+    assert len(figure.axes) == 3
+    assert figure.axes[0].get_yscale() == "log"
+    np.testing.assert_allclose(lines(figure.axes[1], 7)[0], (error / norm)[:, 0])
+    share = traces.column("first_order.spine.phase").mean(axis=1)
+    assert any(np.allclose(line, share) for line in lines(figure.axes[2], 7))
+    one_pair = traces_of({"estimator": {"smoothed": {"samples": 2, "sigma": 0.1}}, "iterations": 1})
+    assert np.isnan(one_pair.gradient_norm()[1]).all()
+    assert len(figures.gradients_figure(one_pair).axes) == 2
+    exact = traces_of()
+    assert exact.gradient_norm()[1] is None
+    assert len(figures.gradients_figure(exact).axes) == 1
+
+
+def test_many_starts_are_thinned_and_the_best_is_among_them():
+    """No picture draws a hundred starts; the given and the best one have names of their own."""
+    traces = traces_of({"starts": 100, "iterations": 1})
+    assert len(traces.drawn()) <= MOST_STARTS
+    assert {0, traces.best[1]} <= set(traces.drawn())
+    text = texts(figures.objective_figure(traces))
+    assert f"start {traces.best[1]} (best)" in text
+    assert f"100 starts ({len(traces.drawn())} of them drawn)" in text
+
+
+def test_many_parameters_fit_one_figure():
+    """Seven parameters are seven panels."""
+    more = {f"offset.{limb}": {"bounds": [0.0, 1.0], "start": 0.5} for limb in ("front_left", "rear_left")}
+    more |= {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}
+    traces = traces_of({"tune": SPEC["tune"] | more, "iterations": 1})
+    assert len(figures.parameters_figure(traces).axes) == 5
+
+
+# --- the landscape behind the paths
+
+
+def test_the_landscape_is_walked_once_in_one_batch(drawn):
+    """17 x 16 walks of both parameters, the circle's end being its beginning; values are the objective's."""
+    result, walker = drawn
+    assert walker.batches == [(17 * 16, False)]
+    table = pq.read_table(result.out / "plots" / "landscape.parquet")
+    amplitude, phase = (table.column(name).to_numpy() for name in result.tuning.names)
+    np.testing.assert_allclose([amplitude.min(), amplitude.max()], [0.0004, 0.3996])
+    np.testing.assert_allclose([phase.min(), phase.max()], [-np.pi, np.pi * 7 / 8], rtol=1e-6)
+    expected = -np.asarray(speed(amplitude, phase)) / 0.1 + 2 * (0.1 + 0.1 * amplitude**2)
+    np.testing.assert_allclose(table.column("objective").to_numpy(), expected, rtol=1e-5)
+    landscape = background.background_of(result.tuning, table)
+    assert landscape.value.shape == (17, 17)
+    np.testing.assert_array_equal(landscape.value[:, 0], landscape.value[:, -1])
+
+
+def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undrawn):
+    """It is read where it is right; for another objective or body, or from a damaged file, it is made anew."""
+    walker = FakeWalker()
+    out = again(walker).out
+    again(walker)
+    assert len(walker.batches) == 1
+    np.testing.assert_array_equal(undrawn[0].value, undrawn[1].value)
+    kept = out / "plots" / "landscape.parquet"
+    for change, known in (({"optimizer": "sgd", "seed": 9, "starts": 3}, True), ({"set": {"frequency": 0.7}}, False)):
+        other = Tuning.from_dict(SPEC | change)
+        assert (background.read(kept, other, {}) is not None) is known
+    kept.write_text("damaged")
+    again(walker)
+    assert len(walker.batches) == 2
+
+
+def test_other_parameters_stand_where_they_are_told_to():
+    """With three parameters, the landscape is that of the first two, and the third has one value."""
+    seen = []
+
+    class Watched(FakeWalker):
+        def run(self, values, run, record=False, **more):
+            seen.append(values)
+            return super().run(values, run, record, **more)
+
+    tuning = Tuning.from_dict(SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}})
+    table = background.simulate(tuning, {"duty": 0.6}, Watched())
+    assert set(seen[0]["duty"]) == {0.6}
+    assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
+    assert background.key(tuning, {"duty": 0.6}) != background.key(tuning, {"duty": 0.5})
+    assert background.background_of(tuning, table).value.shape == (17, 17)
+
+
+def test_one_parameter_has_a_line_for_a_landscape():
+    """The objective over the only parameter, with the points that were visited on it."""
+    walker, traces = FakeWalker(), traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
+    landscape = background.background_of(traces.tuning, background.simulate(traces.tuning, {}, walker))
+    assert walker.batches == [(37, False)]
+    assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(2.5 / 10.4, abs=0.02)
+    (ax,) = path_figure(traces, landscape).axes
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), landscape.value)
+    visited = np.stack([c.get_offsets() for c in ax.collections if len(c.get_offsets()) == 7], axis=1)
+    np.testing.assert_allclose(visited[:, :, 0], np.degrees(traces.column("spine.amplitude")))
+    np.testing.assert_allclose(visited[:, :, 1], traces.column("objective"))
+
+
+def test_where_a_walk_falls_the_landscape_is_empty():
+    """Fallen walks are NaN in the table, and leave a hole in the contours."""
+    traces, walker = traces_of(), FakeWalker(falls=lambda values: values["spine.amplitude"] > 0.3)
+    table = background.simulate(traces.tuning, {}, walker)
+    fell = table.column("spine.amplitude").to_numpy() > 0.3
+    assert (np.array(table.column("status").to_pylist()) == np.where(fell, "fell", "ok")).all()
+    assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
+    ax = path_figure(traces, background.background_of(traces.tuning, table)).axes[0]
+    filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
+    assert max(path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)) < np.degrees(0.31)
+    nothing = background.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
+    path_figure(traces, background.background_of(traces.tuning, nothing))
+
+
+def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
+    """A corner of the bounds past the legs' workspace costs the background, and nothing else."""
+    result = again(FakeWalker(error=ParameterError("stride is 1.5: the legs cannot reach so far.")))
+    (note,) = result.pictures.notes
+    assert note.startswith("There is no landscape behind the paths, ")
+    assert note.endswith("stride is 1.5: the legs cannot reach so far.")
+    assert undrawn == [None]
+
+
+def test_a_recording_has_no_landscape():
+    """What is compared with a recording is found in MJX only."""
+    tuning = Tuning.from_dict(SPEC)
+    assert background.has_background(tuning)
+    compared = Objective((Term("minimize", "trajectory_error"),))
+    assert not background.has_background(dataclasses.replace(tuning, objective=compared))
+
+
+def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
+    """Contours of the grid's values; a start that walks over the bound of the circle is drawn on both sides of it."""
+    change = {"tune": SPEC["tune"] | {"spine.phase": {"bounds": [-3.14159, 3.14159], "start": 3.0, "periodic": True}},
+              "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
+    traces = traces_of(change)
+    assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
+    axes = background.grid_axes(traces.tuning)
+    value = -np.asarray(speed(axes["spine.amplitude"][:, None], axes["spine.phase"][None]))
+    figure = path_figure(traces, Background(axes, value, "289 walks, engine c"))
+    ax = figure.axes[0]
+    assert ax.get_ylim() == pytest.approx((-180, 180), abs=1e-3)
+    filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
+    assert filled.levels[0] == pytest.approx(value.min())
+    whole = lines(ax, 21)
+    assert len(whole) == 2, "one path on each side"
+    assert np.abs(whole[0] - whole[1]) == pytest.approx(np.full(21, 360.0))
+    best = np.degrees([traces.column(name)[traces.best] for name in traces.tuning.names])
+    assert stars(figure)[0] == pytest.approx(tuple(best), abs=1e-3)
+    assert "landscape: 289 walks, engine c" in texts(figure)
+    assert "colour: objective" in texts(path_figure(traces))
+
+
+# --- what is made, and what is not
+
+
+def test_plots_and_video_can_be_turned_off(again):
+    """`plots: false` draws and walks nothing."""
+    walker = FakeWalker()
+    result = again(walker, {"plots": False})
+    assert (result.pictures.plots, result.pictures.video, walker.batches) == ((), None, [])
+    assert not (result.out / "plots").exists()
+
+
+def test_a_stand_in_problem_alone_has_neither_landscape_nor_video(again, undrawn):
+    """What the real robot does would not be what was tuned."""
+    result = again(None, {"video": True})
+    assert undrawn == [None]
+    assert result.pictures.video is None
+    assert not (result.out / "plots" / "landscape.parquet").exists()
+
+
+@pytest.mark.usefixtures("drawing")
+def test_start_and_best_walk_side_by_side(again, monkeypatch):
+    """One batch of both, at half speed; a video that is there is kept."""
+    for name, value in {"FPS": 2, "WIDTH": 96, "HEIGHT": 64, "CYCLES": 0.4}.items():
+        monkeypatch.setattr(tune_video, name, value)
+    change, walker = {"plots": False, "video": True}, FakeWalker()
+    result = again(walker, change)
+    assert result.pictures.video == result.out / "video.mp4"
+    assert walker.batches == [(2, True)]
+    frames = [np.asarray(frame) for frame in imageio.get_reader(result.pictures.video)]
+    assert len(frames) == 3, "0.5 s at half speed and 2 frames/s"
+    assert frames[0].shape[1] == 2 * 96 + 4
+    before = result.pictures.video.read_bytes()
+    assert again(walker, change).pictures.video.read_bytes() == before
+    assert len(walker.batches) == 1
+
+
+def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_path):
+    """Captions carry parameters and metrics as figures show them; the start's are those of its first evaluation."""
+    asked = {}
+
+    def take(panes, model, path, **options):
+        asked.update(panes=panes, options=options)
+        return path
+
+    monkeypatch.setattr(tune_video, "render_side_by_side", take)
+    best = finished.best
+    tune_video.shoot(finished.tuning, finished.start, best, FakeWalker(), tmp_path / "v.mp4")
+    start, shown = asked["panes"]
+    assert (start.title, shown.title) == ("Start", f"Best, iteration {best['iteration']}, start {best['start']}")
+    assert start.recording.time[[0, -1]] == pytest.approx([1.25, 3.75]), "one cycle of warm-up and two more, at 0.8 Hz"
+    metrics, parameters = start.caption
+    assert metrics == f"speed {1e3 * float(speed(0.05, 2.5)):.3g} mm/s, roll_std 5.74 deg"
+    assert parameters == "spine.amplitude 2.86 deg, spine.phase 143 deg"
+    assert f"speed {1e3 * best['metrics']['speed']:.3g} mm/s" in shown.caption[0]
+    assert asked["options"]["speed"] == 0.5
+    fallen = finished.start | {"metrics": {"speed": np.nan, "roll_std": np.nan}}
+    tune_video.shoot(finished.tuning, fallen, best, FakeWalker(), tmp_path / "v.mp4")
+    assert asked["panes"][0].caption[0] == "speed – mm/s, roll_std – deg"
+
+
+def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
+    """One sentence with the remedy; nothing walks for a video that cannot be."""
+    monkeypatch.setattr(runtime, "_gl_problem", "No library to draw with was found: `apt-get install libosmesa6`.")
+    walker = FakeWalker()
+    result = again(walker, {"plots": False, "video": True})
+    (note,) = result.pictures.notes
+    assert note == "There is no video. No library to draw with was found: `apt-get install libosmesa6`."
+    assert walker.batches == []
+    assert json.loads((result.out / "best.json").read_text()) == result.best
+
+
+def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
+    """A tuning that goes on removes it first: stopped, the directory shows no video of another point."""
+    shutil.copytree(finished.out, tmp_path / "out")
+    (tmp_path / "out" / "video.mp4").write_text("of iteration 6")
+    with pytest.raises(TuningInterrupted):
+        tune(tmp_path / "out", {"plots": False, "iterations": 8}, stop_at=0)
+    assert not (tmp_path / "out" / "video.mp4").exists()
+
+
+def test_the_start_is_what_the_file_gives(finished):
+    """The result's start is the first row of the given start."""
+    assert finished.start["ok"]
+    assert finished.start["parameters"] == pytest.approx({"spine.amplitude": 0.05, "spine.phase": 2.5}, rel=1e-5)
+    assert finished.start["metrics"]["speed"] == pytest.approx(float(speed(0.05, 2.5)), rel=1e-5)
+    assert finished.start["objective"] > finished.best["objective"]
+    assert abs(finished.best["parameters"]["spine.amplitude"] - BEST[0]) < abs(0.05 - BEST[0])
