@@ -59,8 +59,8 @@ def forces(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) ->
     parts = [simple[:first]]
     for dim, count in layout.cones:
         end = first + dim * count
-        part = (array[first:end].reshape(count, dim) for array in (residual, problem.stiffness))
-        parts.append(jax.vmap(_cone)(*part, problem.cone[contact : contact + count, :dim]).ravel())
+        apart, stiffness = (array[first:end].reshape(count, dim) for array in (residual, problem.stiffness))
+        parts.append(jax.vmap(_cone)(apart, stiffness, problem.cone[contact : contact + count, :dim]).ravel())
         first, contact = end, contact + count
     return jnp.concatenate(parts)
 

@@ -1,0 +1,80 @@
+"""Tuning the robot itself, in MJX: a tenth of a second of a walk, as the notebook's quick pass tunes it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.tune import read_history, run_tuning
+from nermo_mjx.tune.problem import WalkProblem
+from nermo_mjx.tune.spec import Tuning
+
+pytestmark = pytest.mark.slow
+
+#: The same program as the one in notebooks/03_gradient_tuning.ipynb, so that one of them finds it compiled.
+SPEC = {
+    "gait": "trt",
+    "spine": "stride_extension",
+    "run": {"duration": 0.1, "warmup": 0.02},
+    "set": {"frequency": 0.8},
+    "tune": {
+        "spine.amplitude": {"bounds": [0.0, 0.4], "start": 0.05},
+        "spine.phase": {"bounds": [-3.1416, 3.1416], "start": 1.5, "periodic": True},
+    },
+    "objective": [{"maximize": "speed", "scale": 0.1}],
+    "optimizer": {"name": "adam", "learning_rate": 0.15},
+    "iterations": 4,
+    "mode": "forward",
+    "plots": False,
+}
+
+
+class _Stopped(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return WalkProblem(Tuning.from_dict(SPEC))
+
+
+@pytest.fixture(scope="module")
+def tuned(problem, tmp_path_factory):
+    out = tmp_path_factory.mktemp("tuned")
+    return run_tuning(SPEC, out, problem=problem), read_history(out)
+
+
+def test_the_robot_gets_faster(tuned):
+    """Five walks of a tenth of a second, each along the gradient of the one before."""
+    _, history = tuned
+    speed = history["speed"].to_numpy()
+    assert (np.diff(speed) > 0).all()
+
+
+def test_the_objective_is_the_speed_that_a_sweep_measures(tuned):
+    """The C engine walks the best point at the same speed."""
+    result, _ = tuned
+    walked = Simulator(Setup(spine="stride_extension"), "c").run(
+        {"frequency": 0.8, **result.best["parameters"]}, Run(duration=0.1, warmup=0.02)
+    )
+    assert result.best["metrics"]["speed"] == pytest.approx(walked.metrics["speed"][0], abs=2e-5)
+    assert result.best["objective"] == pytest.approx(-10 * result.best["metrics"]["speed"], rel=1e-6)
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_a_tuning_that_was_stopped_ends_as_one_that_was_not(tuned, problem, tmp_path, after):
+    """Bit for bit, gradients included."""
+
+    def stop(progress):
+        if progress.iteration == after and progress.value is not None:
+            raise _Stopped
+
+    with pytest.raises(_Stopped):
+        run_tuning(SPEC, tmp_path, problem=problem, progress=stop)
+    run_tuning(SPEC, tmp_path, problem=problem)
+    _, whole = tuned
+    again = read_history(tmp_path)
+    for name in whole.column_names:
+        if name != "wall_seconds":
+            np.testing.assert_array_equal(again[name].to_numpy(), whole[name].to_numpy(), err_msg=name)
