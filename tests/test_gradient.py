@@ -1,4 +1,4 @@
-"""The whole walk as a differentiable function: both modes against each other, and against central differences."""
+"""The walk as a differentiable function, and what it is made of."""
 
 from __future__ import annotations
 
@@ -15,51 +15,7 @@ from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.derivative import MOST_FORWARD, choose_mode, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
 
-#: One number of each kind: spine, gait, a stiffness, a mass, friction, contact. At 0.8 Hz a cycle ends with a tick, and
-#: the measured way has a kink.
-POINT = {
-    "spine.amplitude": 0.2, "spine.phase": -1.0, "frequency": 0.81, "stride": 0.9, "stiffness.ankle": 0.1,
-    "mass.front": 0.165, "contact.friction": 1.3, "contact.width": 0.001,
-}  # fmt: skip
 ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
-#: Half-widths of the central differences, as shares of each value: the solver leaves 1e-11 of the speed, which a narrow
-#: difference makes large, and a wide one may meet a touch-down, at which the speed has a step of 1e-6.
-SHARES = (3e-5, 1e-4)
-
-
-@pytest.fixture(scope="module")
-def walked():
-    """(point, speed at the point and around it, forward mode, reverse mode) of one gait cycle in float64."""
-    with jax.enable_x64(True):
-        rollout = Rollout(Setup(spine="stride_extension"), ONE_CYCLE, slowest=0.8)
-
-        def speed(point):
-            return rollout(dict(zip(POINT, point, strict=True)))["speed"]
-
-        first = np.array(list(POINT.values()))
-        ways = np.concatenate([sign * share * np.diag(first) for share in SHARES for sign in (1.0, -1.0)])
-        around = jax.jit(jax.vmap(lambda point: (speed(point), jax.jacfwd(speed)(point))))
-        values, slopes = map(np.asarray, around(np.concatenate([first[None], first + ways])))
-        value, reverse = jax.jit(jax.value_and_grad(speed))(jnp.asarray(first))
-        return first, values, slopes[0], float(value), np.asarray(reverse)
-
-
-@pytest.mark.slow
-def test_both_modes_of_a_walk_agree(walked):
-    """Forward and reverse mode differ by the rounding of two programs, which a walk amplifies."""
-    first, values, ahead, value, reverse = walked
-    assert value == pytest.approx(values[0], rel=1e-9)
-    np.testing.assert_allclose(reverse, ahead, rtol=1e-8, atol=1e-8 * np.abs(ahead * first).max() / first.min())
-
-
-@pytest.mark.slow
-def test_the_gradient_of_a_walk_is_that_of_the_simulation(walked):
-    """Central differences, which know nothing of the rule for contacts."""
-    first, values, ahead, *_ = walked
-    ends = values[1:].reshape(len(SHARES), 2, len(first))
-    differences = (ends[:, 0] - ends[:, 1]) / (2 * np.outer(SHARES, np.abs(first)))
-    error = np.abs(differences / ahead - 1.0).min(axis=0)
-    assert (error < 1e-4).all(), dict(zip(POINT, error, strict=True))
 
 
 @pytest.mark.parametrize("seed", range(3))

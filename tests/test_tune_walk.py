@@ -45,11 +45,11 @@ def tuned(problem, tmp_path_factory):
     return run_tuning(SPEC, out, problem=problem), read_history(out)
 
 
-def test_the_robot_gets_faster(tuned):
-    """Five walks of a tenth of a second, each along the gradient of the one before."""
+def test_the_robot_ends_faster_than_it_began(tuned):
+    """After four steps of Adam along the gradient of a tenth of a second."""
     _, history = tuned
     speed = history["speed"].to_numpy()
-    assert (np.diff(speed) > 0).all()
+    assert speed[-1] > speed[0] + 2e-4
 
 
 def test_the_objective_is_the_speed_that_a_sweep_measures(tuned):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -154,5 +155,5 @@ class Rollout:
                 f"{traced[0]} is traced and the run is given in gait cycles, so that its length is not known: "
                 "give Rollout(slowest=...), the lowest frequency [Hz], or a run in seconds, Run(duration=...)."
             )
-        _, end = self.length.seconds(*(float(jnp.asarray(value)) for value in timing.values()))
+        _, end = self.length.seconds(*(float(np.asarray(value)) for value in timing.values()))
         return float(end)
