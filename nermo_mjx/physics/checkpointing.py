@@ -12,8 +12,8 @@ import jax
 #: is as small as the state, and its iterations are half of a step's time.
 KEPT: Final = "solution"
 
-#: Results of one step over its carry, in bytes; decides the length of a segment. A tick of the robot measures about
-#: this (1.2 MB over 4 kB).
+#: Results of one step over its carry, in bytes; decides the length of a segment. The order of magnitude of a tick of
+#: the robot (a megabyte over some kilobytes).
 _RESULTS_OVER_CARRY: Final = 256
 
 

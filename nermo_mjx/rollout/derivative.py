@@ -10,10 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 MODES: Final = ("auto", "forward", "reverse")
-#: Up to this many parameters forward mode is cheaper (measured, docs/gradients.md), and it compiles faster.
+#: Up to this many parameters forward mode is cheaper by the costs below, and it compiles faster.
 MOST_FORWARD: Final = 4
-#: Upper bounds of the cost of value and gradient over that of the value alone, as measured by `nermo-mjx bench`: in
-#: forward mode one run and as much again for each parameter, in reverse mode whatever their number.
+#: What value and gradient are taken to cost over the value alone: in forward mode one run, and one more for each
+#: parameter (2.4 runs were measured for two); in reverse mode five runs, a design limit that is not yet measured.
 FORWARD_COST: Final = 1.0
 REVERSE_COST: Final = 5.0
 
