@@ -8,7 +8,7 @@ acceleration a and all that it depends on, p,
     H da = -(dg/dp) dp,    H = dg/da = M - J^T f'(r) J.
 
 The rule is linear in dp, so that JAX transposes it: it serves forward and reverse mode and `vmap`, for any number of
-iterations. Every kind of row that MJX has is written out; equalities, and several elliptic contacts of one turning body,
+iterations. Every kind of row that MJX has is written out; equalities, and several elliptic contacts of a turning body,
 are not verified against central differences yet (docs/gradients.md).
 """
 
