@@ -1,7 +1,7 @@
 """The differentiable step on small models: values and derivatives against those of MuJoCo's C engine.
 
-Central differences of MJX itself are noise: its line search compares costs, so that elliptic contacts are solved to
-1e-8 and no better, and a difference over 1e-8 of a value is wrong by up to a half. MuJoCo C solves them to 1e-13.
+Central differences of plain MJX are noise: its line search compares costs, so that elliptic contacts are solved to 1e-8
+and no better, and a difference over 1e-8 of a value is wrong by up to a half. MuJoCo C solves them to 1e-13.
 """
 
 from __future__ import annotations

@@ -44,6 +44,32 @@ def test_batches_are_limited_where_jax_started_before_us() -> None:
     assert run(SHOW.format(cores=2, before="import jax")) == ["8 None"], "imported is not started"
 
 
+FLAGS = (
+    "import os\nfrom nermo_mjx import runtime\n{before}\nruntime.configure_compiler()\n"
+    "print(os.environ.get('XLA_FLAGS'))\nimport jax; print(jax.jit(lambda x: x + 1)(1.0))"
+)
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        ("", runtime.COMPILER_FLAG),
+        (
+            "--xla_force_host_platform_device_count=2",
+            f"--xla_force_host_platform_device_count=2 {runtime.COMPILER_FLAG}",
+        ),
+        ("--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true"),
+    ],
+)
+def test_the_compilers_flag_stands_beside_the_users_and_is_known_to_xla(flags: str, expected: str) -> None:
+    assert run(FLAGS.format(before=""), XLA_FLAGS=flags) == [expected, "2.0"]
+
+
+def test_the_compilers_flag_is_not_set_where_jax_started_before_us() -> None:
+    started = "os.environ.pop('XLA_FLAGS', 0); import jax; jax.devices()"
+    assert run(FLAGS.format(before=started))[0] == "None"
+
+
 CACHE = (
     "{first}import nermo_mjx.runtime as r; r.configure_cache(); import jax; print(jax.config.jax_compilation_cache_dir)"
 )

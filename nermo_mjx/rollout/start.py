@@ -23,6 +23,9 @@ from nermo_mjx.rollout.parameters import Start
 #: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
 #: decide whether a tendon holds or its knee springs loose in the first step.
 TAUT: Final = 2e-5
+#: The lowest sole starts so deep in the ground [m]. On its surface rounding would decide whether it touches in the
+#: first steps, which moves the robot by 0.1 micrometres.
+DEPTH: Final = 1e-5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -41,7 +44,7 @@ class StartPose:
         bend = spine.joint_angle(servo.spine)
         axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
         sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
-        height = sole - jnp.min(axis_height + pose.foot[:, 1])
+        height = sole - DEPTH - jnp.min(axis_height + pose.foot[:, 1])
 
         # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
         yaw = start.yaw + 0.5 * 4 * bend

@@ -1,0 +1,73 @@
+"""The derivatives of a whole gait cycle in float64: both modes against each other and against MuJoCo's C engine."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout.differentiable import Rollout
+
+pytestmark = pytest.mark.slow
+
+#: One number of each kind: spine, gait, a stiffness, a mass, friction, contact. At 0.8 Hz a cycle ends with a tick, and
+#: the measured way has a kink.
+POINT = {
+    "spine.amplitude": 0.2, "spine.phase": -1.0, "frequency": 0.81, "stride": 0.9, "stiffness.ankle": 0.1,
+    "mass.front": 0.165, "contact.friction": 1.3, "contact.width": 0.001,
+}  # fmt: skip
+ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
+#: Half-width of the central differences, as a share of each value.
+SHARE = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class Walked:
+    """Mean speed of one gait cycle and its slopes (8,) in both modes; the C engine's speed and slopes (8,)."""
+
+    value: float
+    ahead: np.ndarray
+    reverse: np.ndarray
+    in_c: float
+    differences: np.ndarray
+
+
+@pytest.fixture(scope="module", params=["elliptic", "pyramidal"])
+def walked(request):
+    setup = Setup(spine="stride_extension", cone=request.param)
+    first = np.array(list(POINT.values()))
+    with jax.enable_x64(True):
+        rollout = Rollout(setup, ONE_CYCLE, slowest=0.8)
+
+        def speed(point):
+            return rollout(dict(zip(POINT, point, strict=True)))["speed"]
+
+        value, ahead = jax.jit(lambda point: (speed(point), jax.jacfwd(speed)(point)))(first)
+        reverse = jax.jit(jax.grad(speed))(jnp.asarray(first))
+        points = first + first * SHARE * np.concatenate([np.zeros((1, 8)), np.eye(8), -np.eye(8)])
+        with pytest.MonkeyPatch.context() as patch:
+            # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.
+            patch.setattr(setup.load().model.opt, "tolerance", 0.0)
+            run = Simulator(setup, "c").run(dict(zip(POINT, points.T, strict=True)), ONE_CYCLE)
+    in_c, *ends = run.metrics["speed"]
+    high, low = np.split(np.array(ends), 2)
+    differences = (high - low) / (2 * SHARE * first)
+    return Walked(float(value), np.asarray(ahead), np.asarray(reverse), float(in_c), differences)
+
+
+def test_both_modes_agree(walked):
+    """Forward and reverse mode differ by the rounding of two programs, which a walk amplifies."""
+    np.testing.assert_allclose(walked.reverse, walked.ahead, rtol=1e-8)
+
+
+def test_the_speed_is_that_of_the_c_engine(walked):
+    assert walked.value == pytest.approx(walked.in_c, rel=1e-6)
+
+
+def test_the_gradient_is_that_of_the_c_engine(walked):
+    """Central differences of another implementation, which knows nothing of the rule for contacts."""
+    np.testing.assert_allclose(walked.ahead, walked.differences, rtol=1e-4)
