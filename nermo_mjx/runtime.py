@@ -39,7 +39,7 @@ class RenderingUnavailable(RuntimeError):
 
 
 def configure() -> None:
-    """Settle threads, compiler, cache and GL. Call it before JAX's first use and MuJoCo's import; again does no harm."""
+    """Settle threads, compiler, cache and GL; to be called before JAX's first use and MuJoCo's import."""
     configure_threads()
     configure_compiler()
     configure_cache()
