@@ -83,9 +83,11 @@ def mjx_case(worlds: int) -> dict[str, Any]:
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
     data = jax.jit(jax.vmap(lambda one: engine.data.replace(**one._asdict())))(states)
 
+    model = mjx.put_model(simulator.robot.model)
+
     def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
         def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:
-            return jax.vmap(lambda one, goal: mjx.step(engine.model, one.replace(ctrl=goal)))(data, target), None
+            return jax.vmap(lambda one, goal: mjx.step(model, one.replace(ctrl=goal)))(data, target), None
 
         return jax.lax.scan(tick, data, ctrl)[0]
 

@@ -6,7 +6,7 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,11 @@ from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import cpu_batch_limit
+
+#: Most iterations of the solver's line search. C's ends by itself after a few, and needs more than this in one step of
+#: thousands, where it would return nothing. MJX's never reaches its tolerance in float32 and makes all of MuJoCo's 50,
+#: which are half of a step's time; it keeps the best point found, and from 6 on no digit of a step changes.
+LINE_SEARCH: Final = 10
 
 
 class MjxState(NamedTuple):
@@ -46,7 +51,9 @@ class MjxEngine:
 
     def __init__(self, robot: Robot, loop: Loop) -> None:
         self.robot, self.loop = robot, loop
-        self.model = mjx.put_model(robot.model)
+        model = robot.model.__copy__()
+        model.opt.ls_iterations = LINE_SEARCH
+        self.model = mjx.put_model(model)
         self.data = mjx.make_data(self.model)
         self.open_worlds = jax.jit(jax.vmap(self.start))
         self.advance = jax.jit(self._advance, donate_argnums=2)
