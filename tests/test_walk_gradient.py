@@ -36,7 +36,7 @@ class Walked:
     differences: np.ndarray
 
 
-@pytest.fixture(scope="module", params=["elliptic", "pyramidal"])
+@pytest.fixture(scope="module", params=["elliptic", pytest.param("pyramidal", marks=pytest.mark.long)])
 def walked(request):
     setup = Setup(spine="stride_extension", cone=request.param)
     first = np.array(list(POINT.values()))

@@ -8,6 +8,10 @@ from typing import Any, Final
 
 import jax
 
+#: Name of what the backward run keeps of every step instead of computing it again: where the constraint solver came to,
+#: which is as small as the state and took a third of a step's time.
+KEPT: Final = "solution"
+
 #: Results of one step over its carry, in bytes; decides the length of a segment. The order of magnitude of a tick of
 #: the robot (a megabyte over some kilobytes).
 _RESULTS_OVER_CARRY: Final = 256
@@ -19,9 +23,9 @@ def checkpointed_scan(body: Callable[[Any], tuple[Any, Any]], carry: Any, length
     The forward run keeps the carry before each segment of steps; the backward run repeats one segment at a time and
     keeps its intermediate results meanwhile (checkpointing; Griewank and Walther, Evaluating Derivatives, 2008, chapter
     12). With r the ratio of a step's results to its carry, both parts are alike with sqrt(length / r) steps a segment,
-    which is one step up to hundreds of them. Keeping the constraint solver's results as well would save its second run,
-    but the backward run meets the states they belong to only up to rounding: in float32 the gradient of a walk became
-    wrong by as much as its own size.
+    which is one step up to hundreds of them. Whatever `body` marks with `jax.ad_checkpoint.checkpoint_name(x, KEPT)` is
+    kept as well. It then meets states that are computed anew, and equal only up to rounding: a result of the solver in
+    float32, 5e-3 off, made the gradient of a walk wrong by its own size, until a Newton step followed it.
 
     Args:
         body: carry -> (new carry, output).
@@ -32,10 +36,11 @@ def checkpointed_scan(body: Callable[[Any], tuple[Any, Any]], carry: Any, length
         The last carry, and the outputs of the first `length` steps, stacked.
     """
     steps = max(1, round(math.sqrt(length / _RESULTS_OVER_CARRY)))
+    policy = jax.checkpoint_policies.save_only_these_names(KEPT)
 
     def segment(carry: Any, _: None) -> tuple[Any, Any]:
         return jax.lax.scan(lambda carry, _: body(carry), carry, None, length=steps)
 
-    segment = jax.checkpoint(segment, prevent_cse=False)
+    segment = jax.checkpoint(segment, prevent_cse=False, policy=policy)
     carry, outputs = jax.lax.scan(segment, carry, None, length=-(-length // steps))
     return carry, jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:length], outputs)

@@ -21,10 +21,12 @@ import functools
 from typing import Any
 
 import jax
+from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
 from nermo_mjx.physics import constraint, rows, stages
+from nermo_mjx.physics.checkpointing import KEPT
 from nermo_mjx.physics.integration import integrate
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.rows import Layout, Problem
@@ -63,7 +65,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.solve`, after `stages.acceleration`, to the last digit and with the derivative of the solution."""
     if rows.is_unconstrained(data):
         return data.replace(qacc=data.qacc_smooth)
-    qacc = mjx.solve(*jax.lax.stop_gradient((model, data))).qacc
+    qacc = checkpoint_name(mjx.solve(*jax.lax.stop_gradient((model, data))).qacc, KEPT)
     layout, problem = rows.read(model, data)
     qacc = _solution(layout, _newton(layout, qacc, jax.lax.stop_gradient(problem)), problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
