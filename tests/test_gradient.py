@@ -86,6 +86,16 @@ def test_the_mode_follows_the_number_of_parameters():
     assert choose_mode(2, "reverse") == "reverse"
 
 
+def test_a_rollout_in_float64_does_not_see_that_float32_was_there_before(simulator):
+    """JAX keeps what it made of a NumPy array; arrays of the model that both precisions read must not be mixed up."""
+    values = {"spine.amplitude": np.array([0.2])}
+    simulator("c", spine="stride_extension").run(values, Run(duration=0.02, warmup=0.0))
+    with jax.enable_x64(True):
+        rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.02, warmup=0.0))
+        found = jax.eval_shape(lambda a: rollout({"spine.amplitude": a}), jnp.asarray(0.2))
+    assert {leaf.dtype for leaf in jax.tree.leaves(found)} == {np.dtype(float)}
+
+
 @pytest.mark.parametrize(
     ("run", "message"),
     [

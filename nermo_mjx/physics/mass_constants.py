@@ -57,12 +57,12 @@ class MassConstants:
             body_mass: [kg].
             body_inertia: principal moments [kg m^2].
         """
-        linear, angular = (jnp.asarray(self._jacobian[:, i]) for i in range(2))
-        principal = jnp.asarray(self._principal)
+        linear, angular = (jnp.asarray(self._jacobian[:, i], float) for i in range(2))
+        principal = jnp.asarray(self._principal, float)
         inertia = (
             jnp.einsum("b,bki,bkj->ij", body_mass, linear, linear)
             + jnp.einsum("bk,bki,bkj->ij", body_inertia, principal, principal)
-            + jnp.asarray(self._armature)
+            + jnp.asarray(self._armature, float)
         )
         inverse = jnp.linalg.inv(inertia)
 
@@ -70,13 +70,13 @@ class MassConstants:
             return jnp.einsum("...i,ij,...j->...", jacobian, inverse, jacobian)
 
         body = jnp.stack([weight(part).mean(axis=-1) for part in (linear, angular)], axis=-1)
-        acceleration = jnp.asarray(self._moment) @ inverse
+        acceleration = jnp.asarray(self._moment, float) @ inverse
         return {
-            "body_subtreemass": jnp.asarray(self._below) @ body_mass,
+            "body_subtreemass": jnp.asarray(self._below, float) @ body_mass,
             "body_invweight0": jnp.where(self._moves[:, None], body, 0.0),
-            "dof_invweight0": jnp.asarray(self._group) @ jnp.diag(inverse),
+            "dof_invweight0": jnp.asarray(self._group, float) @ jnp.diag(inverse),
             "dof_M0": jnp.diag(inertia),
-            "tendon_invweight0": weight(jnp.asarray(self._tendon)),
+            "tendon_invweight0": weight(jnp.asarray(self._tendon, float)),
             "actuator_acc0": jnp.sqrt(jnp.sum(acceleration**2, axis=-1)),
         }
 

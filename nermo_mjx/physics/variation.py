@@ -71,33 +71,36 @@ class Variation:
             parameters: leaves of shape ().
         """
         p, model = parameters, self.model
-        gain = jnp.asarray(model.actuator_gainprm).at[:, 0].set(p.servo.kp)
-        bias = jnp.asarray(model.actuator_biasprm).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
+        # Each array with its type: JAX remembers which one it gave an array of NumPy's, also under another precision.
+        gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(p.servo.kp)
+        bias = jnp.asarray(model.actuator_biasprm, float).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
         limit = jnp.asarray(p.servo.torque_limit)
         force = jnp.broadcast_to(jnp.stack([-limit, limit]), model.actuator_forcerange.shape)
 
         soles, contact = self._soles, p.contact
-        friction = jnp.asarray(model.pair_friction).at[soles, :2].set(contact.friction)
+        friction = jnp.asarray(model.pair_friction, float).at[soles, :2].set(contact.friction)
         solref = (
-            jnp.asarray(model.pair_solref)
+            jnp.asarray(model.pair_solref, float)
             .at[soles]
             .set(jnp.stack([jnp.asarray(contact.time_constant), contact.damping_ratio]))
         )
-        solimp = jnp.asarray(model.pair_solimp).at[soles, 1].set(contact.impedance).at[soles, 2].set(contact.width)
+        solimp = (
+            jnp.asarray(model.pair_solimp, float).at[soles, 1].set(contact.impedance).at[soles, 2].set(contact.width)
+        )
 
-        stiffness, damping = jnp.asarray(model.jnt_stiffness), jnp.asarray(model.dof_damping)
+        stiffness, damping = jnp.asarray(model.jnt_stiffness, float), jnp.asarray(model.dof_damping, float)
         for name, ids in self._springs.items():
             stiffness = stiffness.at[ids].set(getattr(p.stiffness, name))
         for name, ids in self._dampers.items():
             damping = damping.at[ids].set(getattr(p.damping, name))
 
-        mass = jnp.asarray(model.body_mass)
+        mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
         scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
         return {
             "actuator_gainprm": gain, "actuator_biasprm": bias, "actuator_forcerange": force, "pair_friction": friction,
             "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
-            "body_mass": mass * scale, "body_inertia": jnp.asarray(model.body_inertia) * scale[:, None],
+            "body_mass": mass * scale, "body_inertia": jnp.asarray(model.body_inertia, float) * scale[:, None],
         }  # fmt: skip
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:

@@ -51,7 +51,7 @@ class StartPose:
         joints, half = self.robot.joints, yaw / 2
         zero = jnp.zeros_like(half)
         root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])
-        qpos = jnp.asarray(self.robot.model.qpos0).at[joints.root : joints.root + 7].set(root)
+        qpos = jnp.asarray(self.robot.model.qpos0, float).at[joints.root : joints.root + 7].set(root)
         qpos = qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
         qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle)
         return qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
