@@ -94,12 +94,9 @@ class Work:
 
     def _run_chunk(self, k: int, simulator: SimulatorLike) -> pa.Table:
         index, sweep, started = self.layout[k], self.store.sweep, time.perf_counter()
-        rows, full = self.rows.take(index), max(map(len, self.layout))
-        # One shape for all chunks, so that no engine compiles twice: a shorter chunk repeats its last row.
-        padded = self.rows.take(np.pad(index, (0, full - len(index)), mode="edge"))
-        constants = {name: np.full(full, value) for name, value in sweep.constants.items()}
+        rows, full = self.rows.take(index), batch_size(self.layout)
         result = simulator.run(
-            {**constants, **padded.values},
+            batch_values(sweep, self.rows, index, full),
             sweep.run,
             progress=lambda done: self._report(done, k),
             notify=None if self.chunks_run else self.notify,  # compiled once, for the first chunk
@@ -149,3 +146,21 @@ def layout_of(seconds: np.ndarray, size: int) -> list[np.ndarray]:
     """Rows of each chunk: chunk-mates last alike long, and chunks are alike large (to one row)."""
     order = np.argsort(seconds, kind="stable")
     return np.array_split(order, math.ceil(len(order) / size))
+
+
+def batch_size(layout: list[np.ndarray]) -> int:
+    """Worlds of every chunk's batch: one shape for all chunks, so that no engine compiles twice."""
+    return max(map(len, layout))
+
+
+def batch_values(sweep: Sweep, rows: Rows, index: np.ndarray, worlds: int) -> dict[str, np.ndarray]:
+    """Values of every parameter that the sweep names, for a simulator: name -> (worlds,).
+
+    Args:
+        rows: all rows of the sweep.
+        index: which of them, (n,); the last one is repeated until the batch is full.
+        worlds: size of the batch, n or more.
+    """
+    padded = rows.take(np.pad(index, (0, worlds - len(index)), mode="edge"))
+    constants = {name: np.full(worlds, value) for name, value in sweep.constants.items()}
+    return {**constants, **padded.values}

@@ -85,7 +85,7 @@ def run_sweep(
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
     rows = sample(sweep)
     seconds = simulated_seconds(sweep, rows)
-    size = chunk or sweep.chunk or _default_chunk(engine)
+    size = chunk or sweep.chunk or default_chunk(engine)
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store):
         layout = layout_of(seconds, store.sweep.chunk or size)
         work = Work(store, rows, seconds, layout, progress, notify)
@@ -105,7 +105,8 @@ def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:
     return Sweep.from_dict(spec) if isinstance(spec, Mapping) else Sweep.from_file(spec)
 
 
-def _default_chunk(engine: str) -> int:
+def default_chunk(engine: str) -> int:
+    """Rows of a chunk where neither the sweep nor the caller says."""
     return CPU_CHUNK if engine == "c" or jax.default_backend() == "cpu" else DEVICE_CHUNK
 
 

@@ -1,0 +1,157 @@
+"""`nermo-mjx replay`: one row of a sweep again, to look at it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import ENGINES, VIEWS
+from nermo_mjx.cli.group import Failure
+from nermo_mjx.cli.output import plain, print_json, stdout_reserved
+from nermo_mjx.cli.progress import Progress
+from nermo_mjx.cli.render import render_video
+from nermo_mjx.cli.walk_plan import Plan
+from nermo_mjx.cli.walk_report import print_walk
+
+if TYPE_CHECKING:
+    from nermo_mjx.sweep.replay import Replay, SweepRow
+
+EPILOG = """\b
+Examples:
+  nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
+  nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
+"""
+
+
+@click.command("replay", epilog=EPILOG)
+@click.argument("out", metavar="DIR", type=click.Path(path_type=Path))
+@options.number("--row", "Which row of the table, from 0.", int, required=True, metavar="N")
+@options.choice("--engine", ENGINES, "By default the sweep's own.", default=None)
+@options.file("--record", ".npz", "Save the whole run.")
+@options.file("--video", ".mp4", "Render it; MP4 or GIF.")
+@click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
+@options.report
+def command(
+    out: Path,
+    row: int,
+    engine: str | None,
+    record: Path | None,
+    video: Path | None,
+    camera: str,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Run one row of a sweep's directory again, by itself.
+
+    It has the parameters, the start and the length that the sweep gives it,
+    whether the sweep has come to it or not. Its metrics are compared with
+    those in the table: with the engine c on the same machine, they are equal
+    to the last bit. DIR is only read.
+    """
+    files = [path for path in (record, video) if path is not None]
+    with stdout_reserved():
+        from nermo_mjx.sweep.files import make_writable
+        from nermo_mjx.sweep.replay import find_row, replay_row
+
+        found = find_row(out, row)
+        wanted = Plan(found.sweep.setup, found.sweep.run, found.values, found.parameters)
+        for path in files:
+            make_writable(path.parent)
+        if video is not None:
+            _check_video(wanted, video, camera)
+        with Progress("replay", quiet=quiet, compiles=True) as progress:
+            replay = replay_row(found, engine, progress.share)
+        report = _report(found, wanted, replay)
+        if files:
+            _save(replay, wanted, report, record, video, camera, quiet)
+    if as_json:
+        print_json(report)
+    elif not quiet:
+        _print(found, wanted, replay, report, files)
+
+
+def _report(found: SweepRow, wanted: Plan, replay: Replay) -> dict[str, Any]:
+    """The fields of `walk --json`, and the row's own."""
+    from nermo_mjx.sweep import versions
+
+    rows, row = found.rows, found.row
+    flags = {name: bool(replay.metrics[name]) for name in ("fell", "diverged")}
+    return {
+        "directory": str(found.out),
+        "row": row,
+        "variant": int(rows.variant[row]),
+        "repeat": int(rows.repeat[row]),
+        "seed": int(rows.seed[row]),
+        "metrics": {**replay.metrics, **flags, "status": replay.status},
+        "fell_at": replay.fell_at,
+        "diverged_at": replay.diverged_at,
+        "comparison": None if replay.comparison is None else dataclasses.asdict(replay.comparison),
+        "compared": _compared(found, replay),
+        "parameters": dict(wanted.parameters),
+        "setup": wanted.setup_fields,
+        "run": wanted.run_fields,
+        "engine": replay.engine,
+        "versions": versions(),
+    }
+
+
+def _compared(found: SweepRow, replay: Replay) -> str:
+    """How the replay stands to the table, in a sentence."""
+    comparison = replay.comparison
+    if comparison is None and found.outdated:
+        return "Not compared: the row in the table was made by another sweep.yaml, or with other defaults."
+    if comparison is None:
+        return "Not compared: the sweep has not run this row yet."
+    if comparison.equal:
+        return f"All metrics equal the table's (engine {comparison.engine}), to the last bit."
+    known = math.isfinite(comparison.relative_difference)
+    return (
+        f"The metrics differ from the table's (engine {comparison.engine}), most of all {comparison.metric}: "
+        f"{comparison.replayed:.6g} instead of {comparison.stored:.6g}"
+        + (f", a share of {comparison.relative_difference:.2g}." if known else ".")
+    )
+
+
+def _check_video(wanted: Plan, video: Path, camera: str) -> None:
+    """Refuse a video that cannot be made before the robot walks."""
+    from nermo_mjx.view import check_video
+
+    check_video(wanted.setup.load().model, video, camera=camera)
+
+
+def _save(
+    replay: Replay,
+    wanted: Plan,
+    report: dict[str, Any],
+    record: Path | None,
+    video: Path | None,
+    camera: str,
+    quiet: bool,
+) -> None:
+    from nermo_mjx.view import recording_of
+
+    if not len(replay.history.time):
+        raise Failure(f"row {report['row']} diverged in its first tick: there is nothing to record or to show.")
+    recording = recording_of(replay.history, wanted.setup.load().model, metadata=plain(report))
+    if record is not None:
+        recording.save(record)
+    if video is not None:
+        render_video(recording, video, quiet, camera=camera)
+
+
+def _print(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:
+    values = "".join(f", {name} {value:.4g}" for name, value in found.values.items())
+    click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
+    print_walk(report, wanted.theory, [])
+    for flag, what, time in (("fell", "fell", replay.fell_at), ("diverged", "lost its numbers", replay.diverged_at)):
+        if report["metrics"][flag]:
+            when = "within a control tick" if time is None else f"at {time:.2f} s"
+            click.echo(f"It {what} {when}, of {found.seconds[found.row]:.2f} s.")
+    click.echo(report["compared"])
+    for file in files:
+        click.echo(f"wrote {file}")
