@@ -13,6 +13,12 @@ from nermo_mjx import runtime
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that compile for minutes come first, so that no process is left alone with one in the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path not in slow, item.path.name != "test_walk_gradient.py"))
+
+
 @functools.cache
 def _simulator(setup: Setup, engine: str) -> Simulator:
     return Simulator(setup, engine)
