@@ -1,11 +1,21 @@
-"""MuJoCo's C engine on all cores, the jitted controller between ticks: CPU batches, and the reference of the others."""
+"""MuJoCo's C engine on all cores, the jitted controller between ticks: CPU batches, and the reference of the others.
+
+A batch is cut into blocks. Each core takes one block after the other through all ticks, so that no core waits for
+another between two ticks, nor for the controller. The controller is always compiled for `LANES` worlds, and in that
+shape a world's numbers depend neither on its place nor on its neighbours: results are the same, bit for bit, whatever
+the batch, its order, or the number of cores.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
-from collections.abc import Iterator
-from typing import Any
+import math
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, TypeVar
 
 import jax
 import mujoco
@@ -14,6 +24,13 @@ from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.robot import Robot
+
+#: Worlds of every call of the compiled loop; what is missing is filled up. XLA rounds by the shape of a batch.
+LANES: Final = 32
+#: Fewest worlds for which a block of their own pays, its call of the loop included.
+LEAST: Final = 8
+
+Result = TypeVar("Result")
 
 
 @contextlib.contextmanager
@@ -34,22 +51,92 @@ class CEngine:
 
     def __init__(self, robot: Robot, loop: Loop, threads: int = 0) -> None:
         """`threads` 0 means all cores."""
-        self.robot, self.loop, self.threads = robot, loop, threads
+        self.robot, self.loop, self.threads = robot, loop, threads or _cores()
         self.init = jax.jit(jax.vmap(loop.init))
-        self.step = jax.jit(jax.vmap(loop.step), donate_argnums=1)
+        self.step = jax.jit(jax.vmap(loop.step))
 
     def open(self, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> CSession:
         """See `Engine.open`."""
         return CSession(self, params, qpos, fields)
+
+    @functools.cached_property
+    def pool(self) -> ThreadPoolExecutor:
+        """The threads, one a core."""
+        return ThreadPoolExecutor(self.threads, thread_name_prefix="nermo_mjx")
 
 
 class CSession:
     """A batch of worlds in MuJoCo's C engine; see `Session`."""
 
     def __init__(self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
-        self.engine, self.params = engine, jax.device_put(params)
+        self.engine = engine
+        self._spans = _spans(len(qpos), engine.threads)
+        threads = max(1, engine.threads // len(self._spans))
+        self._x64 = bool(jax.config.read("jax_enable_x64"))
+        self._blocks = []
+        for span in self._spans:
+            lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
+            part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
+            self._blocks.append(_Block(engine, part, qpos[span], {k: v[span] for k, v in fields.items()}, threads))
+        engine.step(*self.arguments)  # compiled before several threads want it at once
+
+    @property
+    def loop_state(self) -> Any:
+        """See `Session.loop_state`."""
+        parts = [block.loop_state for block in self._blocks]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+    @property
+    def arguments(self) -> tuple[Any, Any, np.ndarray]:
+        """Of a call of the compiled loop: `LANES` worlds, whatever the batch."""
+        return self._blocks[0].arguments
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """Positions of all worlds (n, nq)."""
+        return np.concatenate([block.qpos for block in self._blocks])
+
+    @property
+    def qvel(self) -> np.ndarray:
+        """Velocities of all worlds (n, nv)."""
+        return np.concatenate([block.qvel for block in self._blocks])
+
+    def advance(self, ticks: int) -> None:
+        """See `Session.advance`."""
+        self._each(lambda block: block.advance(ticks))
+
+    def record(self, ticks: int) -> Trace:
+        """See `Session.record`."""
+        parts = self._each(lambda block: block.record(ticks))
+        return Trace(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def retire(self, done: np.ndarray) -> None:
+        """See `Session.retire`."""
+        for span, block in zip(self._spans, self._blocks, strict=True):
+            block.moving = np.flatnonzero(~done[span])
+
+    def _each(self, work: Callable[[_Block], Result]) -> list[Result]:
+        """What `work` returns for each block, the blocks side by side on all cores."""
+
+        def run(block: _Block) -> Result:
+            with jax.enable_x64(self._x64):  # a setting of each thread
+                return work(block)
+
+        with _warnings_logged():
+            if len(self._blocks) == 1:
+                return [run(self._blocks[0])]
+            return list(self.engine.pool.map(run, self._blocks))
+
+
+class _Block:
+    """Some worlds of a batch: n in MuJoCo, and the loop beside them in `LANES` lanes of which the first n count."""
+
+    def __init__(
+        self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
+    ) -> None:
+        self.engine, self.params, self.worlds = engine, jax.device_put(params), len(qpos)
         self.steps = engine.loop.steps_per_tick
-        self.batch = Batch(engine.robot.model, len(qpos), nthread=engine.threads)
+        self.batch = Batch(engine.robot.physical, self.worlds, nthread=threads)
         for name, values in fields.items():
             self.batch.expand(name)[...] = values
         if "body_mass" in fields:
@@ -58,45 +145,63 @@ class CSession:
         self.qpos[...] = qpos
         at_rest = self.batch.bind("sensordata")
         self.batch.forward()
-        self.loop_state = engine.init(self.params, at_rest)
-        self.sensordata = np.repeat(at_rest[:, None], self.steps, axis=1)
-        self._moving: np.ndarray | None = None
+        lanes = np.pad(at_rest, ((0, LANES - self.worlds), (0, 0)), mode="edge")
+        self._state = engine.init(self.params, lanes)
+        self._sensordata = np.repeat(lanes[:, None], self.steps, axis=1)
+        self.moving = np.arange(self.worlds)
+
+    @property
+    def loop_state(self) -> Any:
+        """State of the loop, leaves (n, ...)."""
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.worlds], self._state)
+
+    @property
+    def arguments(self) -> tuple[Any, Any, np.ndarray]:
+        """Of the next call of the compiled loop."""
+        return self.params, self._state, self._sensordata
 
     def advance(self, ticks: int) -> None:
         """See `Session.advance`."""
-        with _warnings_logged():
-            for _ in range(ticks):
-                self._tick()
+        for _ in range(ticks):
+            self._tick()
 
-    def record(self, ticks: int) -> Trace:
-        """See `Session.record`."""
+    def record(self, ticks: int) -> tuple[np.ndarray, ...]:
+        """The fields of a `Trace`."""
         rows: list[tuple[np.ndarray, ...]] = []
-        with _warnings_logged():
-            for _ in range(ticks):
-                self._tick()
-                rows.append((self.qpos.copy(), self.qvel.copy(), self.ctrl.copy(), self.sensordata[:, -1].copy()))
-        return Trace(*(np.stack(column, axis=1) for column in zip(*rows, strict=True)))
-
-    def retire(self, done: np.ndarray) -> None:
-        """See `Session.retire`."""
-        self._moving = np.flatnonzero(~done) if done.any() else None
+        for _ in range(ticks):
+            self._tick()
+            last = self._sensordata[: self.worlds, -1]
+            rows.append((self.qpos.copy(), self.qvel.copy(), self.ctrl.copy(), last.copy()))
+        return tuple(np.stack(column, axis=1) for column in zip(*rows, strict=True))
 
     def _tick(self) -> None:
-        self.loop_state, ctrl = self.engine.step(self.params, self.loop_state, self.sensordata)
-        self.ctrl[...] = np.asarray(ctrl)
-        moving, failed = self._moving, []
-        if moving is not None and not len(moving):
+        if not len(self.moving):
             return
-        out = self.sensordata if moving is None else self.sensordata[moving]
+        self._state, ctrl = self.engine.step(*self.arguments)
+        self.ctrl[...] = np.asarray(ctrl)[: self.worlds]
+        ids = None if len(self.moving) == self.worlds else self.moving
+        readings = self._sensordata[: self.worlds]
+        out, failed = readings if ids is None else readings[ids], []
         try:
-            self.batch.rollout(self.steps, record=("sensordata",), ids=moving, out={"sensordata": out})
+            self.batch.rollout(self.steps, record=("sensordata",), ids=ids, out={"sensordata": out})
         except SimulationError as error:
             # The worlds that failed kept their state; the loop sees them as diverged, the others are not touched.
             failed = error.ids
-        if moving is not None:
-            self.sensordata[moving] = out
-        self.sensordata[failed] = np.nan
+        if ids is not None:
+            readings[ids] = out
+        readings[failed] = np.nan
         # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
-        stopped = self.batch.warning.reshape(len(self.qpos), -1).any(axis=1)
+        stopped = self.batch.warning.reshape(self.worlds, -1).any(axis=1)
         if stopped.any():
-            self.sensordata[stopped] = np.nan
+            readings[stopped] = np.nan
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _spans(worlds: int, threads: int) -> list[np.ndarray]:
+    """Worlds of each block: alike many, as many blocks as keep all threads busy to the end."""
+    fewest = math.ceil(worlds / LANES)
+    even = math.ceil(fewest / threads) * threads
+    return np.array_split(np.arange(worlds), min(even, max(fewest, worlds // LEAST)))

@@ -41,7 +41,7 @@ class Variation:
     """Writes `ModelParameters` into model fields; ids are resolved once."""
 
     def __init__(self, robot: Robot) -> None:
-        model = robot.model
+        model = robot.physical
         self.model = model
         names = [model.joint(i).name for i in range(model.njnt)]
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}

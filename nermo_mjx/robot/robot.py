@@ -19,6 +19,7 @@ from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.robot.physical import physical_model
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Robot:
     Attributes:
         config: what was built.
         spec: the editable specification it was compiled from.
-        model: the compiled model; treat it as read-only, variation is `physics.variation`'s.
+        model: the compiled model; treat it as read-only, variation is `physics.variation`'s. Engines step `physical`.
         joints: addresses in `qpos`.
     """
 
@@ -65,6 +66,11 @@ class Robot:
     def n_servos(self) -> int:
         """Number of servos, the length of `ctrl`."""
         return self.model.nu
+
+    @functools.cached_property
+    def physical(self) -> mujoco.MjModel:
+        """`model` without what is only drawn or marked, for engines; the ids of geoms and sites differ."""
+        return physical_model(self.spec, self.model)
 
     @functools.cached_property
     def _sensor_slices(self) -> dict[str, slice]:
@@ -158,16 +164,18 @@ def load_robot(
     tail: str = "rigid",
     routing: str = "type3",
     cone: str = "elliptic",
-    timestep: float = 0.002,
+    physics: str = "reference",
+    timestep: float | None = None,
 ) -> Robot:
     """Assemble and compile a robot in a scene; the same arguments give the same object.
 
     Args: see `RobotConfig`.
 
     Raises:
-        ParameterError: an unknown name.
+        ParameterError: an unknown name, or a time step out of range.
     """
-    return _load(RobotConfig(robot, scene, tail, routing, cone, timestep))
+    given = {} if timestep is None else {"timestep": timestep}
+    return _load(RobotConfig(robot, scene, tail, routing, cone, physics, **given))
 
 
 def _joint_index(model: mujoco.MjModel) -> JointIndex:

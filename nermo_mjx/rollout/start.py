@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -18,6 +16,8 @@ from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.rollout.lanes import Lanes
+from nermo_mjx.rollout.loop import ClosedLoop
 from nermo_mjx.rollout.parameters import Start
 
 #: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
@@ -61,5 +61,5 @@ class StartPose:
         return np.asarray(self._batched(control, start), float)
 
     @functools.cached_property
-    def _batched(self) -> Callable[..., Any]:
-        return jax.jit(jax.vmap(self.qpos))
+    def _batched(self) -> Lanes:
+        return Lanes(self.qpos, ClosedLoop(self.robot, self.controller).identity)

@@ -1,0 +1,39 @@
+"""A function of one world, for batches of any size, with results that do not depend on the batch.
+
+XLA rounds by the shape of an array, and in one shape alike at every place: work is cut into pieces of one shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import jax
+import numpy as np
+
+from nermo_mjx.physics.program_cache import KeptProgram
+
+#: Worlds of a piece; the last one is filled up.
+LANES: Final = 256
+
+
+class Lanes:
+    """Applies a jittable function of one world to batches: leaves (n, ...) in, NumPy leaves (n, ...) out."""
+
+    def __init__(self, function: Callable[..., Any], closed_over: str | None = None) -> None:
+        """
+        Args:
+            function: of one world.
+            closed_over: what it depends on beside its arguments; see `KeptProgram`.
+        """
+        self._program = KeptProgram(jax.vmap(function), closed_over)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The results of all worlds; n is at least 1."""
+        arguments = jax.tree.map(np.asarray, arguments)
+        worlds = len(jax.tree.leaves(arguments)[0])
+        pieces = []
+        for start in range(0, worlds, LANES):
+            ids = np.minimum(np.arange(start, start + LANES), worlds - 1)
+            pieces.append(self._program(*jax.tree.map(lambda leaf, ids=ids: leaf[ids], arguments)))
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[:worlds], *pieces)
