@@ -492,8 +492,8 @@ def test_a_window_shorter_than_a_tick_has_numbers(late):
     assert missing == MAY_BE_NAN | {"cost_of_transport"}  # below 1 mm there is none
 
 
-#: Metrics without a number in a run as it should be: without a path, without a bend.
-MAY_BE_NAN = {"cross_track_peak", "cross_track_rms", "cross_track_walked", "turning_radius"}
+#: Metrics without a number in a run as it should be: without a failure, a path, a bend.
+MAY_BE_NAN = {"failure_time", "cross_track_peak", "cross_track_rms", "cross_track_walked", "turning_radius"}
 
 
 @functools.cache
@@ -585,6 +585,7 @@ def test_a_run_that_was_never_measured_has_no_numbers():
     down = every_step(quaternion(roll=np.where(np.arange(401) < 50, 0.0, 1.5)))
     result, _ = measure(stream(401, orientation=down), begin=1.0)
     assert (result["fell"], result["diverged"], result["duration"]) == (1.0, 0.0, 0.0)
+    assert result["failure_time"] == pytest.approx(0.5)
     for name in ("speed", "distance", "roll_mean", "yaw_max", "pitch_std", "slip", "duty_rear_left", "lateral_drift"):
         assert np.isnan(result[name]), name
 
@@ -603,7 +604,7 @@ def test_a_fall_is_kept_and_freezes_what_was_measured(how):
     else:
         readings = stream(401, position=position, orientation=every_step(quaternion(**{how: np.where(fall, 1.1, 0.0)})))
     result, history = measure(readings)
-    assert (result["fell"], result["diverged"]) == (1.0, 0.0)
+    assert (result["fell"], result["diverged"], result["failure_time"]) == (1.0, 0.0, pytest.approx(2.0))
     assert result["duration"] == pytest.approx(1.99)
     assert result["distance"] == pytest.approx(0.08 * 1.99)
     assert result["speed"] == pytest.approx(0.08)
@@ -632,7 +633,7 @@ def test_a_divergence_is_kept_and_no_nan_reaches_the_accumulators(name, value):
     readings = stream(401, position=position, orientation=quaternion(yaw=0.0, roll=0.1))
     getattr(readings, name)[200, 2] = value
     result, history = measure(readings)
-    assert (result["fell"], result["diverged"]) == (0.0, 1.0)
+    assert (result["fell"], result["diverged"], result["failure_time"]) == (0.0, 1.0, pytest.approx(2.0))
     np.testing.assert_array_equal(history.diverged, np.arange(401) >= 200)
     assert result["duration"] == pytest.approx(1.99)
     assert result["distance"] == pytest.approx(0.08 * 1.99)
@@ -640,6 +641,46 @@ def test_a_divergence_is_kept_and_no_nan_reaches_the_accumulators(name, value):
     assert result["roll_std"] == pytest.approx(0.0, abs=1e-6)
     for leaf in jax.tree.leaves(history):
         assert np.isfinite(leaf[1:]).all()
+
+
+def failing(how: str, tick: int, ticks: int = 401) -> Sensors:
+    """A straight walk that falls, or loses its numbers, in one tick, and goes on as it is then."""
+    readings = stream(ticks, position=path(0 * TIME[:ticks], -0.08 * TIME[:ticks]))
+    if how == "fall":
+        readings.orientation[tick:] = quaternion(roll=1.5)
+    else:
+        readings.gyro[tick:] = np.nan
+    return readings
+
+
+@pytest.mark.parametrize("how", ["fall", "divergence"])
+@pytest.mark.parametrize(("end", "last"), [(2.0, 200), (2.004, 201), (1.9999, 200), (1.99 + 1e-9, 199)])
+def test_what_happens_after_the_run_does_not_count(how, end, last):
+    """The tick in which the run ends is the last that is judged; the next one fails a world that its batch drags on."""
+    during, _ = measure(failing(how, last), end=end)
+    assert during["fell"] + during["diverged"] == 1.0
+    assert during["failure_time"] == pytest.approx(last * DT)
+    after, history = measure(failing(how, last + 1), end=end)
+    whole, _ = measure(stream(401, position=path(0 * TIME, -0.08 * TIME)), end=end)
+    assert after == pytest.approx(whole, abs=1e-4, nan_ok=True)
+    assert np.isnan(after["failure_time"])
+    assert all(np.isfinite(leaf[1:]).all() for leaf in jax.tree.leaves(history))
+
+
+@pytest.mark.parametrize("how", ["fall", "divergence"])
+def test_what_happens_after_the_distance_does_not_count(how):
+    """The cycle that covers 0.15 m ends at 2.0 s; the robot that fails half a second later has arrived."""
+    result, _ = measure(failing(how, 250), rate=2.0, distance=0.15)
+    assert (result["fell"], result["diverged"], result["duration"]) == (0.0, 0.0, pytest.approx(2.0))
+    assert np.isnan(result["failure_time"])
+
+
+def test_the_first_failure_is_the_one_that_counts():
+    """A robot that fell and whose numbers are lost afterwards fell, however long its batch goes on."""
+    readings = failing("fall", 150)
+    readings.gyro[160:] = np.nan
+    result, _ = measure(readings)
+    assert (result["fell"], result["diverged"], result["failure_time"]) == (1.0, 0.0, pytest.approx(1.5))
 
 
 def test_an_absurd_speed_is_a_divergence():

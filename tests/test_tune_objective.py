@@ -43,5 +43,6 @@ def test_only_what_is_named_is_read():
 
 def test_flags_and_lengths_are_no_aim():
     """Every metric of a walk may be named but those that follow from the run's length, and flags."""
-    assert set(OBJECTIVE_METRICS) == set(METRICS) - {"distance", "duration", "fell", "diverged"} | {TRAJECTORY_ERROR}
+    of_the_run = {"distance", "duration", "fell", "diverged", "failure_time"}
+    assert set(OBJECTIVE_METRICS) == set(METRICS) - of_the_run | {TRAJECTORY_ERROR}
     assert all(about.unit for about in OBJECTIVE_METRICS.values())

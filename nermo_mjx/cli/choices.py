@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-ENGINES = ("auto", "c", "mjx")
+ENGINES = ("auto", "c", "mjx", "warp")
 GRADIENT_MODES = ("forward", "reverse")
+BENCH_CASES = ("throughput", "gradient", "tuning", "startup", "profile", "speedtest")
 ROBOTS = ("nermo_lite",)
 TAILS = ("rigid", "articulated")
+PHYSICS = ("reference", "fast")
 GAITS = ("trt", "trt1", "lat")
 SPINE_MODES = ("none", "stride_extension", "balance")
 STEERINGS = ("leg", "spine", "mix")

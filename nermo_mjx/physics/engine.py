@@ -2,14 +2,13 @@
 
 An engine advances a batch of worlds by control ticks. In each tick the *loop* (controller and metrics, pure functions
 that know nothing of engines) reads the sensors of the tick before and sets the servos; then the physics runs
-`steps_per_tick` steps. The loop is the same code in every engine: traced into the scan (`mjx`), or jitted and called
-between ticks (`c`).
+`steps_per_tick` steps. The loop is the same code in every engine: traced into the scan (`mjx`, `warp`), or jitted and
+called between ticks (`c`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, Protocol
 
 import jax
@@ -17,7 +16,7 @@ import numpy as np
 
 from nermo_mjx.robot import ParameterError, Robot
 
-ENGINES = ("auto", "c", "mjx")
+ENGINES = ("auto", "c", "mjx", "warp")
 
 
 class Loop(Protocol):
@@ -26,6 +25,13 @@ class Loop(Protocol):
     @property
     def steps_per_tick(self) -> int:
         """Physics steps in a control tick."""
+
+    @property
+    def identity(self) -> str | None:
+        """Text that tells this loop apart from any other, also in another process; None if there is none.
+
+        Compiled programs are kept under it.
+        """
 
     def init(self, params: Any, sensordata: Any) -> Any:
         """First state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
@@ -83,22 +89,49 @@ class Engine(Protocol):
 
 
 def resolve_engine(name: str) -> str:
-    """The engine that `auto` stands for on this machine: `mjx` where there is an accelerator, `c` on a CPU.
+    """The engine that a name stands for on this machine.
+
+    `auto` is `c` on a CPU, `warp` on an NVIDIA GPU where Warp is installed, and `mjx` on any other accelerator.
 
     Raises:
-        ParameterError: an unknown name.
+        ParameterError: an unknown name, or an engine that cannot run here; the message has the remedy.
     """
     if name not in ENGINES:
         raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
-    if name != "auto":
+    if name == "auto" and jax.default_backend() == "cpu":
+        return "c"
+    if name not in ("auto", "warp"):
         return name
-    return "c" if jax.default_backend() == "cpu" else "mjx"
+    from nermo_mjx.physics.warp_engine import obstacle
+
+    found = obstacle()
+    if name == "auto":
+        return "warp" if found is None else "mjx"
+    if found is not None:
+        raise ParameterError(f"engine is 'warp': {found}")
+    return name
 
 
-def make_engine(name: str, robot: Robot, loop: Loop) -> Engine:
-    """Build an engine by name (`auto`, `c`, `mjx`)."""
-    from nermo_mjx.physics.c_engine import CEngine
+def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None) -> Engine:
+    """Build an engine by name.
+
+    Args:
+        name: see `resolve_engine`.
+        robot, loop: what runs.
+        devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or all of them.
+
+    Raises:
+        ParameterError: an unknown engine, one that cannot run here, or not as many devices.
+    """
+    chosen = resolve_engine(name)
+    if chosen == "c":
+        from nermo_mjx.physics.c_engine import CEngine
+
+        return CEngine(robot, loop)
+    if chosen == "warp":
+        from nermo_mjx.physics.warp_engine import WarpEngine
+
+        return WarpEngine(robot, loop, devices)
     from nermo_mjx.physics.mjx_engine import MjxEngine
 
-    engines: dict[str, Callable[[Robot, Loop], Engine]] = {"c": CEngine, "mjx": MjxEngine}
-    return engines[resolve_engine(name)](robot, loop)
+    return MjxEngine(robot, loop, devices)

@@ -6,20 +6,25 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
+import copy
+import functools
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 from mujoco.batch import Batch
 
 from nermo_mjx.physics import differentiable
+from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.physics.program_cache import KeptProgram, is_ours, model_digest
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
-from nermo_mjx.runtime import cpu_batch_limit
 
 #: Most iterations of the solver's line search. C's ends by itself after a few, and needs more than this in one step of
 #: thousands, where it would stop at a wrong solution. MJX's never reaches its tolerance in float32 and makes all of
@@ -50,24 +55,47 @@ class MjxEngine:
 
     name = "mjx"
 
-    def __init__(self, robot: Robot, loop: Loop) -> None:
+    def __init__(self, robot: Robot, loop: Loop, devices: int | None = None) -> None:
+        """
+        Args:
+            robot, loop: what runs.
+            devices: local devices that share a batch; None for `$NERMO_MJX_DEVICES`, or all of them.
+
+        Raises:
+            ParameterError: there are not as many devices.
+        """
         self.robot, self.loop = robot, loop
-        model = robot.model.__copy__()
+        self.devices = choose_devices(devices)
+        self.model, self.data = self.put(robot.physical)
+        identity = self._identity()
+        self.open_worlds = KeptProgram(self._open_worlds, identity)
+        self.advance = KeptProgram(self._advance, identity, donated=(2,))
+        self.record = KeptProgram(self._record, identity, donated=(2,), static=(3,))
+
+    def _identity(self) -> str | None:
+        """What the programs close over, as text; None where they cannot be kept."""
+        known = is_ours(self, self.loop) and self.loop.identity is not None
+        names = f"{type(self).__qualname__} {type(self.loop).__qualname__}"
+        return f"{names} {self.loop.identity} {model_digest(self.robot.physical)}" if known else None
+
+    def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
+        """The model for MJX, and data of a world alone."""
+        model = copy.copy(model)
         model.opt.ls_iterations = LINE_SEARCH
-        self.model = mjx.put_model(model)
-        self.data = mjx.make_data(self.model)
-        self.open_worlds = jax.jit(jax.vmap(self.start))
-        self.advance = jax.jit(self._advance, donate_argnums=2)
-        self.record = jax.jit(self._record, static_argnums=3, donate_argnums=2)
+        ours = mjx.put_model(model)
+        return ours, mjx.make_data(ours)
+
+    def data_among(self, worlds: int) -> mjx.Data:
+        """Data of one of so many worlds that a device runs together."""
+        return self.data
 
     def open(self, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> MjxSession:
         """See `Engine.open`."""
         return MjxSession(self, params, qpos, fields)
 
-    def physics_step(self, model: mjx.Model, state: MjxState, ctrl: Float[Array, " nu"]) -> tuple[MjxState, Array]:
-        """One step of physics in one world: the new state, and the step's sensor readings."""
-        data = differentiable.step(model, self.data.replace(ctrl=ctrl, **state._asdict()))
-        return MjxState(data.qpos, data.qvel, data.act, data.qacc_warmstart), data.sensordata
+    def physics_step(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
+        """One step of physics in one world."""
+        return differentiable.step(model, data)
 
     def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         """Carry of one world before its first tick, from its state and its sensors there."""
@@ -76,49 +104,75 @@ class MjxEngine:
         steps = self.loop.steps_per_tick
         return Carry(physics, self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1)))
 
-    def tick(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
-        """One control tick of one world: the new carry, and the servos' targets."""
-        model = self.model.tree_replace(fields)
+    def tick(
+        self, params: Any, fields: dict[str, Array], carry: Carry, data: mjx.Data | None = None
+    ) -> tuple[Carry, Array]:
+        """One control tick of one world: the new carry, and the servos' targets.
+
+        Args:
+            params, fields: of the loop, and what differs from the model.
+            carry: before the tick.
+            data: to fill; by default that of a world alone.
+        """
+        model, blank = self.model.tree_replace(fields), self.data if data is None else data
         loop, ctrl = self.loop.step(params, carry.loop, carry.sensordata)
 
         def step(state: MjxState, _: None) -> tuple[MjxState, Array]:
-            return self.physics_step(model, state, ctrl)
+            after = self.physics_step(model, blank.replace(ctrl=ctrl, **state._asdict()))
+            return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), after.sensordata
 
         physics, sensordata = jax.lax.scan(step, carry.physics, None, length=self.loop.steps_per_tick)
         return Carry(physics, loop, sensordata), ctrl
 
-    def _ticks(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
-        return jax.vmap(self.tick)(params, fields, carry)
+    def _ticks(self, params: Any, fields: dict[str, Array]) -> Callable[[Carry], tuple[Carry, Array]]:
+        """`tick` for all worlds of a device."""
+
+        def ticks(carry: Carry) -> tuple[Carry, Array]:
+            data = self.data_among(len(carry.physics.qpos))
+            return jax.vmap(functools.partial(self.tick, data=data))(params, fields, carry)
+
+        return ticks
+
+    def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
+        return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(params, qpos, qvel, sensordata)
 
     def _advance(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: Array) -> Carry:
-        return jax.lax.fori_loop(0, ticks, lambda _, c: self._ticks(params, fields, c)[0], carry)
+        def advance(params: Any, fields: dict[str, Array], carry: Carry, ticks: Array) -> Carry:
+            tick = self._ticks(params, fields)
+            return jax.lax.fori_loop(0, ticks, lambda _, c: tick(c)[0], carry)
+
+        return self.devices.divide(advance, (FIRST, FIRST, FIRST, NOWHERE), FIRST)(params, fields, carry, ticks)
 
     def _record(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int) -> tuple[Carry, Any]:
-        def tick(c: Carry, _: None) -> tuple[Carry, Any]:
-            c, ctrl = self._ticks(params, fields, c)
-            return c, (c.physics.qpos, c.physics.qvel, ctrl, c.sensordata[:, -1])
+        def record(params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Any]:
+            tick = self._ticks(params, fields)
 
-        return jax.lax.scan(tick, carry, None, length=ticks)
+            def recorded(c: Carry, _: None) -> tuple[Carry, Any]:
+                c, ctrl = tick(c)
+                return c, (c.physics.qpos, c.physics.qvel, ctrl, c.sensordata[:, -1])
+
+            return jax.lax.scan(recorded, carry, None, length=ticks)
+
+        return self.devices.divide(record, (FIRST,) * 3, (FIRST, SECOND))(params, fields, carry)
 
 
 class MjxSession:
     """A batch of worlds in MJX; see `Session`."""
 
     def __init__(self, engine: MjxEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
-        self.engine = engine
-        worlds = len(qpos)
+        self.engine, self.worlds = engine, len(qpos)
         at_rest, fields = _constants(engine.robot, qpos, fields)
-        real = engine.data.qpos.dtype
-        self.params = jax.device_put(params)
-        self.fields = {name: jnp.asarray(values, real) for name, values in fields.items()}
-        qvel = np.zeros((worlds, engine.model.nv))
-        self.carry = engine.open_worlds(self.params, *(jnp.asarray(each, real) for each in (qpos, qvel, at_rest)))
-        self.slices = _slices(worlds, cpu_batch_limit())
+        real, put = engine.data.qpos.dtype, engine.devices.put
+        self.params = put(params)
+        self.fields = put({name: np.asarray(values, real) for name, values in fields.items()})
+        qvel = np.zeros((self.worlds, engine.model.nv))
+        self.carry = engine.open_worlds(self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)]))
+        self.slices = _slices(engine.devices.padded(self.worlds), batch_limit())
 
     @property
     def loop_state(self) -> Any:
         """See `Session.loop_state`."""
-        return self.carry.loop
+        return self.engine.devices.take(self.carry.loop, self.worlds)
 
     def advance(self, ticks: int) -> None:
         """See `Session.advance`."""
@@ -130,7 +184,8 @@ class MjxSession:
         parts = [self.engine.record(*self._part(span), ticks) for span in self.slices]
         self.carry = _join([carry for carry, _ in parts])
         columns = zip(*(rows for _, rows in parts), strict=True)
-        return Trace(*(np.concatenate([np.moveaxis(np.asarray(part), 0, 1) for part in column]) for column in columns))
+        joined = (np.concatenate([np.moveaxis(np.asarray(part), 0, 1) for part in column]) for column in columns)
+        return Trace(*(column[: self.worlds] for column in joined))
 
     def retire(self, done: np.ndarray) -> None:
         """See `Session.retire`; all worlds are one program here, so there is nothing to save."""
@@ -157,7 +212,7 @@ def _constants(
 
     MJX has no `mj_setConst`; and a `forward` before the scan would double what XLA compiles.
     """
-    batch = Batch(robot.model, len(qpos))
+    batch = Batch(robot.physical, len(qpos))
     for name, values in fields.items():
         batch.expand(name)[...] = values
     derived = {}

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -72,6 +73,12 @@ def is_unconstrained(data: mjx.Data) -> bool:
     """Whether the model has no constraint rows at all."""
     rows: Any = data._impl
     return bool(rows.efc_J.size == 0)
+
+
+def capacity(model: mujoco.MjModel) -> tuple[int, int]:
+    """Most contacts and constraint rows that MJX keeps of one world."""
+    sized: Any = mjx.make_data(model, impl="jax")._impl
+    return int(sized.ncon), int(sized.nefc)
 
 
 def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:

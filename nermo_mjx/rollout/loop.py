@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from nermo_mjx.control.controller import Controller, ControllerState
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.pilot import FOLLOWERS
+from nermo_mjx.physics.program_cache import is_ours
 from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.parameters import Start, Window
@@ -50,6 +51,13 @@ class ClosedLoop:
         """Physics steps in a control tick."""
         return round(self.controller.dt / self.robot.config.timestep)
 
+    @property
+    def identity(self) -> str | None:
+        """See `Loop.identity`; a command that is any function has no such text."""
+        command = self.controller.command
+        known = is_ours(self, self.controller) and (command is None or is_ours(command))
+        return f"{self.robot.fingerprint} {self.controller!r}" if known else None
+
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
@@ -70,8 +78,8 @@ class ClosedLoop:
         measured = metrics.update(
             params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path
         )
-        # A diverged world keeps walking in place on readings of zero: nothing non-finite enters the controller.
-        last = jax.tree.map(lambda leaf: jnp.where(measured.diverged, 0.0, leaf[-1]), sensors)
+        # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
+        last = jax.tree.map(lambda leaf: jnp.where(measured.lost, 0.0, leaf[-1]), sensors)
         control, servo = self.controller.update(params.control, state.control, last)
         reach = params.servo_speed * self.controller.dt
         ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)

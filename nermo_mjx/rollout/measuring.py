@@ -6,12 +6,16 @@ small change of a parameter carries such an end into the next tick, and a gradie
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.rollout.parameters import Window
+
+#: A tick that begins less than this share of it before the run's end is one after it: so exact is time in float32 for
+#: two minutes. Only so it does not matter how far beyond its end a world is simulated, for others in its batch.
+_ROUNDING: Final = 1e-3
 
 
 class MeasuredPart(NamedTuple):
@@ -63,7 +67,7 @@ def measured_part(
     # Time is limited, not accumulated, and the weights are its differences: they sum to the window to the last digit.
     # And by `where`, not `clip`: on a tick's boundary all metrics have their derivatives of the same side.
     limited = jnp.where(time >= window.end, window.end - window.begin, since)
-    now = jnp.where(goes_on & (since > 0.0), limited, elapsed)
+    now = jnp.where(goes_on & (since > 0.0) & begins_in_run(window, time, dt), limited, elapsed)
     inside = now > elapsed
 
     past = now * cycle_rate - (cycles + 1.0)
@@ -83,3 +87,8 @@ def measured_part(
         cycle_ends=cycle_ends,
         arrived=arrived,
     )
+
+
+def begins_in_run(window: Window, time: Float[Array, ""], dt: float) -> Bool[Array, ""]:
+    """Whether the tick [time - dt, time] begins before the run's end, which every world of a batch simulates."""
+    return time - window.end < (1.0 - _ROUNDING) * dt

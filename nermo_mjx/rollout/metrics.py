@@ -2,7 +2,8 @@
 
 Angles are defined in `attitude`. Measuring starts after the warm-up and stops at the end of the run, at the end of the
 gait cycle in which the wanted distance is covered, or when the robot falls or diverges; what was measured until then
-stays.
+stays. A fall or a divergence counts only as long as the run is measured or warms up: how long a world moves on after
+that depends on the others of its batch.
 
 The warm-up and the run end between two ticks: a tick counts by the part of it that is measured, positions go straight
 within a tick, and other readings stand for the tick before them. So every metric is continuous in both ends, and its
@@ -23,7 +24,7 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot import LIMBS, Sensors
 from nermo_mjx.rollout import path_metrics
 from nermo_mjx.rollout.attitude import attitude, uprightness
-from nermo_mjx.rollout.measuring import MeasuredPart, measured_part
+from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.rollout.path_metrics import root
 
@@ -71,6 +72,7 @@ METRICS: Final[dict[str, Metric]] = {
     "cost_of_transport": Metric("1", "servo work over weight and distance; NaN below 1 mm"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground"),
     "diverged": Metric("1", "1 if the simulation lost its numbers"),
+    "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
 }  # fmt: skip
 
 
@@ -90,7 +92,9 @@ class MetricState:
         loaded, slid: time each foot was loaded, and the way it slid meanwhile (4,) each.
         path: how the path was followed.
         on_path: whether the pilot has a path.
-        fell, diverged, begun, finished: flags.
+        lost: whether the readings mean nothing any more, also after the run's end.
+        failure_time: end of the tick in which the run failed [s]; 0 until then.
+        fell, diverged, begun, finished: flags of the run.
     """
 
     time: Float[Array, ""]
@@ -111,6 +115,8 @@ class MetricState:
     slid: Float[Array, " 4"]
     path: path_metrics.PathState
     on_path: Bool[Array, ""]
+    lost: Bool[Array, ""]
+    failure_time: Float[Array, ""]
     fell: Bool[Array, ""]
     diverged: Bool[Array, ""]
     begun: Bool[Array, ""]
@@ -127,7 +133,7 @@ def init(sensors: Sensors) -> MetricState:
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
         origin=position, end=position, loaded=four, slid=four, path=path_metrics.init(position), on_path=no,
-        fell=no, diverged=no, begun=no, finished=no,
+        lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
 
@@ -152,33 +158,34 @@ def update(
         path: point of the pilot's path beside the torso, where it follows one.
     """
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(sensors)]).all()
-    diverged = state.diverged | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
-    # Past a divergence the readings mean nothing: they are replaced, so that no NaN reaches the accumulators.
-    sensors = jax.tree.map(lambda leaf: jnp.where(diverged, 0.0, leaf), sensors)
+    lost = state.lost | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
+    # Readings that mean nothing are replaced, so that no NaN reaches the accumulators.
+    sensors = jax.tree.map(lambda leaf: jnp.where(lost, 0.0, leaf), sensors)
     last = jax.tree.map(lambda leaf: leaf[-1], sensors)
 
     fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (last.position[2] < FALLEN_HEIGHT)
-    fell = state.fell | (fallen & ~diverged)
+    judged = ~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)
+    fell, diverged = state.fell | (judged & fallen & ~lost), state.diverged | (judged & lost)
 
     angles = attitude(last.orientation)
     angles = angles.at[2].add(-2 * jnp.pi * jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi)))
 
     # Critically damped tracking of yaw and its rate: no lag in a steady turn, little of the spine's sway.
     expected = state.course + dt * state.turning
-    surprise = jnp.where(diverged, 0.0, dt * cycle_rate * (angles[2] - expected))
+    surprise = jnp.where(lost, 0.0, dt * cycle_rate * (angles[2] - expected))
     course, turning = expected + 2.0 * surprise, state.turning + cycle_rate * surprise
     ahead = jnp.stack([jnp.sin(course), -jnp.cos(course)]) if path is None else path.tangent
-    step = jnp.where(diverged, 0.0, (last.position - state.position)[:2] @ ahead)
+    step = jnp.where(lost, 0.0, (last.position - state.position)[:2] @ ahead)
     travelled = state.travelled + step
 
-    goes_on, far_enough = ~(fell | diverged | state.finished), travelled >= window.distance
+    goes_on, far_enough = ~(fell | lost | state.finished), travelled >= window.distance
     part = measured_part(window, state.time, state.path.cycles, time, dt, cycle_rate, goes_on, far_enough)
     share = jnp.where(state.begun, part.weight / jnp.where(state.begun, part.elapsed, 1.0), 1.0)
     deviation = angles - state.mean
     mean = state.mean + share * deviation
 
     origin = jnp.where(state.begun, state.origin, _between(state.position, last.position, part.begin))
-    error = jnp.zeros(()) if path is None else jnp.where(diverged, 0.0, path.error)
+    error = jnp.zeros(()) if path is None else jnp.where(lost, 0.0, path.error)
     readings = jnp.append(angles, error)
     low, high = _extremes(state, readings, part)
 
@@ -197,7 +204,7 @@ def update(
         high=high,
         course=course,
         turning=turning,
-        position=jnp.where(diverged, state.position, last.position),
+        position=jnp.where(lost, state.position, last.position),
         origin=origin,
         end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
         loaded=state.loaded + part.weight * contact.mean(axis=0),
@@ -206,6 +213,8 @@ def update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
         on_path=jnp.asarray(path is not None),
+        lost=lost,
+        failure_time=jnp.where(judged & (fallen | lost), time, state.failure_time),
         fell=fell,
         diverged=diverged,
         begun=state.begun | part.inside,
@@ -276,5 +285,6 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
         "servo_work": state.work,
         "fell": state.fell.astype(time.dtype),
         "diverged": state.diverged.astype(time.dtype),
+        "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
     return {name: metrics[name] for name in METRICS}

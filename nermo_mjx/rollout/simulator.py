@@ -16,6 +16,7 @@ from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
 from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.setup import Run, Setup
@@ -89,24 +90,25 @@ class Batch:
 class Simulator:
     """Runs batches of one setup; compiled programs are shared by all its runs."""
 
-    def __init__(self, setup: Setup | None = None, engine: str = "auto") -> None:
+    def __init__(self, setup: Setup | None = None, engine: str = "auto", devices: int | None = None) -> None:
         """
         Args:
             setup: what is chosen by name.
-            engine: `auto`, `c` or `mjx`.
+            engine: `auto`, `c`, `mjx` or `warp`.
+            devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
 
         Raises:
-            ParameterError: an unknown engine.
+            ParameterError: an unknown engine, one that cannot run here, or not as many devices.
         """
         self.setup = setup or Setup()
         self.robot = self.setup.load()
         self.controller = self.setup.controller()
         self.loop = ClosedLoop(self.robot, self.controller)
-        self.engine = make_engine(engine, self.robot, self.loop)
+        self.engine = make_engine(engine, self.robot, self.loop, devices)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = jax.jit(jax.vmap(metrics.result))
+        self._results = Lanes(metrics.result, closed_over="nothing")
 
     @functools.cached_property
     def _defaults(self) -> WorldParameters:

@@ -14,7 +14,7 @@ from nermo_mjx.rollout import METRICS, Metric
 #: The term that compares with a recording; the tuning's file names it under `recording`.
 TRAJECTORY_ERROR: Final = "trajectory_error"
 #: Metrics that say how a run went and not how well it walked: they are flags, or follow from the run's length.
-_NO_AIM: Final = ("distance", "duration", "fell", "diverged")
+_NO_AIM: Final = ("distance", "duration", "fell", "diverged", "failure_time")
 #: What a term may name.
 OBJECTIVE_METRICS: Final[dict[str, Metric]] = {
     **{name: about for name, about in METRICS.items() if name not in _NO_AIM},
