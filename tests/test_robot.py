@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import importlib.metadata
 import itertools
@@ -247,6 +248,16 @@ def test_visual_geoms_are_without_effect():
     np.testing.assert_array_equal(model.body_mass, robot.model.body_mass)
     ctrl = targets(robot.n_servos, 200)
     np.testing.assert_array_equal(simulate(model, ctrl), simulate(robot.model, ctrl))
+
+
+def test_the_search_for_islands_is_without_effect():
+    """One robot is one island: with MuJoCo's search for others switched on, 300 steps are the same to the bit."""
+    robot = load_robot()
+    searching = copy.copy(robot.model)
+    searching.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_ISLAND.value
+    assert searching.opt.disableflags != robot.model.opt.disableflags
+    ctrl = targets(robot.n_servos, 300)
+    np.testing.assert_array_equal(simulate(searching, ctrl), simulate(robot.model, ctrl))
 
 
 # --- pose and geometry

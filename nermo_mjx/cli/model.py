@@ -26,14 +26,15 @@ Examples:
 @options.choice("--robot", ROBOTS)
 @options.scene
 @options.choice("--tail", TAILS)
+@options.physics
 @options.file("--xml", ".xml", "Write one self-contained MJCF.")
 @options.report
-def command(robot: str, scene: str, tail: str, xml: Path | None, as_json: bool, quiet: bool) -> None:
+def command(robot: str, scene: str, tail: str, physics: str, xml: Path | None, as_json: bool, quiet: bool) -> None:
     """Sum up the assembled robot, or write it as one MJCF file."""
     with stdout_reserved():
         from nermo_mjx.robot import load_robot
 
-        loaded = load_robot(robot=robot, scene=scene, tail=tail)
+        loaded = load_robot(robot=robot, scene=scene, tail=tail, physics=physics)
         summary = summarize(loaded)
     if xml is not None:
         try:
@@ -56,6 +57,7 @@ def summarize(robot: Robot) -> dict[str, Any]:
         "robot": robot.config.robot,
         "scene": robot.config.scene,
         "tail": robot.config.tail,
+        "physics": robot.config.physics,
         "timestep": model.opt.timestep,
         "degrees_of_freedom": model.nv,
         "bodies": [model.body(i).name for i in range(1, model.nbody)],

@@ -22,7 +22,7 @@ Examples:
 """
 
 #: What of a recording's setup decides the model.
-ROBOT_FIELDS = ("robot", "scene", "tail", "routing", "cone", "timestep")
+ROBOT_FIELDS = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep")
 
 
 @click.command("render", epilog=EPILOG)

@@ -48,6 +48,7 @@ Examples:
 @options.choice("--robot", ROBOTS)
 @options.scene
 @options.choice("--tail", TAILS)
+@options.physics
 @click.option(
     "--set",
     "assignments",

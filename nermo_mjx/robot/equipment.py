@@ -144,8 +144,12 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
         add(f"{limb}_foot_velocity", kind.mjSENS_FRAMELINVEL, site, f"{limb}_foot")
 
 
-def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
-    """Declare the few contact pairs that matter; nothing else collides."""
+def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters, trunk_contacts: bool = True) -> None:
+    """Declare the few contact pairs that matter; nothing else collides.
+
+    Args:
+        trunk_contacts: whether the spheres of `TRUNK` touch the ground, too. They always touch obstacles.
+    """
     contact = parameters.contact
     solref = np.array([float(contact.time_constant), float(contact.damping_ratio)])
     solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
@@ -154,7 +158,7 @@ def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         pair = spec.add_pair(name=f"{limb}_contact", geomname1="floor", geomname2=f"{limb}_sole", condim=3)
         pair.solref, pair.solimp = solref, solimp
         pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
-    for geom in TRUNK:
+    for geom in TRUNK if trunk_contacts else ():
         spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)
     _add_obstacle_contacts(spec)
 

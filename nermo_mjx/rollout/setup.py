@@ -20,7 +20,8 @@ class Setup:
     """Static choices of a simulation; every name is checked at construction.
 
     Attributes:
-        robot, scene, tail, routing, cone, timestep: see `RobotConfig`.
+        robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. The preset's time step is written out
+            when a setup is made, so that `dataclasses.replace` with another preset keeps the old one: give both.
         gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
@@ -39,7 +40,8 @@ class Setup:
     tail: str = "rigid"
     routing: str = "type3"
     cone: str = "elliptic"
-    timestep: float = 0.002
+    physics: str = "reference"
+    timestep: float = None  # type: ignore[assignment]  # a number once it is made
     gait: str = "trt"
     spine: str = "none"
     steering: str = "leg"
@@ -50,7 +52,10 @@ class Setup:
     trajectory: str = "cubic"
 
     def __post_init__(self) -> None:
-        RobotConfig(self.robot, self.scene, self.tail, self.routing, self.cone, self.timestep)
+        config = RobotConfig(
+            self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep
+        )  # fmt: skip
+        object.__setattr__(self, "timestep", config.timestep)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         self.controller()
         ratio = 1.0 / (self.controller().control_rate * self.timestep)
@@ -61,7 +66,7 @@ class Setup:
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
-        return load_robot(self.robot, self.scene, self.tail, self.routing, self.cone, self.timestep)
+        return load_robot(self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep)
 
     def controller(self) -> Controller:
         """The controller with these choices."""
@@ -80,8 +85,13 @@ class Setup:
 
 def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
     """Every parameter a sweep may name, with the defaults of `setup`."""
-    defaults = (setup or Setup()).defaults()
-    return {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(WorldParameters)}
+    setup = setup or Setup()
+    defaults = setup.defaults()
+    known = {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(WorldParameters)}
+    # MuJoCo lengthens what is shorter than two time steps, without a word.
+    contact = known["contact.time_constant"]
+    known["contact.time_constant"] = dataclasses.replace(contact, low=max(contact.low, 2 * setup.timestep))
+    return known
 
 
 Length = float | np.ndarray

@@ -1,0 +1,186 @@
+"""The preset `fast` walks as `reference` does, computes less, and is chosen by one name everywhere."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from nermo_mjx.cli import choices, main
+from nermo_mjx.control.parameters import published_values
+from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, load_robot
+from nermo_mjx.robot.equipment import TRUNK
+from nermo_mjx.robot.presets import PRESETS
+from nermo_mjx.rollout import Run, Setup
+from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.rollout.setup import all_parameters
+from nermo_mjx.sweep.spec import Sweep
+
+#: The largest change of a gait metric that `fast` may bring.
+BOUND = 0.02
+#: Gaits, and the ends of the published range of frequencies [Hz].
+GAITS, FREQUENCIES = ("trt", "trt1", "lat"), (0.5, 0.8)
+GAIT_METRICS = (
+    "speed", "distance", "roll_std", "pitch_std", "yaw_std", "slip", "servo_work", "cost_of_transport",
+    *(f"duty_{limb}" for limb in LIMBS),
+)  # fmt: skip
+LEANING = math.radians(65.0)
+
+
+def six_walks(**fixed: float) -> dict[str, np.ndarray]:
+    """Every gait at both frequencies, as parameters of one batch."""
+    rows = [
+        published_values(gait, steering="mix") | {"frequency": frequency} | fixed
+        for gait in GAITS for frequency in FREQUENCIES
+    ]  # fmt: skip
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+# --- the same gait
+
+
+@pytest.mark.parametrize("spine", ["none", "stride_extension"])
+@pytest.mark.parametrize("turn_rate", [0.0, 0.7])
+def test_fast_keeps_every_gait_metric_within_two_percent(simulator, spine, turn_rate):
+    """Three gaits at both ends of the published frequencies, with and without spine, straight and in a turn."""
+    values = six_walks(**{"pilot.turn_rate": turn_rate, "spine.amplitude": 0.2, "spine.phase": -0.5})
+    pilot, run = "open_loop" if turn_rate else "straight", Run(cycles=6, warmup_cycles=2)
+    ours, reference = (
+        simulator(physics=physics, spine=spine, pilot=pilot, steering="mix").run(values, run)
+        for physics in ("fast", "reference")
+    )
+    assert list(ours.status) == list(reference.status) == ["ok"] * 6
+    for name in (*GAIT_METRICS, "turning_radius") if turn_rate else GAIT_METRICS:
+        np.testing.assert_allclose(ours.metrics[name], reference.metrics[name], rtol=BOUND, err_msg=name)
+
+
+def test_a_fall_is_reported_by_both(simulator):
+    """A robot let go while it leans by 65 degrees has fallen, in the same tick; the one beside it walks on."""
+    fell = []
+    for physics in PRESETS:
+        sim = simulator(physics=physics)
+        batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=3, warmup_cycles=0))
+        at, height = sim.robot.joints.root, 0.12
+        batch.qpos[1, at + 2 : at + 7] = height, math.cos(LEANING / 2), 0.0, math.sin(LEANING / 2), 0.0
+        session = sim.engine.open(batch.params, batch.qpos, batch.fields)
+        session.advance(150)
+        measured = session.loop_state.metrics
+        np.testing.assert_array_equal(measured.fell, [False, True])
+        np.testing.assert_array_equal(measured.diverged, [False, False])
+        fell.append(measured.failure_time[1])
+    assert fell[0] == pytest.approx(fell[1], abs=0.011)
+
+
+@pytest.mark.slow
+def test_fast_walks_on_mjx_and_has_a_gradient(simulator):
+    """In MJX the walk is C's, and the derivative of its speed is that of a difference of C's walks.
+
+    The first half second of a trot. The difference is over 0.02 rad, which leaves 0.1 % of curvature.
+    """
+    setup, run = {"physics": "fast", "spine": "stride_extension"}, Run(duration=0.5)
+    rollout = Rollout(Setup(**setup), run)
+
+    def distance(amplitude: Any) -> Any:
+        return rollout({"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": -0.5})["distance"]
+
+    value, slope = jax.jit(lambda at: jax.jvp(distance, (at,), (1.0,)))(0.2)
+    values = {"frequency": 0.8, "spine.amplitude": np.array([0.19, 0.2, 0.21]), "spine.phase": -0.5}
+    low, middle, high = simulator(**setup).run(values, run).metrics["distance"]
+    assert float(value) == pytest.approx(middle, rel=0.01)
+    assert float(slope) == pytest.approx((high - low) / 0.02, rel=0.1)
+
+
+# --- less to compute
+
+
+def test_fast_makes_three_steps_where_reference_makes_five(simulator):
+    """A control period of 10 ms, in steps of 10/3 ms and of 2 ms."""
+    steps = {physics: simulator(physics=physics).loop.steps_per_tick for physics in PRESETS}
+    assert steps == {"reference": 5, "fast": 3}
+
+
+@pytest.mark.parametrize("scene", ["flat", "maze"])
+def test_only_the_soles_touch_the_ground_in_fast(scene):
+    """The trunk's pairs with the floor are gone, and no others: obstacles still stop the whole robot."""
+
+    def pairs(physics: str) -> set[frozenset[str]]:
+        model = load_robot(scene=scene, physics=physics).model
+        both = zip(model.pair_geom1, model.pair_geom2, strict=True)
+        return {frozenset(model.geom(int(geom)).name for geom in pair) for pair in both}
+
+    assert pairs("reference") - pairs("fast") == {frozenset(("floor", part)) for part in TRUNK}
+    assert pairs("fast") < pairs("reference")
+
+
+def test_the_rest_of_the_model_is_the_same():
+    """Nothing but the time step and the pairs differs: masses, springs, tendons, servos and sensors are equal."""
+    ours, reference = (load_robot(physics=physics).model for physics in ("fast", "reference"))
+    for field in (
+        "body_mass", "body_inertia", "jnt_stiffness", "dof_damping", "dof_armature", "tendon_range", "wrap_type",
+        "actuator_gainprm", "actuator_forcerange", "sensor_type", "qpos0", "geom_type", "site_pos",
+    ):  # fmt: skip
+        np.testing.assert_array_equal(getattr(ours, field), getattr(reference, field), err_msg=field)
+    for option in ("integrator", "solver", "cone", "impratio", "tolerance", "iterations", "disableflags"):
+        assert getattr(ours.opt, option) == getattr(reference.opt, option), option
+
+
+# --- one name
+
+
+def test_the_default_is_the_reference():
+    """Nothing named is `reference` at 2 ms, the same object as with both named."""
+    assert load_robot() is load_robot(physics="reference", timestep=0.002)
+    assert Setup() == Setup(physics="reference", timestep=0.002)
+
+
+def test_a_given_time_step_wins_over_the_presets():
+    """What is given beside a preset counts, whether finer or coarser; the preset's other choices stay."""
+    assert Setup(physics="fast").timestep == pytest.approx(0.01 / 3)
+    assert Setup(physics="fast", timestep=0.001).load().model.opt.timestep == 0.001
+    assert Setup(physics="fast", timestep=0.001).load().model.npair == len(LIMBS)
+    assert Setup(timestep=0.0025).load().model.npair == len(LIMBS) + len(TRUNK)
+
+
+def test_an_unknown_preset_is_refused():
+    """By name, with the names that exist; in a sweep file with its line and the nearest name."""
+    with pytest.raises(ParameterError) as error:
+        RobotConfig(physics="quick")
+    assert str(error.value) == "physics is 'quick': allowed is 'reference' or 'fast'."
+    with pytest.raises(ParameterError, match=r"sweep:2: field 'physics' is 'fats'.*did you mean 'fast'"):
+        Sweep.from_text("vary: {frequency: [0.5, 0.6]}\nphysics: fats\n")
+
+
+def test_a_sweep_file_chooses_the_preset_and_writes_it_out():
+    """The resolved file has the preset and its time step, reads back as the same sweep, and is another sweep."""
+    base = {"vary": {"frequency": [0.5, 0.6]}}
+    sweep = Sweep.from_dict(base | {"physics": "fast"})
+    written = sweep.resolved()
+    assert (written["physics"], written["timestep"]) == ("fast", pytest.approx(0.01 / 3))
+    assert Sweep.from_text(sweep.to_yaml()) == sweep
+    assert sweep.digest() != Sweep.from_dict(base).digest()
+
+
+def test_contacts_too_stiff_for_the_step_are_refused():
+    """MuJoCo would lengthen a time constant below two steps without a word."""
+    names = {physics: all_parameters(Setup(physics=physics))["contact.time_constant"] for physics in PRESETS}
+    assert names["reference"].low == 0.004
+    assert names["fast"].low == pytest.approx(0.02 / 3)
+    stiff = {"vary": {"contact.time_constant": [0.005, 0.01]}}
+    Sweep.from_dict(stiff)
+    with pytest.raises(ParameterError, match=r"contact\.time_constant.*0\.005.*\[0\.00666667, 0\.1\] s"):
+        Sweep.from_dict(stiff | {"physics": "fast"})
+
+
+def test_the_command_line_takes_the_preset():
+    """`walk --physics fast` walks with it and reports it; the names in the help are the presets."""
+    assert set(choices.PHYSICS) == set(PRESETS)
+    words = ["walk", "--physics", "fast", "--duration", "0.2", "--engine", "c", "--json"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    setup = json.loads(done.stdout)["setup"]
+    assert (setup["physics"], setup["timestep"]) == ("fast", pytest.approx(0.01 / 3))
