@@ -30,16 +30,19 @@ class FakeSimulator:
     Attributes:
         batches: number of worlds of each call.
         stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
+        fail_at: raises `error` in this call.
         delay: seconds that each call takes.
     """
 
-    def __init__(self, stop_at=None, delay=0.0, engine="fake", falls_above=np.inf, log=None):
+    def __init__(self, stop_at=None, delay=0.0, engine="fake", falls_above=np.inf, log=None, fail_at=None, error=None):
         self.batches, self.stop_at, self.delay, self.engine = [], stop_at, delay, engine
-        self.falls_above, self.log = falls_above, log
+        self.falls_above, self.log, self.fail_at, self.error = falls_above, log, fail_at, error
 
     def run(self, values, run, *, progress=None, notify=None):
         if len(self.batches) == self.stop_at:
             raise KeyboardInterrupt
+        if len(self.batches) == self.fail_at:
+            raise self.error
         worlds = {len(column) for column in values.values()}
         assert len(worlds) == 1, "every parameter comes as an array of one length"
         n = worlds.pop()
@@ -62,12 +65,33 @@ class FakeSimulator:
         )
 
 
-if __name__ == "__main__":  # a process to be killed: sweep_fake.py OUT LOG
-    from nermo_mjx.sweep import SweepInterrupted, run_sweep
+def work(out, log="", chunk=4, delay=0.25, hosts=None, patience=60.0):
+    """A process to be killed, or one of several: runs the sweep, and ends as the command does."""
+    from nermo_mjx.sweep import SweepError, SweepInterrupted, run_sweep
 
-    Path(sys.argv[2]).write_text("")
     try:
-        run_sweep(SPEC, sys.argv[1], chunk=4, simulator=FakeSimulator(delay=0.25, log=sys.argv[2]))
+        simulator = FakeSimulator(delay=delay, log=log)
+        result = run_sweep(SPEC, out, chunk=chunk, hosts=hosts, patience=patience, simulator=simulator)
+        print(f"{result.chunks_run} chunks", "summed up" if result.summary else "", flush=True)
+        code = 0
     except SweepInterrupted as stopped:
         print(stopped, flush=True)
-        os._exit(3)
+        code = 3
+    except SweepError as error:
+        print(error, flush=True)
+        code = 1
+    sys.stdout.flush()
+    os._exit(code)  # no waiting for threads
+
+
+# sweep_fake.py OUT LOG, or sweep_fake.py OUT COORDINATOR PROCESSES PROCESS_ID PATIENCE
+if __name__ == "__main__":
+    if len(sys.argv) == 3:
+        Path(sys.argv[2]).write_text("")
+        work(*sys.argv[1:])
+    else:
+        from nermo_mjx.sweep import join
+
+        address, count, index = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
+        hosts = join(address, count, index, notify=print, timeout=20)
+        work(sys.argv[1], delay=0.15, hosts=hosts, patience=float(sys.argv[5]))

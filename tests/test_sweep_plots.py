@@ -7,7 +7,7 @@ from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.image import imread
 from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
-from nermo_mjx.sweep import draw_plots, run_sweep
+from nermo_mjx.sweep import Results, draw_plots, run_sweep
 from nermo_mjx.sweep.figures import heat_maps
 from nermo_mjx.sweep.plots import _figures
 from nermo_mjx.sweep.style import STYLE, shown
@@ -115,7 +115,7 @@ GAIN = "speed-gain-over-spine.amplitude-and-spine.phase"
 
 def gain_figure(table):
     with matplotlib.rc_context(STYLE):
-        return next(figure for name, figure in _figures(table, "speed") if name == GAIN)
+        return next(figure for name, figure in _figures(Results.of_table(table), "speed") if name == GAIN)
 
 
 def test_gain_figure_shows_speed_relative_to_the_stiff_spine_in_percent(tmp_path):
@@ -169,7 +169,7 @@ def test_a_spine_that_only_slows_down_marks_its_least_loss(tmp_path):
 def test_no_gain_figure_without_a_stiff_spine_to_compare_with(tmp_path, vary):
     """Amplitude and phase must both vary, and amplitude 0 be among the values."""
     result = run_sweep(SPEC | {"vary": vary}, tmp_path, simulator=FakeSimulator())
-    assert GAIN not in [name for name, _ in _figures(result.table, "speed")]
+    assert GAIN not in [name for name, _ in _figures(Results.of_table(result.table), "speed")]
 
 
 @pytest.mark.parametrize(
@@ -219,3 +219,13 @@ def test_the_same_table_gives_the_same_files(tmp_path):
 def test_plots_can_be_turned_off(tmp_path):
     """`plots: false` draws nothing."""
     assert plots_of({"vary": {"frequency": [0.5, 0.7]}, "plots": False}, tmp_path) == []
+
+
+def test_a_scatter_of_too_many_points_is_thinned(tmp_path, monkeypatch):
+    """The note says how many of all are drawn; correlations still count all of them."""
+    monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
+    spec = {"vary": {"frequency": {"uniform": [0.5, 1]}, "duty": {"uniform": [0.5, 0.6]}}, "sample": {"sobol": 64}}
+    svg = {path.name: path for path in plots_of(spec, tmp_path)}
+    assert "20 of 64 runs" in svg["speed-over-each.svg"].read_text()
+    assert "20 of 64 runs" in svg["speed-over-pairs.svg"].read_text()
+    assert "rank correlation +1.00" in svg["speed-over-each.svg"].read_text()

@@ -40,13 +40,13 @@ def stop_half_way(tmp_path, number):
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_stopped_sweep_goes_on_and_gives_the_same_table(tmp_path, reference, number):
-    """Killed in its fourth chunk, a sweep keeps three, redoes one, and ends with the same rows."""
+    """Killed in its fourth chunk, a sweep keeps the first two; only of the third the writing may not be over."""
     out, code, printed = stop_half_way(tmp_path, number)
     if number == signal.SIGTERM:
         assert code == 3
         assert f"nermo-mjx sweep {out}/sweep.yaml --out {out}" in printed
     kept = len(list(out.glob("results/*.parquet")))
-    assert kept in (3, 4)
+    assert kept in ((2, 3, 4) if number == signal.SIGKILL else (3, 4))
     assert not (out / "summary.json").exists()
     simulator = FakeSimulator()
     result = run_sweep(out / "sweep.yaml", out, simulator=simulator)

@@ -11,6 +11,8 @@ import pytest
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.sweep import StoreError, Sweep, read_table, run_sweep
+from nermo_mjx.sweep.files import parquet_bytes
+from nermo_mjx.sweep.seal import seal
 from nermo_mjx.sweep.store import Store
 
 
@@ -79,7 +81,8 @@ def other_rows(path):
 
 def foreign(path):
     table = pq.read_table(path)
-    pq.write_table(table.replace_schema_metadata({**table.schema.metadata, b"sweep": b"another"}), path)
+    table = table.replace_schema_metadata({**table.schema.metadata, b"sweep": b"another"})
+    path.write_bytes(seal(parquet_bytes(table)))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +102,7 @@ def test_a_damaged_chunk_is_found_and_only_it_is_redone(done, damage):
 def test_a_directory_of_another_sweep_is_refused_untouched(done):
     """One sentence names the directory; nothing in it changes."""
     before = {path: path.read_bytes() for path in done.rglob("*") if path.is_file()}
-    with pytest.raises(StoreError, match=r"out holds the results of another sweep .*choose another directory\.$"):
+    with pytest.raises(StoreError, match=r"out holds the results of another sweep: seed is 0 there and 5 here; cho"):
         run_sweep(SPEC | {"seed": 5}, done, simulator=FakeSimulator())
     assert before == {path: path.read_bytes() for path in done.rglob("*") if path.is_file()}
 

@@ -79,17 +79,15 @@ def _report(found: SweepRow, wanted: Plan, replay: Replay) -> dict[str, Any]:
     """The fields of `walk --json`, and the row's own."""
     from nermo_mjx.sweep import versions
 
-    rows, row = found.rows, found.row
+    line = found.line
     flags = {name: bool(replay.metrics[name]) for name in ("fell", "diverged")}
     return {
         "directory": str(found.out),
-        "row": row,
-        "variant": int(rows.variant[row]),
-        "repeat": int(rows.repeat[row]),
-        "seed": int(rows.seed[row]),
+        "row": found.row,
+        "variant": int(line.variant[0]),
+        "repeat": int(line.repeat[0]),
+        "seed": int(line.seed[0]),
         "metrics": {**replay.metrics, **flags, "status": replay.status},
-        "fell_at": replay.fell_at,
-        "diverged_at": replay.diverged_at,
         "comparison": None if replay.comparison is None else dataclasses.asdict(replay.comparison),
         "compared": _compared(found, replay),
         "parameters": dict(wanted.parameters),
@@ -148,10 +146,9 @@ def _print(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any]
     values = "".join(f", {name} {value:.4g}" for name, value in found.values.items())
     click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
     print_walk(report, wanted.theory, [])
-    for flag, what, time in (("fell", "fell", replay.fell_at), ("diverged", "lost its numbers", replay.diverged_at)):
+    for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
         if report["metrics"][flag]:
-            when = "within a control tick" if time is None else f"at {time:.2f} s"
-            click.echo(f"It {what} {when}, of {found.seconds[found.row]:.2f} s.")
+            click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.end:.2f} s.")
     click.echo(report["compared"])
     for file in files:
         click.echo(f"wrote {file}")

@@ -40,8 +40,11 @@ class Shard(click.ParamType):
 @click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Where the results go.")
 @options.engine
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))
-@options.number("--chunk", "Runs stored at once; a killed process loses no more.", click.IntRange(1))
+@options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
+@click.option("--coordinator", metavar="ADDR", help="ADDRESS:PORT of process 0, for several plain hosts.")
+@options.number("--processes", "How many run this command, one a host.", click.IntRange(1))
+@options.number("--process-id", "Which of them this is, from 0.", click.IntRange(0))
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
 @options.report
 def command(
@@ -51,6 +54,9 @@ def command(
     seed: int | None,
     chunk: int | None,
     shard: tuple[int, int] | None,
+    coordinator: str | None,
+    processes: int | None,
+    process_id: int | None,
     list_parameters: bool,
     as_json: bool,
     quiet: bool,
@@ -60,34 +66,50 @@ def command(
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
     holds a part of the same sweep, only the rest is run: after Ctrl-C or a
     crash, give the same command again.
+
+    Several hosts that share DIR share the work: under SLURM by srun, else by
+    --coordinator, --processes and --process-id, or by --shard.
     """
     if list_parameters:
         _list_parameters(spec, as_json)
         return
     if spec is None or out is None:
         raise click.UsageError("A sweep needs SPEC.yaml and --out DIR (or use --list-parameters).")
+    named = [coordinator, processes, process_id]
+    if shard is not None and any(each is not None for each in named):
+        raise click.UsageError("--shard and --coordinator, --processes, --process-id exclude each other.")
     with stdout_reserved():
-        from nermo_mjx.sweep import Sweep, run_sweep
+        from nermo_mjx.sweep import Sweep, join, run_sweep
 
         sweep = Sweep.from_file(spec)
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
-        with Progress("sweep", "runs", quiet=quiet, compiles=True) as progress:
+        say = None if quiet else _say
+        hosts = join(coordinator, processes, process_id, notify=say) if shard is None else None
+        others_report = hosts is not None and hosts.index > 0
+        with Progress("sweep", "runs", quiet=quiet or others_report, compiles=True) as progress:
             result = run_sweep(
-                sweep, out, engine=engine, chunk=chunk, shard=shard,
+                sweep, out, engine=engine, chunk=chunk, shard=shard, hosts=hosts, warn=say,
                 progress=lambda p: progress.share(p.fraction, p.rows_done, p.rows),
             )  # fmt: skip
     if as_json:
         about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots}
-        print_json({**about, "summary": result.summary})
+        print_json({**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary})
     elif not quiet:
         _print_summary(result)
+
+
+def _say(sentence: str) -> None:
+    click.echo(f"sweep: {sentence}", err=True)
 
 
 def _print_summary(result: SweepResult) -> None:
     summary = result.summary
     if not result.complete:
-        click.echo(f"{result.table.num_rows:,} runs are in {result.out}; the other shards' are still missing.")
+        click.echo(f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}")
+        return
+    if not summary:
+        click.echo(f"All {result.rows:,} runs are in {result.out}; process 0 sums up.")
         return
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"

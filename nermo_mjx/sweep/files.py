@@ -57,6 +57,24 @@ def replace_file(path: Path, content: bytes, suffix: str = ".tmp") -> None:
         raise
 
 
+def create_file(path: Path, content: bytes, suffix: str = ".tmp") -> None:
+    """Write a file unless it exists: of several processes that try, the first one's content stays.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.new{suffix}")
+    replace_file(temporary, content, suffix)
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        pass
+    except OSError:  # a file system without links; there the last one's content stays
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def parquet_bytes(table: pa.Table) -> bytes:
     """The table as a Parquet file whose pages carry checksums."""
     sink = pa.BufferOutputStream()

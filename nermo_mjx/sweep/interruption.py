@@ -26,6 +26,11 @@ class Interruption:
         if self._pending:
             raise KeyboardInterrupt
 
+    def check(self) -> None:
+        """Raise an interruption that was lost where nothing can be raised, as in a destructor; to be called often."""
+        if self._pending and not self._shielded:
+            raise KeyboardInterrupt
+
     def _noted(self, number: int, frame: FrameType | None) -> None:
         self._pending = True
         if not self._shielded:

@@ -14,11 +14,12 @@ except ImportError:  # Windows: a directory is not locked there
     fcntl = None  # type: ignore[assignment]
 
 
-def hold(folder: Path, name: str = ".lock", *, shared: bool = False) -> int:
+def hold(folder: Path, name: str = ".lock", *, shared: bool = False, wait: bool = False) -> int:
     """Lock a file of a folder; the file descriptor holds it until it is closed.
 
     Args:
         shared: several processes may hold it so, but none beside them alone.
+        wait: until whoever holds it gives it back.
 
     Raises:
         StoreError: another process holds it.
@@ -27,7 +28,7 @@ def hold(folder: Path, name: str = ".lock", *, shared: bool = False) -> int:
     held = os.open(folder / name, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         if fcntl is not None:
-            fcntl.flock(held, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            fcntl.flock(held, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         os.close(held)
         raise StoreError(f"another process works in {folder}; wait for it, or choose another directory.") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,18 +14,21 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
+from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.style import STYLE, Quantity, lay_out, shown, write_figure
 from nermo_mjx.sweep.summary import LEADING, spine_ratio
 from nermo_mjx.sweep.table import columns_of, meta
 
 #: A figure has no more panels than this; more values are thinned evenly.
 MOST_PANELS = 12
+#: A scatter has no more points than this; more are thinned evenly.
+MOST_POINTS = 50_000
 #: Pairs are drawn among this many parameters: the first of a grid, the most influential of a sample.
 MOST_PAIRED = 4
 
 
 def draw_plots(
-    table: pa.Table,
+    table: pa.Table | Results,
     folder: Path,
     *,
     metrics: Sequence[str] = ("speed",),
@@ -33,7 +37,7 @@ def draw_plots(
     """Draw the figures of a result table as PNG and SVG.
 
     Args:
-        table: as `read_table` returns it; only its columns and their metadata are read.
+        table: as `read_table` returns it, or `Results`, of which only the columns drawn are read.
         folder: where the files go.
         metrics: the metrics to draw; one that the table lacks is left out.
         write: how a file is written; `Path.write_bytes` if it is None.
@@ -41,33 +45,33 @@ def draw_plots(
     Returns:
         The files, in the order drawn.
     """
+    results = table if isinstance(table, Results) else Results.of_table(table)
     files: list[Path] = []
     folder.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(STYLE):
         for metric in metrics:
-            for name, figure in _figures(table, metric) if metric in table.column_names else []:
+            for name, figure in _figures(results, metric) if metric in results.schema.names else []:
                 lay_out(figure)
                 files += write_figure(figure, folder, name, write)
     return files
 
 
-def _figures(table: pa.Table, metric: str) -> list[tuple[str, Figure]]:
+def _figures(results: Results, metric: str) -> list[tuple[str, Figure]]:
     """(file name, figure) of one metric; only runs that went well count."""
-    well = table.column("status").to_numpy(zero_copy_only=False) == "ok"
+    well, _ = results.statuses()
     if not well.any():
         return []
-    z = _quantity(table, metric)
+    z = _quantities(results, [metric])[0]
     z = Quantity(z.name, z.unit, np.where(well, z.values, np.nan))
-    varied = [_quantity(table, name) for name in columns_of(table, "varied")]
-    varied = [x for x in varied if len(np.unique(x.values)) > 1]
-    if (table.schema.metadata or {}).get(b"sampler") == b"grid" and varied:
-        repeats = int(np.max(table.column("repeat").to_numpy())) + 1
+    varied = [x for x in _quantities(results, columns_of(results, "varied")) if np.ptp(x.values) > 0]
+    if (results.schema.metadata or {}).get(b"sampler") == b"grid" and varied:
+        repeats = int(np.max(results.column("repeat"))) + 1
         note = f"mean of {repeats} repeats; " if repeats > 1 else ""
         if len(varied) == 1:
             x = varied[0]
             return [(f"{metric}-over-{x.name}", line(x, z, f"{_title(metric)} over {x.name}", note))]
-        return _heat_map_figures(varied, z, metric, note) + _gain_figures(table, metric)
-    drawn = varied or [_quantity(table, name) for name in columns_of(table, "randomized")]
+        return _heat_map_figures(varied, z, metric, note) + _gain_figures(results, metric)
+    drawn = varied or _quantities(results, columns_of(results, "randomized"))
     return _scatter_figures(drawn, z, metric)
 
 
@@ -82,13 +86,13 @@ def _heat_map_figures(varied: list[Quantity], z: Quantity, metric: str, note: st
     return figures
 
 
-def _gain_figures(table: pa.Table, metric: str) -> list[tuple[str, Figure]]:
+def _gain_figures(results: Results, metric: str) -> list[tuple[str, Figure]]:
     """Speed relative to the stiff spine, where a grid varies the spine's phase, and its amplitude from 0."""
-    names = columns_of(table, "varied")
+    names = columns_of(results, "varied")
     if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
         return []
-    data = spine_ratio(table)
-    about = {name: meta(table.schema.field(name)) for name in names}
+    data = spine_ratio(results)
+    about = {name: meta(results.schema.field(name)) for name in names}
     varied = {n: shown(n, about[n]["unit"], data[n], log=about[n].get("scale") == "log") for n in names}
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
     z = Quantity("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
@@ -114,13 +118,17 @@ def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str) -> list[tu
     first = [drawn[i] for i in order[:MOST_PANELS]]
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
     note = f"{len(z.values)} runs; line: running mean"
+    if len(z.values) > MOST_POINTS:
+        thin = np.linspace(0, len(z.values) - 1, MOST_POINTS).round().astype(int)
+        first = [dataclasses.replace(x, values=x.values[thin]) for x in first]
+        z, note = dataclasses.replace(z, values=z.values[thin]), f"{MOST_POINTS} of {note}"
     if len(drawn) > MOST_PANELS:
         note += f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most"
     figures = [(f"{metric}-over-each", scatters(first, z, titles, f"{_title(metric)} over each parameter", note))]
     if len(drawn) > 1:
         pairs = list(itertools.combinations(first[:MOST_PAIRED], 2))
         title = f"{_title(metric)} over pairs of the parameters that matter most"
-        figures.append((f"{metric}-over-pairs", pair_scatters(pairs, z, title, f"{len(z.values)} runs; ")))
+        figures.append((f"{metric}-over-pairs", pair_scatters(pairs, z, title, note.partition(";")[0] + "; ")))
     return figures
 
 
@@ -141,10 +149,12 @@ def _slices(third: Quantity) -> tuple[list[tuple[str, np.ndarray]], int]:
     return panels, len(values) - len(kept)
 
 
-def _quantity(table: pa.Table, name: str) -> Quantity:
-    about = meta(table.schema.field(name))
-    values = table.column(name).to_numpy(zero_copy_only=False)
-    return shown(name, about["unit"], values, log=about.get("scale") == "log")
+def _quantities(results: Results, names: Sequence[str]) -> list[Quantity]:
+    about = {name: meta(results.schema.field(name)) for name in names}
+    return [
+        shown(name, about[name]["unit"], values, log=about[name].get("scale") == "log")
+        for name, values in results.columns(names)
+    ]
 
 
 def _title(metric: str) -> str:

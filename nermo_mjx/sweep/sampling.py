@@ -7,7 +7,11 @@ import dataclasses
 import numpy as np
 from scipy.stats import qmc
 
+from nermo_mjx.sweep.axes import Axis
 from nermo_mjx.sweep.spec import Sweep
+
+#: Rows made at once where a column of all rows is wanted.
+_BLOCK = 65_536
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,37 +39,71 @@ class Rows:
         return Rows(self.variant[index], self.repeat[index], self.seed[index], values)
 
 
-def sample(sweep: Sweep) -> Rows:
-    """All rows of a sweep, repeats of a variant side by side.
+class Sample:
+    """All rows of a sweep, each made when it is asked for; repeats of a variant stand side by side.
 
     A grid runs through the product of its axes, the last one fastest. Sobol and Latin hypercube points come from
     `scipy.stats.qmc`, scrambled with the sweep's seed. The draws of a row are seeded by (seed, variant, repeat).
+    A grid of millions of rows takes no memory; of a sampler, its points do: one number a variant and axis.
     """
-    points = _grid(sweep) if sweep.sampler == "grid" else _low_discrepancy(sweep)
-    variant = np.repeat(np.arange(sweep.variants), sweep.repeats)
-    repeat = np.tile(np.arange(sweep.repeats), sweep.variants)
-    seed = np.array([_row_seed(sweep.seed, *row) for row in zip(variant.tolist(), repeat.tolist(), strict=True)])
-    values = {name: column[variant] for name, column in points.items()}
-    if sweep.draws:
-        shares = np.stack([np.random.default_rng(each).random(len(sweep.draws)) for each in seed.tolist()])
-        values |= {draw.name: draw.at(shares[:, i]) for i, draw in enumerate(sweep.draws)}
-    return Rows(variant, repeat, seed, values)
+
+    def __init__(self, sweep: Sweep) -> None:
+        self.sweep = sweep
+        self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
+        self._listed = {axis.name: axis.values() for axis in sweep.axes} if sweep.sampler == "grid" else {}
+        self._shares = None if sweep.sampler == "grid" else _low_discrepancy(sweep)
+
+    def __len__(self) -> int:
+        return self.sweep.variants * self.sweep.repeats
+
+    def take(self, index: np.ndarray) -> Rows:
+        """The rows at `index`, (n,) int, in that order."""
+        sweep, (variant, repeat) = self.sweep, self._places(index)
+        pairs = zip(variant.tolist(), repeat.tolist(), strict=True)
+        seed = np.array([_row_seed(sweep.seed, *pair) for pair in pairs], dtype=np.int64)
+        values = {name: self._varied(name, variant) for name in self._axes}
+        if sweep.draws:
+            shares = [np.random.default_rng(each).random(len(sweep.draws)) for each in seed.tolist()]
+            columns = np.reshape(shares, (len(variant), len(sweep.draws))).T
+            values |= {draw.name: draw.at(column) for draw, column in zip(sweep.draws, columns, strict=True)}
+        return Rows(variant, repeat, seed, values)
+
+    def column(self, name: str) -> np.ndarray:
+        """One varied or randomized parameter of all rows, (rows,)."""
+        result = np.empty(len(self))
+        for start in range(0, len(self), _BLOCK):
+            index = np.arange(start, min(start + _BLOCK, len(self)))
+            varied = name in self._axes  # the others cost a random generator a row
+            result[index] = self._varied(name, self._places(index)[0]) if varied else self.take(index).values[name]
+        return result
+
+    def _places(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Variant and repeat of rows."""
+        variant, repeat = np.divmod(np.asarray(index, dtype=np.int64), self.sweep.repeats)
+        return variant, repeat
+
+    def _varied(self, name: str, variant: np.ndarray) -> np.ndarray:
+        at = list(self._axes).index(name)
+        if self._shares is not None:
+            return self._axes[name].at(self._shares[variant, at])
+        places = np.unravel_index(variant, [len(values) for values in self._listed.values()])
+        return self._listed[name][places[at]]
 
 
-def _grid(sweep: Sweep) -> dict[str, np.ndarray]:
-    mesh = np.meshgrid(*(axis.values() for axis in sweep.axes), indexing="ij")
-    return {axis.name: column.ravel() for axis, column in zip(sweep.axes, mesh, strict=True)}
+def sample(sweep: Sweep) -> Rows:
+    """All rows of a sweep at once; see `Sample`."""
+    rows = Sample(sweep)
+    return rows.take(np.arange(len(rows)))
 
 
-def _low_discrepancy(sweep: Sweep) -> dict[str, np.ndarray]:
+def _low_discrepancy(sweep: Sweep) -> np.ndarray:
+    """Points of a sampler in the unit cube, (variants, axes)."""
     dimensions, rng = len(sweep.axes), np.random.default_rng(sweep.seed)
-    if sweep.sampler == "sobol":
-        # A power of two keeps the sequence balanced; its first points are the sample.
-        exponent = max(sweep.samples - 1, 0).bit_length()
-        shares = qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples]
-    else:
-        shares = qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
-    return {axis.name: axis.at(shares[:, i]) for i, axis in enumerate(sweep.axes)}
+    if sweep.sampler == "latin_hypercube":
+        return qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
+    # A power of two keeps the sequence balanced; its first points are the sample, and only they are kept.
+    exponent = max(sweep.samples - 1, 0).bit_length()
+    return qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples].copy()
 
 
 def _row_seed(*entropy: int) -> int:

@@ -13,7 +13,8 @@ from nermo_mjx.sweep.axes import Axis, Draw, check_value, read_axis, read_draw, 
 from nermo_mjx.sweep.reading import Document, FieldPath, describe, nearest
 
 SETUP_FIELDS = (
-    "robot", "scene", "tail", "routing", "cone", "timestep", "gait", "spine", "steering", "profile", "trajectory",
+    "robot", "scene", "tail", "routing", "cone", "physics", "timestep", "gait", "spine", "steering", "profile",
+    "trajectory",
 )  # fmt: skip
 SAMPLERS = ("grid", "sobol", "latin_hypercube")
 #: Options of the pilots, and the parameter each one sets (None: the distance ends the run, way points are the path).

@@ -10,22 +10,38 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
+import re
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nermo_mjx.sweep.files import StoreError, clear_errors, parquet_bytes, replace_file
+from nermo_mjx.sweep.difference import differences
+from nermo_mjx.sweep.files import StoreError, clear_errors, create_file, parquet_bytes, replace_file
+from nermo_mjx.sweep.layout import rows_digest
 from nermo_mjx.sweep.lock import hold
 from nermo_mjx.sweep.provenance import with_session
 from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.sweep.seal import is_intact, seal
 from nermo_mjx.sweep.spec import Sweep
 
-#: Schema metadata that differs between the chunks of one table.
-CHUNK_KEYS = (b"chunk", b"chunks", b"steps", b"wall_seconds")
+
+class ChunkNote(NamedTuple):
+    """What a finished chunk says about itself: its engine, physics steps, and the time they took [s]."""
+
+    engine: str
+    steps: float
+    seconds: float
+
+
+class ChunkState(NamedTuple):
+    """A chunk's note if it is finished; else what is wrong with its file, empty if there is none."""
+
+    note: ChunkNote | None
+    flaw: str = ""
 
 
 class Store:
@@ -34,15 +50,16 @@ class Store:
     Args:
         out: the directory; made if it does not exist.
         sweep: what the directory is for.
-        shard: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
+        part: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
 
     Raises:
         StoreError: the directory holds another sweep, is in use, or cannot be written.
     """
 
-    def __init__(self, out: str | os.PathLike[str], sweep: Sweep, shard: tuple[int, int] | None = None) -> None:
-        self.out, self.sweep, self.shard = Path(out), sweep, shard
+    def __init__(self, out: str | os.PathLike[str], sweep: Sweep, part: tuple[int, int] | None = None) -> None:
+        self.out, self.sweep, self.part = Path(out), sweep, part
         self.results, self.plots = self.out / "results", self.out / "plots"
+        self._digest = sweep.digest().encode()
         self._locks: list[int] = []
 
     def __enter__(self) -> Store:
@@ -51,8 +68,9 @@ class Store:
             try:
                 self._lock()
                 self._claim()
-                for leftover in self.results.glob(f".*{self._suffix}"):
-                    leftover.unlink()
+                for folder in (self.out, self.results, self.plots):
+                    for leftover in folder.glob(f".*{self._suffix}"):
+                        leftover.unlink()
             except BaseException:
                 self._unlock()
                 raise
@@ -67,16 +85,35 @@ class Store:
         """Where a chunk's rows are kept."""
         return self.results / f"chunk-{chunk:05d}.parquet"
 
-    def finished(self, chunk: int, rows: Sequence[int]) -> pa.Table | None:
-        """The stored chunk, or None if it is absent, damaged, or does not hold exactly these rows of this sweep."""
-        table = read_chunk(self.chunk_path(chunk))
-        if table is None or (table.schema.metadata or {}).get(b"sweep") != self.sweep.digest().encode():
-            return None
-        return table if table.column("row").to_pylist() == list(rows) else None
+    def present(self) -> set[int]:
+        """The chunks that have a file, whatever is in it."""
+        with clear_errors(self.out):
+            names = (re.fullmatch(r"chunk-(\d+)\.parquet", entry.name) for entry in os.scandir(self.results))
+            return {int(name[1]) for name in names if name}
+
+    def inspect(self, chunk: int, rows: np.ndarray) -> ChunkState:
+        """Whether a chunk is there, undamaged to the last bit, and holds exactly these rows of this sweep.
+
+        Its numbers are not read, only its bytes.
+        """
+        try:
+            content = self.chunk_path(chunk).read_bytes()
+        except FileNotFoundError:
+            return ChunkState(None)
+        except OSError as error:
+            return ChunkState(None, f"cannot be read ({error.strerror})")
+        if not is_intact(content):
+            return ChunkState(None, "is damaged")
+        about = pq.read_metadata(pa.BufferReader(content)).metadata
+        if about[b"sweep"] != self._digest:
+            return ChunkState(None, "was made by another sweep, or with other defaults")
+        if about[b"rows"].decode() != rows_digest(rows):
+            return ChunkState(None, "holds other rows")
+        return ChunkState(ChunkNote(about[b"engine"].decode(), float(about[b"steps"]), float(about[b"wall_seconds"])))
 
     def write_chunk(self, chunk: int, table: pa.Table) -> None:
         """Store a chunk whole: whoever looks sees all of it or nothing of it."""
-        self.write(self.chunk_path(chunk), parquet_bytes(table))
+        self.write(self.chunk_path(chunk), seal(parquet_bytes(table)))
 
     def write(self, path: Path, content: bytes) -> None:
         """Replace a file of the directory by new content, atomically and durably."""
@@ -84,38 +121,46 @@ class Store:
             replace_file(path, content, self._suffix)
 
     def note_session(self, session: dict[str, Any]) -> None:
-        """Add what ran here, and where, to run.json."""
+        """Add what runs here, and where, to run.json; several processes take turns."""
         path = self.out / "run.json"
-        self.write(path, with_session(path, session))
+        with clear_errors(self.out):
+            held = hold(self.out, ".lock-run", wait=True)
+            try:
+                self.write(path, with_session(path, session))
+            finally:
+                os.close(held)
 
     @property
     def _suffix(self) -> str:
-        return ".tmp" if self.shard is None else f".{self.shard[0]}-of-{self.shard[1]}.tmp"
+        return ".tmp" if self.part is None else f".{self.part[0]}-of-{self.part[1]}.tmp"
 
     def _claim(self) -> None:
         """Make the directory this sweep's, or refuse. A directory keeps the chunks it was begun with."""
         path = self.out / "sweep.yaml"
-        if path.exists():
-            try:
-                begun = Sweep.from_file(path)
-            except SpecError as error:
-                raise self._foreign(f"a sweep that cannot be read ({error})") from None
-            if begun.digest() != self.sweep.digest():
-                raise self._foreign(f"the results of another sweep (see {path})")
-            self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
-        elif any(self.results.glob("*.parquet")):
-            raise self._foreign("results of an unknown sweep (it has no sweep.yaml)")
-        else:
-            self.write(path, self.sweep.to_yaml().encode())
+        if not path.exists():
+            if any(self.results.glob("*.parquet")):
+                raise self._foreign("results of an unknown sweep (it has no sweep.yaml); choose another directory")
+            create_file(path, self.sweep.to_yaml().encode(), self._suffix)
+        # Even if it was written just now: another part may have been faster, and have chosen other chunks.
+        try:
+            begun = Sweep.from_file(path)
+        except SpecError as error:
+            raise self._foreign(f"a sweep that cannot be read ({error}); choose another directory") from None
+        if begun.digest() != self.sweep.digest():
+            raise self._foreign(
+                f"the results of another sweep: {differences(begun, self.sweep)}; choose another directory, or go on "
+                f"with {path}"
+            )
+        self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
 
     def _foreign(self, content: str) -> StoreError:
-        return StoreError(f"{self.out} holds {content}; choose another directory.")
+        return StoreError(f"{self.out} holds {content}.")
 
     def _lock(self) -> None:
-        """An exclusive lock; shards share the first one and hold a second one of their own."""
-        self._locks.append(hold(self.out, shared=self.shard is not None))
-        if self.shard is not None:
-            self._locks.append(hold(self.out, f".lock-{self.shard[0]}-of-{self.shard[1]}"))
+        """An exclusive lock; parts share the first one and hold a second one of their own."""
+        self._locks.append(hold(self.out, shared=self.part is not None))
+        if self.part is not None:
+            self._locks.append(hold(self.out, f".lock-{self.part[0]}-of-{self.part[1]}"))
 
     def _unlock(self) -> None:
         while self._locks:
@@ -128,25 +173,3 @@ def read_chunk(path: Path) -> pa.Table | None:
         return pq.read_table(path, page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException, ValueError):
         return None
-
-
-def join(chunks: Sequence[pa.Table]) -> pa.Table:
-    """One table of all chunks, in the order of its rows, whatever the chunks were."""
-    metadata = {key: value for key, value in (chunks[0].schema.metadata or {}).items() if key not in CHUNK_KEYS}
-    table = pa.concat_tables([chunk.replace_schema_metadata(metadata) for chunk in chunks])
-    return table.sort_by("row").combine_chunks()
-
-
-def read_table(out: str | os.PathLike[str]) -> pa.Table:
-    """The result table of a sweep's directory, as far as it is finished, in the order of its rows.
-
-    Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status).
-
-    Raises:
-        StoreError: no readable chunk is there.
-    """
-    tables = [read_chunk(path) for path in sorted(Path(out).glob("results/chunk-*.parquet"))]
-    chunks = [table for table in tables if table is not None]
-    if not chunks:
-        raise StoreError(f"{out} holds no results of a sweep.")
-    return join(chunks)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from scipy import stats
 
+from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.table import columns_of
 
 #: Metrics with a better side, and which one it is.
@@ -28,40 +30,52 @@ OBJECTIVES = {
 LEADING = "speed"
 
 
-def summarize(table: pa.Table, chunks: Sequence[pa.Table]) -> dict[str, Any]:
-    """The summary of a complete table; `chunks` carry the time that each part took."""
-    frame = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
-    well = frame["status"] == "ok"
-    varied, metrics = columns_of(table, "varied"), columns_of(table, "metric")
-    variants = _variants(frame, well, varied, [name for name in metrics if frame[name].dtype == float])
-    names, counts = np.unique(frame["status"], return_counts=True)
-    grid = (table.schema.metadata or {}).get(b"sampler") == b"grid"
+def summarize(table: pa.Table | Results) -> dict[str, Any]:
+    """The summary of a complete table; few of its columns are in memory at once."""
+    results = table if isinstance(table, Results) else Results.of_table(table)
+    well, counts = results.statuses()
+    varied, metrics = columns_of(results, "varied"), columns_of(results, "metric")
+    columns = results.columns(["variant", LEADING, *columns_of(results, "varied", "randomized")])
+    variants = Variants.of(next(columns)[1], well)
+    speed, correlations = next(columns)[1][well], {}
+    for name, values in columns:
+        correlations[name] = _correlation(values[well], speed)
+        if name in varied:
+            variants.values[name] = values[well][variants.first]
+    spreads, best = {}, {}
+    for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
+        spreads[name] = _spread(values[well])
+        if name in OBJECTIVES:
+            best[name] = _best(variants, values[well], OBJECTIVES[name])
+    grid = (results.schema.metadata or {}).get(b"sampler") == b"grid"
+    mean, _ = variants.means(speed)
     return {
-        "rows": table.num_rows,
-        "variants": int(frame["variant"].max()) + 1,
-        "repeats": int(frame["repeat"].max()) + 1,
-        "status": dict(zip(names.tolist(), counts.tolist(), strict=True)),
-        "metrics": {name: _spread(frame[name][well]) for name in metrics if name not in ("fell", "diverged")},
-        "best": {name: _best(variants, name, side, varied) for name, side in OBJECTIVES.items() if name in metrics},
-        "marginal_means": {name: _marginal(variants, name) for name in varied} if grid and LEADING in metrics else {},
-        "rank_correlations": {} if LEADING not in metrics else _correlations(table, frame, well),
-        "spine_gain": _spine_gain(variants, varied) if grid and LEADING in metrics else [],
-        **_effort(chunks),
+        "rows": results.rows,
+        "variants": variants.all,
+        "repeats": results.rows // variants.all,
+        "status": counts,
+        "metrics": spreads,
+        "best": {name: best[name] for name in OBJECTIVES if name in best},
+        "marginal_means": {name: _marginal(variants.values[name], mean) for name in varied} if grid else {},
+        "rank_correlations": correlations,
+        "spine_gain": _spine_gain(variants.values, mean) if grid else [],
     }
 
 
-def spine_ratio(table: pa.Table) -> dict[str, np.ndarray]:
+def spine_ratio(results: Results) -> dict[str, np.ndarray]:
     """How fast each variant walks relative to the stiff spine.
 
     Returns:
         One entry a variant with a run that went well: the varied parameters, `ratio` (speed over the mean speed at
         amplitude 0, all else but the spine's phase alike; nan without such a run), and `base` (that mean speed).
     """
-    frame = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.column_names}
-    varied = columns_of(table, "varied")
-    variants = _variants(frame, frame["status"] == "ok", varied, [LEADING])
-    ratio, base = _spine_ratio(variants, varied)
-    return {**{name: variants[name] for name in varied}, "ratio": ratio, "base": base}
+    well, _ = results.statuses()
+    columns = results.columns(["variant", LEADING, *columns_of(results, "varied")])
+    variants = Variants.of(next(columns)[1], well)
+    mean, _ = variants.means(next(columns)[1][well])
+    values = {name: column[well][variants.first] for name, column in columns}
+    ratio, base = _spine_ratio(values, mean)
+    return {**values, "ratio": ratio, "base": base}
 
 
 def to_json(summary: Mapping[str, Any]) -> bytes:
@@ -69,20 +83,37 @@ def to_json(summary: Mapping[str, Any]) -> bytes:
     return (json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n").encode()
 
 
-def _variants(
-    frame: Mapping[str, np.ndarray], well: np.ndarray, varied: Sequence[str], metrics: Sequence[str]
-) -> dict[str, np.ndarray]:
-    """Means over the repeats that went well, one entry a variant that has any; `<metric>` and `<metric>.std`."""
-    variant, first, count = np.unique(frame["variant"][well], return_index=True, return_counts=True)
-    place = np.searchsorted(variant, frame["variant"][well])
-    result = {"variant": variant, "count": count, **{name: frame[name][well][first] for name in varied}}
-    for name in metrics:
-        values = frame[name][well]
-        mean = np.bincount(place, values, len(variant)) / count
-        squares = np.bincount(place, (values - mean[place]) ** 2, len(variant))
-        result[name] = mean
-        result[f"{name}.std"] = np.sqrt(squares / np.maximum(count - 1, 1))
-    return result
+@dataclasses.dataclass(frozen=True)
+class Variants:
+    """The variants with a run that went well.
+
+    Attributes:
+        all: the number of variants, those without such a run included.
+        number: index of each, (variants,).
+        first: its first run, by its place among those that went well, (variants,).
+        count: its runs that went well, (variants,).
+        place: where the variant of each such run stands here, (runs,).
+        values: the varied parameters, name -> (variants,).
+    """
+
+    all: int
+    number: np.ndarray
+    first: np.ndarray
+    count: np.ndarray
+    place: np.ndarray
+    values: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, variant: np.ndarray, well: np.ndarray) -> Variants:
+        """Of the variant of each run, (rows,), and whether it went well, (rows,)."""
+        number, first, place, count = np.unique(variant[well], True, True, True)
+        return cls(int(variant.max()) + 1, number, first, count, place)
+
+    def means(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of a metric over the repeats, (variants,) each, of its values (runs,)."""
+        mean = np.bincount(self.place, values, len(self.number)) / self.count
+        squares = np.bincount(self.place, (values - mean[self.place]) ** 2, len(self.number))
+        return mean, np.sqrt(squares / np.maximum(self.count - 1, 1))
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
@@ -98,67 +129,65 @@ def _spread(values: np.ndarray) -> dict[str, float]:
     }
 
 
-def _best(variants: Mapping[str, np.ndarray], name: str, side: str, varied: Sequence[str]) -> dict[str, Any] | None:
-    """The variant with the best mean over its repeats."""
-    score = {"max": -variants[name], "min": variants[name], "nearest zero": np.abs(variants[name])}[side]
+def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
+    """The variant with the best mean over its repeats of a metric (runs,)."""
+    mean, std = variants.means(values)
+    score = {"max": -mean, "min": mean, "nearest zero": np.abs(mean)}[side]
     if not np.isfinite(score).any():
         return None
     at = int(np.nanargmin(score))
     return {
         "side": side,
-        "variant": int(variants["variant"][at]),
-        "mean": float(variants[name][at]),
-        "std": float(variants[f"{name}.std"][at]),
-        "runs": int(variants["count"][at]),
-        "parameters": {parameter: float(variants[parameter][at]) for parameter in varied},
+        "variant": int(variants.number[at]),
+        "mean": float(mean[at]),
+        "std": float(std[at]),
+        "runs": int(variants.count[at]),
+        "parameters": {parameter: float(column[at]) for parameter, column in variants.values.items()},
     }
 
 
-def _marginal(variants: Mapping[str, np.ndarray], name: str) -> list[dict[str, float]]:
+def _marginal(parameter: np.ndarray, speed: np.ndarray) -> list[dict[str, float]]:
     """Mean of the leading metric at each value of a parameter, over everything else."""
     return [
-        {"value": float(value), LEADING: float(np.nanmean(variants[LEADING][variants[name] == value]))}
-        for value in np.unique(variants[name])
+        {"value": float(value), LEADING: float(np.nanmean(speed[parameter == value]))} for value in np.unique(parameter)
     ]
 
 
-def _correlations(table: pa.Table, frame: Mapping[str, np.ndarray], well: np.ndarray) -> dict[str, float]:
-    """Spearman's rank correlation of the leading metric with each parameter."""
-    result = {}
-    for name in columns_of(table, "varied", "randomized"):
-        x, y = frame[name][well], frame[LEADING][well]
-        constant = len(x) < 3 or np.ptp(x) == 0 or np.ptp(y) == 0
-        result[name] = math.nan if constant else float(stats.spearmanr(x, y).statistic)
-    return result
+def _correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
+    """Spearman's rank correlation of two columns (runs,)."""
+    constant = len(speed) < 3 or np.ptp(parameter) == 0 or np.ptp(speed) == 0
+    return math.nan if constant else float(stats.spearmanr(parameter, speed).statistic)
 
 
-def _spine_ratio(variants: Mapping[str, np.ndarray], varied: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def _spine_ratio(values: Mapping[str, np.ndarray], speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Speed over speed at amplitude 0, all else but the spine's phase alike, and that speed at amplitude 0."""
-    amplitude, speed = variants["spine.amplitude"], variants[LEADING]
-    alike = [name for name in varied if name not in ("spine.amplitude", "spine.phase")]
-    keys = list(zip(*(variants[name] for name in alike), strict=True)) if alike else [()] * len(speed)
-    still: dict[tuple[float, ...], list[float]] = {key: [] for key in keys}
-    for key, value in zip(keys, np.where(amplitude == 0, speed, math.nan).tolist(), strict=True):
-        still[key] += [value] if math.isfinite(value) else []
-    base = np.array([np.mean(still[key]) if still[key] else math.nan for key in keys])
+    group = np.zeros(len(speed), int)  # a number for all that is alike
+    for name, column in values.items():
+        if name not in ("spine.amplitude", "spine.phase"):
+            distinct, place = np.unique(column, return_inverse=True)
+            group = np.unique(group * len(distinct) + place, return_inverse=True)[1]
+    still = (values["spine.amplitude"] == 0) & np.isfinite(speed)
+    groups = int(group.max(initial=-1)) + 1
+    runs = np.bincount(group[still], minlength=groups)
+    total = np.bincount(group[still], speed[still], groups)
+    base = np.where(runs > 0, total / np.maximum(runs, 1), math.nan)[group]
     return speed / np.where(base > 0, base, math.nan), base
 
 
-def _spine_gain(variants: Mapping[str, np.ndarray], varied: Sequence[str]) -> list[dict[str, Any]]:
+def _spine_gain(values: Mapping[str, np.ndarray], speed: np.ndarray) -> list[dict[str, Any]]:
     """Speed with the spine relative to the stiff spine; best and worst a frequency."""
-    if "spine.amplitude" not in varied:
+    if "spine.amplitude" not in values:
         return []
-    speed = variants[LEADING]
-    ratio, base = _spine_ratio(variants, varied)
-    ratio = np.where(variants["spine.amplitude"] > 0, ratio, math.nan)
+    ratio, base = _spine_ratio(values, speed)
+    ratio = np.where(values["spine.amplitude"] > 0, ratio, math.nan)
     lines = []
-    for frequency in np.unique(variants["frequency"]) if "frequency" in varied else [None]:
-        here = np.isfinite(ratio) & (True if frequency is None else variants["frequency"] == frequency)
+    for frequency in np.unique(values["frequency"]) if "frequency" in values else [None]:
+        here = np.isfinite(ratio) & (True if frequency is None else values["frequency"] == frequency)
         line: dict[str, Any] = {} if frequency is None else {"frequency": float(frequency)}
         for word, pick in (("best", np.argmax), ("worst", np.argmin)):
             if here.any():
                 at = int(np.flatnonzero(here)[pick(ratio[here])])
-                parameters = {name: float(variants[name][at]) for name in varied if name != "frequency"}
+                parameters = {name: float(column[at]) for name, column in values.items() if name != "frequency"}
                 line[word] = {
                     "ratio": float(ratio[at]),
                     "speed": float(speed[at]),
@@ -167,19 +196,6 @@ def _spine_gain(variants: Mapping[str, np.ndarray], varied: Sequence[str]) -> li
                 }
         lines += [line] if here.any() else []
     return lines
-
-
-def _effort(chunks: Sequence[pa.Table]) -> dict[str, Any]:
-    """Engine, physics steps and the time they took, over all sessions."""
-    notes = [chunk.schema.metadata or {} for chunk in chunks]
-    steps, seconds = (sum(float(note[key]) for note in notes) for key in (b"steps", b"wall_seconds"))
-    return {
-        "engine": notes[0][b"engine"].decode(),
-        "chunks": len(notes),
-        "steps": int(steps),
-        "wall_seconds": round(seconds, 3),
-        "steps_per_second": round(steps / seconds, 1) if seconds else math.nan,
-    }
 
 
 def _finite(value: Any) -> Any:

@@ -72,8 +72,8 @@ def chunk_table(
     return columns.table({"sweep": sweep.digest(), "sampler": sweep.sampler, **about})
 
 
-def columns_of(table: pa.Table, *roles: str) -> list[str]:
-    """Names of the columns with one of the roles, in order."""
+def columns_of(table: Any, *roles: str) -> list[str]:
+    """Names of the columns with one of the roles, in order; of whatever has a schema."""
     return [field.name for field in table.schema if meta(field)["role"] in roles]
 
 

@@ -1,0 +1,56 @@
+"""How many rows a chunk has where nobody says: what fills the machine, and is no great loss when it is killed."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import jax
+
+from nermo_mjx.physics import resolve_engine
+from nermo_mjx.physics.devices import choose_devices
+
+#: Rows of a chunk for each core with MuJoCo C: with two cores, 64 walks of eight cycles take six seconds.
+CORE_ROWS = 32
+#: Chunks above which they grow, up to so many times: each is a file, and is looked at when a sweep goes on.
+MANY_CHUNKS, MOST_GROWTH = 10_000, 10
+#: Share of a device's memory for a batch, and what a world takes of it at most while a step is computed [bytes]: the
+#: model and the data of MJX (about 60 kB for this robot), and as much again several times over for what XLA keeps.
+MEMORY_SHARE, WORLD_BYTES = 0.5, 1_000_000
+#: Worlds with which a device is busy; more of them only take longer, and are lost together.
+BUSY_WORLDS = 8192
+
+
+def chunk_rows(
+    engine: str, rows: int, *, memory: int | None = None, devices: int = 1, cores: int = 1, parts: int = 1
+) -> int:
+    """Rows of a chunk.
+
+    Args:
+        engine: name of the engine that runs, `c` or one for devices.
+        rows: of the whole sweep.
+        memory: of one device [bytes]; None for the CPU, also as a device.
+        devices: that share a batch; the result is a multiple of them.
+        cores: of this machine.
+        parts: processes that share the chunks; each is to get one.
+    """
+    share = math.ceil(rows / parts)
+    if engine == "c" or memory is None:
+        usual = CORE_ROWS * cores
+        return min(max(usual, min(math.ceil(rows / MANY_CHUNKS), usual * MOST_GROWTH)), share)
+    worlds = min(int(memory * MEMORY_SHARE / WORLD_BYTES), BUSY_WORLDS)
+    return max(min(worlds, math.ceil(share / devices)), 1) * devices
+
+
+def chunk_rows_here(engine: str, rows: int, parts: int = 1) -> int:
+    """`chunk_rows` for this machine's devices and cores."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    engine = resolve_engine(engine)
+    memory, devices = (None, 1) if engine == "c" else (_device_memory(), choose_devices().count)
+    return chunk_rows(engine, rows, memory=memory, devices=devices, cores=cores, parts=parts)
+
+
+def _device_memory() -> int | None:
+    """Memory of the smallest local device [bytes]; None where it does not say, as on a CPU."""
+    known = [(device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()]
+    return None if None in known else min(int(each) for each in known if each is not None)

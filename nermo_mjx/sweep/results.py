@@ -1,0 +1,118 @@
+"""The result table as a reader sees it: whole, or a few columns at a time where it would not fit into memory."""
+
+from __future__ import annotations
+
+import collections
+import os
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from nermo_mjx.sweep.files import StoreError
+from nermo_mjx.sweep.store import read_chunk
+
+#: Schema metadata that differs between the chunks of one table.
+CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds")
+#: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
+HELD = 32_000_000
+
+
+class Part(NamedTuple):
+    """Some rows of a table: their places in its order, (n,), and some of their columns."""
+
+    places: np.ndarray
+    columns: pa.Table
+
+
+class Results:
+    """A result table whose columns are read when they are asked for, in the order of its rows.
+
+    Attributes:
+        schema: names, types and metadata of the columns, and of the table.
+        rows: how many.
+    """
+
+    def __init__(self, schema: pa.Schema, rows: int, parts: Callable[[Sequence[str]], Iterator[Part]]) -> None:
+        """
+        Args:
+            parts: the table bit by bit, with the named columns.
+        """
+        self.schema, self.rows, self._parts = schema, rows, parts
+
+    @classmethod
+    def of_table(cls, table: pa.Table) -> Results:
+        """A table that is in memory anyway."""
+        return cls(table.schema, table.num_rows, lambda names: iter([_whole(table, names)]))
+
+    @classmethod
+    def of_files(cls, files: Sequence[Path], rows: int) -> Results:
+        """The chunks of a complete table of so many rows."""
+        schema = pq.read_schema(files[0])
+        return cls(schema.with_metadata(_common(schema)), rows, lambda names: _read(files, names))
+
+    def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
+        """Columns of numbers one after the other, (rows,) each; the files are read as few times as memory allows."""
+        at_once = max(1, HELD // max(self.rows, 1))
+        for start in range(0, len(names), at_once):
+            group = list(names[start : start + at_once])
+            kinds = [self.schema.field(name).type.to_pandas_dtype() for name in group]
+            held = {name: np.empty(self.rows, kind) for name, kind in zip(group, kinds, strict=True)}
+            for part in self._parts(group):
+                for name in group:
+                    held[name][part.places] = part.columns.column(name).to_numpy()
+            for name in group:
+                yield name, held.pop(name)
+
+    def column(self, name: str) -> np.ndarray:
+        """One column of numbers, (rows,)."""
+        return next(self.columns([name]))[1]
+
+    def statuses(self) -> tuple[np.ndarray, dict[str, int]]:
+        """Which runs went well, (rows,) bool, and how often each status occurs."""
+        well, counts = np.zeros(self.rows, bool), collections.Counter[str]()
+        for part in self._parts(["status"]):
+            status = part.columns.column("status")
+            well[part.places] = pc.equal(status, "ok").to_numpy()
+            counts.update({each["values"]: each["counts"] for each in pc.value_counts(status).to_pylist()})
+        return well, dict(sorted(counts.items()))
+
+
+def read_table(out: str | os.PathLike[str]) -> pa.Table:
+    """The result table of a sweep's directory, as far as it is finished, in the order of its rows.
+
+    Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status).
+
+    Raises:
+        StoreError: no readable chunk is there.
+    """
+    tables = [read_chunk(path) for path in sorted(Path(out).glob("results/chunk-*.parquet"))]
+    chunks = [table for table in tables if table is not None]
+    if not chunks:
+        raise StoreError(f"{out} holds no results of a sweep.")
+    metadata = _common(chunks[0].schema)
+    chunks = [chunk.replace_schema_metadata(metadata) for chunk in chunks]
+    return pa.concat_tables(chunks).sort_by("row").combine_chunks()
+
+
+def _common(schema: pa.Schema) -> dict[bytes, bytes]:
+    """Metadata of the table, whatever its chunks were."""
+    return {key: value for key, value in (schema.metadata or {}).items() if key not in CHUNK_KEYS}
+
+
+def _whole(table: pa.Table, names: Sequence[str]) -> Part:
+    return Part(np.arange(table.num_rows), table.select(list(names)))
+
+
+def _read(files: Sequence[Path], names: Sequence[str]) -> Iterator[Part]:
+    for path in files:
+        try:
+            with pq.ParquetFile(path, page_checksum_verification=True) as file:
+                table = file.read(columns=[*names, "row"], use_threads=False)
+        except (OSError, pa.ArrowException) as error:
+            raise StoreError(f"{path} cannot be read ({error}): run the same command again.") from None
+        yield Part(table.column("row").to_numpy(), table)
