@@ -448,22 +448,34 @@ def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
     assert "total" in call("model").stdout
 
 
-def test_bench_passes_its_cases_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    case = {"engine": "c", "worlds": 4, "steps_per_second": 1e4, "plain_steps_per_second": math.nan, "ratio": 0.5}
-    asked: dict[str, Any] = {}
+def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A failed measurement is told beside the others; DIR gets a line a run, and their page."""
+    figures = {"steps_per_second": 1e4, "plain_steps_per_second": math.nan, "ratio": 0.5, "peak_bytes": 1e9}
+    good = {"case": "throughput", "engine": "c", "worlds": 4, **figures}
+    bad = {"case": "throughput", "engine": "mjx", "worlds": 4, "error": "no memory"}
+    about = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
+    asked: list[Any] = []
 
-    def run_bench(**options: Any) -> dict[str, Any]:
-        asked.update(options)
-        options["progress"](1, 1)
-        return {"hardware": {"cores": 2}, "cases": [case]}
+    def run_bench(cases: Any, given: dict[str, Any], progress: Any) -> dict[str, Any]:
+        asked.append((cases, {name: values for name, values in given.items() if values}))
+        progress(1, 1)
+        return {"date": "2026-11-21T00:00:00", "commit": "abc", "hardware": about, "cases": [good, bad]}
 
     import nermo_mjx.bench
 
     monkeypatch.setattr(nermo_mjx.bench, "run_bench", run_bench)
-    result = json_of("bench", "--engine", "c", "--worlds", "4", "--worlds", "8")
+    result = json_of("bench", "--engine", "c", "--worlds", "4", "--worlds", "8", "--into", tmp_path)
     assert result["cases"][0]["plain_steps_per_second"] is None
-    assert (asked["engines"], asked["worlds"]) == (("c",), (4, 8))
-    assert "10,000" in call("bench").stdout
+    assert asked == [(("throughput",), {"engine": ("c",), "worlds": (4, 8)})]
+    shown = call("bench", "throughput", "--into", tmp_path).stdout
+    assert "10,000" in shown
+    assert "throughput (engine mjx, worlds 4) failed: no memory" in shown
+    runs = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
+    assert [run["cases"] for run in runs] == [result["cases"]] * 2
+    page = (tmp_path / "results.md").read_text()
+    assert page.count("10,000") == 1
+    for figure in re.findall(r"\]\((plots/.*?)\)", page):
+        assert (tmp_path / figure).stat().st_size > 1000
 
 
 def test_what_libraries_print_does_not_reach_json(monkeypatch: pytest.MonkeyPatch) -> None:

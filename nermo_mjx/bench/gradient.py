@@ -49,8 +49,6 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
     steps = round(rollout.seconds({"frequency": 0.8}) / rollout.robot.config.timestep)
     return {
         "engine": "mjx",
-        "mode": mode,
-        "worlds": worlds,
         "horizon_cycles": cycles,
         "forward_s": plain_s,
         "gradient_s": ours_s,

@@ -6,6 +6,7 @@ import importlib.metadata
 import os
 import platform
 import resource
+import subprocess
 import sys
 from pathlib import Path
 
@@ -23,6 +24,16 @@ def describe() -> dict[str, str | int]:
         "python": platform.python_version(),
         **versions,
     }
+
+
+def commit() -> str | None:
+    """The commit of the source that is measured, with a + where files differ from it; None for an installed package."""
+    git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--exclude=*", "--dirty=+", "--abbrev=12"]
+    try:
+        done = subprocess.run(git, check=False, capture_output=True, text=True)
+    except OSError:
+        return None
+    return done.stdout.strip() or None
 
 
 def peak_bytes() -> int:

@@ -21,7 +21,12 @@ from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 
 #: Control ticks in a timed round, and rounds.
-TICKS, ROUNDS = {"c": 100, "mjx": 20}, {"c": 7, "mjx": 5}
+TICKS, ROUNDS = {"c": 100, "scan": 20}, {"c": 7, "scan": 5}
+
+
+def throughput_case(engine: str, worlds: int) -> dict[str, Any]:
+    """Steps per second of a walk, and of the physics that a user of MuJoCo would write for the same model."""
+    return c_case(worlds) if engine == "c" else scan_case(engine, worlds)
 
 
 def _walk(engine: str, worlds: int) -> tuple[Simulator, Batch]:
@@ -36,28 +41,31 @@ def _walk(engine: str, worlds: int) -> tuple[Simulator, Batch]:
 
 
 def c_case(worlds: int) -> dict[str, Any]:
-    """C engine against one call of `mujoco.rollout` with the same states and servo targets on all cores."""
+    """C engine against one call of `mujoco.rollout` on the same model, with the same states and servo targets.
+
+    Both have all cores.
+    """
     simulator, batch = _walk("c", worlds)
     engine = simulator.engine
     assert isinstance(engine, CEngine)
     ticks, steps = TICKS["c"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
-    ours = compile_cold(engine.step, session.params, session.loop_state, session.sensordata)
+    ours = compile_cold(engine.step, *session.arguments)
     session.advance(ticks)  # past the start-up, into the walk
 
-    size = mujoco.mj_stateSize(simulator.robot.model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    size = mujoco.mj_stateSize(simulator.robot.physical, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
     state = np.zeros((worlds, size))
     state[:, 1 : 1 + session.qpos.shape[1]] = session.qpos
     state[:, 1 + session.qpos.shape[1] :][:, : session.qvel.shape[1]] = session.qvel
     trace = engine.open(batch.params, batch.qpos, batch.fields).record(2 * ticks)
     control = np.repeat(trace.ctrl[:, ticks:], steps, axis=1)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    data = [mujoco.MjData(simulator.robot.model) for _ in range(cores)]
+    data = [mujoco.MjData(simulator.robot.physical) for _ in range(cores)]
 
     with rollout.Rollout(nthread=cores) as pool:
 
         def plain() -> None:
-            pool.rollout(simulator.robot.model, data, state, control)
+            pool.rollout(simulator.robot.physical, data, state, control)
 
         plain()
         ours_s, plain_s, ratio = compare(lambda: session.advance(ticks), plain, ROUNDS["c"])
@@ -69,21 +77,27 @@ def c_case(worlds: int) -> dict[str, Any]:
     }
 
 
-def mjx_case(worlds: int) -> dict[str, Any]:
-    """MJX engine against the scan a user would write: `mjx.step` carrying `mjx.Data`, same batch and targets."""
-    simulator, batch = _walk("mjx", worlds)
+def scan_case(name: str, worlds: int) -> dict[str, Any]:
+    """An engine of MJX against the scan a user would write: `mjx.step` carrying `mjx.Data`, same batch and targets.
+
+    Args:
+        name: `mjx` or `warp`, also of the plain scan's implementation.
+        worlds: size of the batch.
+    """
+    simulator, batch = _walk(name, worlds)
     engine = simulator.engine
     assert isinstance(engine, MjxEngine)
-    ticks, steps = TICKS["mjx"], simulator.loop.steps_per_tick
+    ticks, steps = TICKS["scan"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
     count = jnp.int32(ticks)
     ours = compile_cold(engine.advance, session.params, session.fields, session.carry, count)
 
     walking = jax.block_until_ready(ours.program(session.params, session.fields, session.carry, count))
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
-    data = jax.jit(jax.vmap(lambda one: engine.data.replace(**one._asdict())))(states)
-
-    model = mjx.put_model(simulator.robot.model)
+    blank = engine.data_among(worlds)
+    data = jax.jit(jax.vmap(lambda one: blank.replace(**one._asdict())))(states)
+    # In MJX-JAX the engine shortens the line search, which a user would not.
+    model = mjx.put_model(simulator.robot.physical) if name == "mjx" else engine.model
 
     def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
         def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:
@@ -103,8 +117,8 @@ def mjx_case(worlds: int) -> dict[str, Any]:
 
     run_ours()
     run_plain()
-    ours_s, plain_s, ratio = compare(run_ours, run_plain, ROUNDS["mjx"])
-    return _case("mjx", worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {
+    ours_s, plain_s, ratio = compare(run_ours, run_plain, ROUNDS["scan"])
+    return _case(name, worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {
         "trace_s": ours.trace_s,
         "compile_s": ours.compile_s,
         "plain_trace_s": plain.trace_s,

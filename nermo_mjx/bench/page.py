@@ -1,0 +1,141 @@
+"""The page of results: all runs that a directory holds, as tables by machine, and their plots."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from matplotlib.figure import Figure
+
+from nermo_mjx.bench.columns import COLUMNS, rows, titled
+from nermo_mjx.bench.registry import CASES
+from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.sweep.style import BEST, LINE, MUTED, horizontal_grid, lay_out, page, write_figure
+
+RESULTS: Final = "results.jsonl"
+_COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
+_VERSIONS = ("mujoco", "jax", "python")
+
+
+def add_run(folder: Path, run: Mapping[str, Any]) -> None:
+    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots."""
+    path = folder / RESULTS
+    lines = path.read_text().splitlines() if path.exists() else []
+    replace_file(path, ("\n".join([*lines, json.dumps(run)]) + "\n").encode())
+    draw_page(folder)
+
+
+def draw_page(folder: Path) -> None:
+    """Remake FOLDER/results.md and FOLDER/plots from FOLDER/results.jsonl."""
+    machines = _by_machine([json.loads(line) for line in (folder / RESULTS).read_text().splitlines()])
+    text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
+    for number, (machine, lines) in enumerate(machines.items(), 1):
+        text += [f"## {machine}", "", *_tables(lines)]
+        for name, figure in _figures(machine, lines):
+            lay_out(figure)
+            write_figure(figure, folder / "plots", f"{name}_{number}", replace_file)
+            text += [f"![{name}](plots/{name}_{number}.png)", ""]
+    replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
+
+
+def _by_machine(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """The newest measurement of each kind, by machine, in the order of the registry."""
+    newest: dict[str, dict[tuple[Any, ...], dict[str, Any]]] = {}
+    for run in runs:
+        if run["hardware"]:
+            about = run["hardware"]
+            machine = f"{about['device']}; {about['cores']} x {about['cpu']}"
+            for line in run["cases"]:
+                key = (line["case"], *(line[name] for name in CASES[line["case"]].options))
+                versions = ", ".join(f"{name} {about[name]}" for name in _VERSIONS)
+                newest.setdefault(machine, {})[key] = {
+                    **line, "made": f"{run['date'][:10]}, commit {run['commit']}, {versions}"
+                }  # fmt: skip
+    order = list(CASES)
+    return {
+        machine: [lines[key] for key in sorted(lines, key=lambda key: (order.index(key[0]), *map(_sortable, key[1:])))]
+        for machine, lines in newest.items()
+    }
+
+
+def _sortable(value: Any) -> tuple[int, Any]:
+    return (1, value) if isinstance(value, str) else (0, value)
+
+
+def _tables(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Markdown: for each case its sentence, its table, and when it was measured."""
+    for case in dict.fromkeys(line["case"] for line in lines):
+        own = [line for line in lines if line["case"] == case]
+        found = [row for line in own for row in rows(line)]
+        yield f"### {case.capitalize()}: {CASES[case].about}"
+        yield ""
+        yield from (f"- {title}" for line in own if (title := titled(line)))
+        if found:
+            shown = [column for column in COLUMNS[case] if any(row.get(column.key) is not None for row in found)]
+            yield from ("", "| " + " | ".join(column.heading for column in shown) + " |", "|---" * len(shown) + "|")
+            yield from ("| " + " | ".join(column.cell(row) for column in shown) + " |" for row in found)
+        yield from ("", "Measured " + "; ".join(dict.fromkeys(line["made"] for line in own)) + ".", "")
+
+
+def _figures(machine: str, lines: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Figure]]:
+    """Throughput and memory over the batch, compile times, and what gradients need over the length of a walk."""
+    walks = [line for line in lines if line["case"] == "throughput" and "error" not in line]
+    if walks:
+        yield "throughput", _throughput(machine, walks)
+        compiled = [line for line in walks if line.get("compile_s")]
+        if compiled:
+            yield "compile", _compile(machine, compiled)
+    gradients = [line for line in lines if line["case"] == "gradient" and "error" not in line]
+    if gradients:
+        yield "gradient", _gradient(machine, gradients)
+
+
+def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = page(
+        "Throughput and memory over the batch", 7.0, 3.2, f"{machine}. Dashed: plain physics of the same model."
+    )
+    speed, memory = figure.subplots(1, 2)
+    for engine in dict.fromkeys(line["engine"] for line in walks):
+        own = sorted((line for line in walks if line["engine"] == engine), key=lambda line: line["worlds"])
+        worlds, colour = [line["worlds"] for line in own], _COLOURS[engine]
+        speed.plot(worlds, [line["steps_per_second"] for line in own], "o-", ms=3, color=colour, label=engine)
+        speed.plot(worlds, [line["plain_steps_per_second"] for line in own], "--", lw=1, color=colour)
+        memory.plot(worlds, [line["peak_bytes"] / 1e9 for line in own], "o-", ms=3, color=colour, label=engine)
+    for ax, label in ((speed, "physics steps/s"), (memory, "peak memory [GB]")):
+        ax.set(xscale="log", yscale="log", xlabel="worlds", ylabel=label)
+        horizontal_grid(ax)
+    speed.legend()
+    return figure
+
+
+def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = page("From Python to a program", 7.0, 0.9 + 0.45 * len(walks), f"{machine}. Cold cache.")
+    ax = figure.subplots()
+    names = [f"{line['engine']}, {line['worlds']:,} worlds" for line in walks]
+    trace, compiled = ([line[key] for line in walks] for key in ("trace_s", "compile_s"))
+    ax.barh(names, trace, color=MUTED, label="trace")
+    ax.barh(names, compiled, left=trace, color=LINE, label="compile")
+    plain = [line["plain_trace_s"] + line["plain_compile_s"] for line in walks]
+    ax.plot(plain, names, "|", ms=14, color=BEST, label="plain physics, both")
+    ax.set(xlabel="s")
+    ax.invert_yaxis()
+    ax.legend()
+    return figure
+
+
+def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = page("What a gradient costs over the length of a walk", 7.0, 3.2, f"{machine}.")
+    ratio, memory = figure.subplots(1, 2)
+    for mode, colour in (("forward", LINE), ("reverse", BEST)):
+        own = sorted((line for line in lines if line["mode"] == mode), key=lambda line: line["cycles"])
+        cycles = [line["cycles"] for line in own]
+        ratio.plot(cycles, [line["ratio"] for line in own], "o-", ms=3, color=colour, label=mode)
+        memory.plot(cycles, [line["temporary_bytes_per_world"] / 1e6 for line in own], "o-", ms=3, color=colour)
+    ratio.set(xlabel="gait cycles", ylabel="time over the walk's alone", ylim=(0, None))
+    memory.set(xlabel="gait cycles", ylabel="memory of a world [MB]", ylim=(0, None))
+    for ax in (ratio, memory):
+        horizontal_grid(ax)
+    ratio.legend()
+    return figure

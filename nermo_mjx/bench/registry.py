@@ -1,0 +1,123 @@
+"""The measurements by name, and the options of each: names, what may be given, and what is measured by default."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from nermo_mjx.robot import ParameterError
+
+
+@dataclasses.dataclass(frozen=True)
+class Option:
+    """What a measurement is repeated over.
+
+    Attributes:
+        default: values measured if none is given.
+        allowed: the names it may have; None for a positive number.
+        whole: whether the number is whole.
+    """
+
+    default: tuple[Any, ...]
+    allowed: tuple[str, ...] | None = None
+    whole: bool = False
+
+    def check(self, name: str, value: Any) -> None:
+        """Raises `ParameterError` unless the value is allowed."""
+        if self.allowed is not None and value not in self.allowed:
+            raise ParameterError(f"{name} is {value!r}: allowed is one of {', '.join(self.allowed)}.")
+        if self.allowed is None and not (0 < value < float("inf") and (value == int(value) or not self.whole)):
+            range_ = "a whole number from 1" if self.whole else "(0, inf)"
+            raise ParameterError(f"{name} is {value:g}: allowed is {range_}.")
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A measurement: a function of its options that returns one line of figures.
+
+    Attributes:
+        about: what it measures, for listings.
+        place: module and name of the function; it is imported in the process that measures.
+        options: by name.
+    """
+
+    about: str
+    place: str
+    options: Mapping[str, Option]
+
+    def plan(self, chosen: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+        """The options of each measurement: all combinations of the chosen values, or the defaults."""
+        values = [tuple(chosen.get(name) or option.default) for name, option in self.options.items()]
+        return [dict(zip(self.options, each, strict=True)) for each in itertools.product(*values)]
+
+    def measure(self, **options: Any) -> dict[str, Any]:
+        """The figures of one measurement."""
+        module, _, name = self.place.partition(":")
+        figures: dict[str, Any] = getattr(importlib.import_module(module), name)(**options)
+        return figures
+
+
+_WORLDS = Option((64,), whole=True)
+
+CASES: Final[dict[str, Case]] = {
+    "throughput": Case(
+        "a walk with its controller and metrics against plain physics",
+        "nermo_mjx.bench.throughput:throughput_case",
+        {"engine": Option(("c", "mjx"), ("c", "mjx", "warp")), "worlds": _WORLDS},
+    ),
+    "gradient": Case(
+        "value and gradient of a walk against the walk alone",
+        "nermo_mjx.bench.gradient:gradient_case",
+        {
+            "mode": Option(("forward", "reverse"), ("forward", "reverse")),
+            "worlds": Option((16,), whole=True),
+            "cycles": Option((1.0,)),
+        },
+    ),
+    "tuning": Case(
+        "the speed that tuning by gradient, and CMA-ES, reach on a tenth of a dense sweep's simulated time",
+        "nermo_mjx.bench.tuning:tuning_case",
+        {"frequency": Option((0.5, 0.8))},
+    ),
+    "startup": Case(
+        "from a new process to the first control tick, stage by stage, with a cold and a warm cache",
+        "nermo_mjx.bench.startup:startup_case",
+        {"engine": Option(("c", "mjx"), ("c", "mjx", "warp")), "worlds": _WORLDS},
+    ),
+    "profile": Case(
+        "a physics step, stage by stage",
+        "nermo_mjx.bench.profile:profile",
+        {"engine": Option(("c", "mjx"), ("c", "mjx")), "worlds": _WORLDS},
+    ),
+    "speedtest": Case(
+        "MuJoCo's own speed test of MJX on the same model",
+        "nermo_mjx.bench.speedtest:speedtest_case",
+        {"worlds": _WORLDS},
+    ),
+}
+
+
+def plan(cases: Sequence[str], chosen: Mapping[str, Sequence[Any]]) -> list[tuple[str, dict[str, Any]]]:
+    """(name, options) of each measurement.
+
+    Args:
+        cases: names from `CASES`.
+        chosen: option -> values; what is not there, or empty, has its default.
+
+    Raises:
+        ParameterError: an unknown case, a value that is not allowed, an option that none of the cases has.
+    """
+    for name in cases:
+        if name not in CASES:
+            raise ParameterError(f"case is {name!r}: allowed is one of {', '.join(CASES)}.")
+    for option, values in chosen.items():
+        owners = [CASES[name].options[option] for name in cases if option in CASES[name].options]
+        if values and not owners:
+            having = [name for name, case in CASES.items() if option in case.options]
+            raise ParameterError(f"{option} is given, but not measured: it is an option of {' and '.join(having)}.")
+        for owner, value in itertools.product(owners, values or ()):
+            owner.check(option, value)
+    return [(name, options) for name in cases for options in CASES[name].plan(chosen)]
