@@ -107,6 +107,14 @@ def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], s
     assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
+@pytest.mark.parametrize(
+    ("name", "change", "shown"),
+    [("spine.phase", 6.0, 6.0 - 2 * np.pi), ("spine.phase", -0.5, -0.5), ("spine.amplitude", 0.3, 0.3)],
+)
+def test_the_change_of_an_angle_is_the_shorter_way_round(name: str, change: float, shown: float) -> None:
+    assert tune_command._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
+
+
 def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     fakes["options"] = {"falls": lambda points: points[:, 0] < 0.06}
     result = call("tune", spec, "--out", tmp_path / "out", "--starts", "4")

@@ -125,13 +125,26 @@ def _rows(result: TuningResult) -> list[list[str]]:
     names |= dict.fromkeys(result.tuning.objective.metrics, "metrics")
     rows = []
     for name, kind in names.items():
-        (before, after), unit = _shown(result.tuning, name, (start[kind][name], best[kind][name]))
-        rows.append([name, *_cells(before, after), unit])
-    return [*rows, ["objective", *_cells(start["objective"], best["objective"]), "lower is better"]]
+        ends = start[kind][name], best[kind][name]
+        change = _shortest(result.tuning, name, ends[1] - ends[0])
+        (before, after, change), unit = _shown(result.tuning, name, (*ends, change))
+        rows.append([name, *_cells(before, after, change), unit])
+    ends = start["objective"], best["objective"]
+    return [*rows, ["objective", *_cells(*ends, ends[1] - ends[0]), "lower is better"]]
 
 
-def _cells(before: float, after: float) -> list[str]:
-    change = after - before
+def _shortest(tuning: Tuning, name: str, change: float) -> float:
+    """A change of a parameter; of a periodic one the shorter way round."""
+    if name not in tuning.names:
+        return change
+    place = tuning.names.index(name)
+    if not tuning.bounds.periodic[place]:
+        return change
+    period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
+    return change - period * round(change / period)
+
+
+def _cells(before: float, after: float, change: float) -> list[str]:
     return [_digits(before), _digits(after), f"{change + 0.0:+.3g}" if math.isfinite(change) else "-"]
 
 
@@ -147,12 +160,11 @@ def _number_and_unit(metric: str, value: float) -> str:
     return f"{metric} {float(quantity.values):.4g} {quantity.unit}".rstrip()
 
 
-def _shown(tuning: Tuning, name: str, values: tuple[float, float]) -> tuple[tuple[float, float], str]:
-    """Two values of a parameter or metric as figures show them, and the unit."""
+def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
+    """Values of a parameter or metric as figures show them, and the unit."""
     from nermo_mjx.sweep.style import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     about = tuning.parameters.get(name) or OBJECTIVE_METRICS[name]
     quantity = shown(name, about.unit, values)
-    before, after = quantity.values.tolist()
-    return (before, after), quantity.unit
+    return quantity.values.tolist(), quantity.unit
