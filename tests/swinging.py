@@ -47,7 +47,7 @@ class SwayLoop:
 def robot() -> Any:
     """What the engines need of a robot."""
     model = mujoco.MjModel.from_xml_string(XML)
-    return types.SimpleNamespace(model=model, physics=model)
+    return types.SimpleNamespace(model=model, physical=model)
 
 
 def batch(worlds: int) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
