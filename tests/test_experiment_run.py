@@ -297,7 +297,7 @@ def test_a_quick_run_is_one_repeat_and_no_video(fakes, tmp_path, monkeypatch):
         ({"seed": -1}, "seed is -1: allowed is"),
         ({"profiles": ()}, "allowed is a list of exact and as_published."),
         ({"profiles": ["exakt"]}, "profile is 'exakt': did you mean 'exact'?"),
-        ({"engine": "gpu"}, "engine is 'gpu': allowed is one of auto, c, mjx."),
+        ({"engine": "gpu"}, "engine is 'gpu': allowed is one of auto, c, mjx, warp."),
         ({"values": {"contact.fricton": 1.0}}, "did you mean 'contact.friction'?"),
         ({"values": {"contact.friction": 50.0}}, "contact.friction is 50: allowed is [0.05, 5]."),
         ({"out": "file"}, "file is a file: a directory is needed."),

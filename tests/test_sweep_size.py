@@ -124,10 +124,10 @@ class Measuring(FakeSimulator):
 
 def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     """Over a hundred chunks, memory grows by less than ten of their tables would take."""
-    spec = {"vary": {"frequency": {"linspace": [0.5, 1.0, 120]}, "duty": {"linspace": [0.4, 0.6, 10]}}, "plots": False}
+    spec = {"vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}}, "plots": False}
     simulator = Measuring()
     tracemalloc.start()
-    result = run_sweep(spec, tmp_path, chunk=10, simulator=simulator)
+    result = run_sweep(spec, tmp_path, chunk=100, simulator=simulator)
     tracemalloc.stop()
     early, late = simulator.held
     assert late - early < result.table.nbytes / 120 * 10

@@ -51,7 +51,7 @@ def walked(request):
         points = first + first * SHARE * np.concatenate([np.zeros((1, 8)), np.eye(8), -np.eye(8)])
         with pytest.MonkeyPatch.context() as patch:
             # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.
-            patch.setattr(setup.load().model.opt, "tolerance", 0.0)
+            patch.setattr(setup.load().physical.opt, "tolerance", 0.0)
             run = Simulator(setup, "c").run(dict(zip(POINT, points.T, strict=True)), ONE_CYCLE)
     in_c, *ends = run.metrics["speed"]
     high, low = np.split(np.array(ends), 2)
