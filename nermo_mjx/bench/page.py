@@ -7,12 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.registry import CASES
 from nermo_mjx.sweep.files import replace_file
-from nermo_mjx.sweep.style import BEST, LINE, MUTED, horizontal_grid, lay_out, page, write_figure
+from nermo_mjx.sweep.style import BEST, LINE, MUTED, STYLE, horizontal_grid, lay_out, page, write_figure
 
 RESULTS: Final = "results.jsonl"
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
@@ -33,10 +35,11 @@ def draw_page(folder: Path) -> None:
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
     for number, (machine, lines) in enumerate(machines.items(), 1):
         text += [f"## {machine}", "", *_tables(lines)]
-        for name, figure in _figures(machine, lines):
-            lay_out(figure)
-            write_figure(figure, folder / "plots", f"{name}_{number}", replace_file)
-            text += [f"![{name}](plots/{name}_{number}.png)", ""]
+        with rc_context(STYLE):
+            for name, figure in _figures(machine, lines):
+                lay_out(figure)
+                write_figure(figure, folder / "plots", f"{name}_{number}", replace_file)
+                text += [f"![{name}](plots/{name}_{number}.png)", ""]
     replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
 
 
@@ -105,6 +108,9 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
         memory.plot(worlds, [line["peak_bytes"] / 1e9 for line in own], "o-", ms=3, color=colour, label=engine)
     for ax, label in ((speed, "physics steps/s"), (memory, "peak memory [GB]")):
         ax.set(xscale="log", yscale="log", xlabel="worlds", ylabel=label)
+        sizes = sorted({line["worlds"] for line in walks})
+        ax.set_xticks(sizes, [f"{size:,}" for size in sizes])
+        ax.xaxis.set_minor_locator(NullLocator())
         horizontal_grid(ax)
     speed.legend()
     return figure
