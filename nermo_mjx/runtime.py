@@ -55,7 +55,7 @@ def configure() -> None:
 def configure_threads() -> None:
     """Give JAX's CPU runtime enough threads on a small machine (`PJRT_NPROC`), so that it cannot hang."""
     global _started_unguarded
-    if _cpu_count() >= SAFE_THREADS:
+    if cpu_count() >= SAFE_THREADS:
         return
     if "PJRT_NPROC" in os.environ:
         _started_unguarded = _started_unguarded or os.environ["PJRT_NPROC"] in {"2", "3"}
@@ -76,7 +76,7 @@ def cpu_batch_limit() -> int | None:
     return GUARDED_BATCH if _started_unguarded else None
 
 
-def _cpu_count() -> int:
+def cpu_count() -> int:
     """Processors this process may use, counted as JAX does."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

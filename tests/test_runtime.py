@@ -23,7 +23,7 @@ def run(script: str, **environment: str) -> list[str]:
 
 
 SHOW = (
-    "import os\nfrom nermo_mjx import runtime\nruntime._cpu_count = lambda: {cores}\nos.environ.pop('PJRT_NPROC', 0)\n"
+    "import os\nfrom nermo_mjx import runtime\nruntime.cpu_count = lambda: {cores}\nos.environ.pop('PJRT_NPROC', 0)\n"
     "{before}\nruntime.configure_threads()\nprint(os.environ.get('PJRT_NPROC'), runtime.cpu_batch_limit())"
 )
 

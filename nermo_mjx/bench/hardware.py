@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 import resource
 import subprocess
@@ -12,6 +11,8 @@ from pathlib import Path
 
 import jax
 
+from nermo_mjx.runtime import cpu_count
+
 
 def describe() -> dict[str, str | int]:
     """Name of the processor and accelerator, memory, and versions of what computes."""
@@ -19,7 +20,7 @@ def describe() -> dict[str, str | int]:
     versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}
     return {
         "cpu": _cpu_name(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        "cores": cpu_count(),
         "device": f"{len(devices)} x {devices[0].device_kind}",
         "python": platform.python_version(),
         **versions,

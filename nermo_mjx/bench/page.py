@@ -117,7 +117,7 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
 
 
 def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
-    figure = page("From Python to a program", 7.0, 0.9 + 0.45 * len(walks), f"{machine}. Cold cache.")
+    figure = page("From Python to a program", 7.0, 1.8 + 0.45 * len(walks), f"{machine}. Cold cache.")
     ax = figure.subplots()
     names = [f"{line['engine']}, {line['worlds']:,} worlds" for line in walks]
     trace, compiled = ([line[key] for line in walks] for key in ("trace_s", "compile_s"))

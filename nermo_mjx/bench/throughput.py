@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import jax
@@ -19,6 +18,7 @@ from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
+from nermo_mjx.runtime import cpu_count
 
 #: Control ticks in a timed round, and rounds.
 TICKS, ROUNDS = {"c": 100, "scan": 20}, {"c": 7, "scan": 5}
@@ -60,7 +60,7 @@ def c_case(worlds: int) -> dict[str, Any]:
     state[:, 1 + session.qpos.shape[1] :][:, : session.qvel.shape[1]] = session.qvel
     trace = engine.open(batch.params, batch.qpos, batch.fields).record(2 * ticks)
     control = np.repeat(trace.ctrl[:, ticks:], steps, axis=1)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = cpu_count()
     data = [mujoco.MjData(simulator.robot.physical) for _ in range(cores)]
 
     with rollout.Rollout(nthread=cores) as pool:

@@ -12,7 +12,6 @@ import contextlib
 import functools
 import logging
 import math
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, TypeVar
@@ -24,6 +23,7 @@ from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.robot import Robot
+from nermo_mjx.runtime import cpu_count
 
 #: Worlds of every call of the compiled loop; what is missing is filled up. XLA rounds by the shape of a batch.
 LANES: Final = 32
@@ -51,7 +51,7 @@ class CEngine:
 
     def __init__(self, robot: Robot, loop: Loop, threads: int = 0) -> None:
         """`threads` 0 means all cores."""
-        self.robot, self.loop, self.threads = robot, loop, threads or _cores()
+        self.robot, self.loop, self.threads = robot, loop, threads or cpu_count()
         self.init = jax.jit(jax.vmap(loop.init))
         self.step = jax.jit(jax.vmap(loop.step))
 
@@ -194,10 +194,6 @@ class _Block:
         stopped = self.batch.warning.reshape(self.worlds, -1).any(axis=1)
         if stopped.any():
             readings[stopped] = np.nan
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _spans(worlds: int, threads: int) -> list[np.ndarray]:

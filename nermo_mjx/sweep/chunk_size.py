@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 
 import jax
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.physics.devices import choose_devices
+from nermo_mjx.runtime import cpu_count
 
 #: Rows of a chunk for each core with MuJoCo C: with two cores, 64 walks of eight cycles take six seconds.
 CORE_ROWS = 32
@@ -44,7 +44,7 @@ def chunk_rows(
 
 def chunk_rows_here(engine: str, rows: int, parts: int = 1) -> int:
     """`chunk_rows` for this machine's devices and cores."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = cpu_count()
     engine = resolve_engine(engine)
     memory, devices = (None, 1) if engine == "c" else (_device_memory(), choose_devices().count)
     return chunk_rows(engine, rows, memory=memory, devices=devices, cores=cores, parts=parts)
