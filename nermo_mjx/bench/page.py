@@ -126,8 +126,9 @@ def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
     plain = [line["plain_trace_s"] + line["plain_compile_s"] for line in walks]
     ax.plot(plain, names, "|", ms=14, color=BEST, label="plain physics, both")
     ax.set(xlabel="s")
+    ax.margins(y=0.3)
     ax.invert_yaxis()
-    ax.legend()
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
     return figure
 
 
