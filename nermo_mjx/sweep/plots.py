@@ -13,9 +13,11 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 from scipy import stats
 
+from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.quantity import Quantity, shown
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.style import STYLE, Quantity, lay_out, shown, write_figure
 from nermo_mjx.sweep.summary import LEADING, spine_ratio
 from nermo_mjx.sweep.table import columns_of, meta
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import matplotlib
 import pyarrow as pa
 
-from nermo_mjx.sweep.style import STYLE, lay_out, write_figure
+from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.figures import gradients_figure, objective_figure, parameters_figure
 from nermo_mjx.tune.path_figure import path_figure

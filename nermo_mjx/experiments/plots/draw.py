@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots import balance, maze, report, straight_line, turning
+from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep.files import replace_file
-from nermo_mjx.sweep.style import STYLE, lay_out, write_figure
 
 Drawer = Callable[[Outcome, Sequence[Line]], Iterator[tuple[str, Figure | None]]]
 DRAWERS: Final[dict[str, Drawer]] = {

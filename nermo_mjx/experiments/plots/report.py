@@ -14,11 +14,13 @@ from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.experiments.line import AGREES, Line, Value
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots.page import GRID, INK, MUTED, Page, published_entry, swatch, tone
+from nermo_mjx.experiments.plots.page import published_entry, swatch, tone
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED
 
 #: Shares of the published number between which the axis reaches; what lies beyond is an arrow at its end.
 LEAST, MOST = -0.5, 2.5
-_COLOUR, _NEAR, _RED = "#23648f", "#eaf1f6", "#b3300f"
+_COLOUR, _NEAR, _RED = LINE, "#e6f1f8", BEST
 _PROFILES: Final = ("exact", "as_published")
 #: Right ends of the columns of numbers, in widths of the table.
 _COLUMNS: Final = {"published": 0.36, "exact": 0.66, "as_published": 0.98}
