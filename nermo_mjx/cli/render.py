@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import VIEWS
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
@@ -26,9 +25,9 @@ ROBOT_FIELDS = ("robot", "scene", "tail", "routing", "cone", "physics", "timeste
 
 
 @click.command("render", epilog=EPILOG)
-@click.argument("recording", metavar="FILE.npz", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
 @options.file("--out", ".mp4", "MP4 (H.264) or GIF.", required=True)
-@click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
+@options.camera
 @options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
 @options.number("--width", "Pixels.", click.IntRange(16, 7680), default=640)
 @options.number("--height", "Pixels.", click.IntRange(16, 4320), default=480)

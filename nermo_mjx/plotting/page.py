@@ -56,12 +56,15 @@ def page(title: str, width: float, height: float, note: str = "") -> Figure:
 
 
 def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()) -> Figure:
-    """Put the title above a figure's axes, and legend and note below; its layout keeps the axes off them."""
+    """Put the title above a figure's axes, and legend and note below; its layout keeps the axes off them.
+
+    Lines of the title and the note that are too long for the page are broken; see `note_lines`.
+    """
     width, height = figure.get_size_inches()
     head = textwrap.wrap(title, int((width - 2 * _EDGE) / _TITLE_CHARACTER))
     figure.text(_EDGE / width, 1 - _EDGE / height, "\n".join(head), va="top", fontsize=11.5, fontweight="bold",
                 linespacing=1.15)  # fmt: skip
-    lines = textwrap.wrap(note, int((width - 2 * _EDGE) / _CHARACTER))
+    lines = note_lines(note, width)
     figure.text(_EDGE / width, _EDGE / height, "\n".join(lines), va="bottom", fontsize=SMALL, color=MUTED,
                 linespacing=1.2)  # fmt: skip
     below = _EDGE + _LINE * len(lines) + _GAP * bool(lines)
@@ -69,8 +72,18 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
         below += _legend(figure, handles, below) + _GAP
     above = _EDGE + _TITLE_LINE * len(head) + 0.07
     engine = figure.get_layout_engine()
-    engine.set(rect=(0, below / height, 1, 1 - (below + above) / height), hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
+    engine.set(rect=(0, below / height, 1 - _EDGE / width, 1 - (below + above) / height), hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
     return figure
+
+
+def note_lines(note: str, width: float) -> list[str]:
+    """The lines of a note on a page of so many inches; what follows a tab hangs together, to its right."""
+    broken: list[str] = []
+    for line in note.splitlines():
+        hangs = "\t" in line
+        broken += textwrap.wrap(line.replace("\t", "   "), int((width - 2 * _EDGE) / _CHARACTER),
+                                subsequent_indent="      " if hangs else "", replace_whitespace=False)  # fmt: skip
+    return broken
 
 
 def _legend(figure: Figure, handles: Sequence[Artist], below: float) -> float:

@@ -28,6 +28,7 @@ from nermo_mjx.plotting.style import (
     horizontal_grid,
     set_scales,
 )
+from nermo_mjx.sweep.summary import OBJECTIVES, cost
 
 
 def heat_maps(
@@ -42,8 +43,8 @@ def heat_maps(
 ) -> Figure:
     """One heat map a panel (its title, and a mask of the points in it) on a shared colour scale.
 
-    Points that share a cell are averaged. The best cell of all is a star, that of each panel a ring; a cell without
-    a run that went well is hatched grey.
+    Points that share a cell are averaged. The best cell of all (the highest, of a metric without a better side) is a
+    star, that of each panel a ring; a cell without a run that went well is hatched grey.
 
     With `gain`, z is a gain in percent: 0 is white, the scale reaches alike far to both sides (far losses are cut off
     where they would leave the gains pale), marks carry their value, and only points where `gain` holds are marked.
@@ -57,16 +58,19 @@ def heat_maps(
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
         colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", INK
     figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4)
-    best = max((float(np.nanmax(grid)) for grid in marked if np.isfinite(grid).any()), default=math.nan)
-    for ax, (name, _), grid, candidates in zip(axes, panels, grids, marked, strict=False):
+    prices = [cost(z.name, grid) for grid in marked]
+    lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
+    best = math.nan
+    for ax, (name, _), grid, candidates, price in zip(axes, panels, grids, marked, prices, strict=False):
         ax.add_patch(matplotlib.patches.Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white",
                                                   hatch="////", lw=0, zorder=0))  # fmt: skip
         ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         set_scales(ax, x, y)
         ax.set_title(name)
         if np.isfinite(candidates).any():
-            i, j = np.unravel_index(int(np.nanargmax(candidates)), grid.shape)
-            star = candidates[i, j] == best
+            i, j = np.unravel_index(int(np.nanargmin(price)), grid.shape)
+            star = price[i, j] == lowest
+            best = float(candidates[i, j]) if star else best
             ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else fill,
                        ec="white" if star else edge, lw=1.3, zorder=5, clip_on=False)  # fmt: skip
             if gain is not None:
@@ -75,8 +79,9 @@ def heat_maps(
     bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
-    ring = "; ring: best of its panel" if len(panels) > 1 else ""
-    return around(figure, title, f"{note}star: best, {z.shown(best) if gain is None else _signed(best)}{ring}")
+    word = _best(z.name) if gain is None else "best"
+    ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
+    return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else _signed(best)}{ring}")
 
 
 def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
@@ -86,9 +91,9 @@ def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
     ax.fill_between(xs, mean - std, mean + std, color=BAND, alpha=0.6, lw=0)
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
-        at = int(np.nanargmax(mean))
+        at = int(np.nanargmin(cost(z.name, mean)))
         ax.scatter(xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
-        note += f"star: best, {z.shown(mean[at])} at {x.shown(xs[at])}"
+        note += f"star: {_best(z.name)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
@@ -113,7 +118,7 @@ def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: 
 def pair_scatters(pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title: str, note: str) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best is a star."""
     figure, axes = _panels(len(pairs), 2.7)
-    scale, order = Normalize(*_limits(z.values)), np.argsort(z.values)
+    scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.name, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
                    rasterized=len(z.values) > 2000)  # fmt: skip
@@ -121,7 +126,7 @@ def pair_scatters(pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     _colour_bar(figure, axes, scale, z.label)
-    return around(figure, title, f"{note}star: best, {z.shown(float(np.max(z.values)))}")
+    return around(figure, title, f"{note}star: {_best(z.name)}, {z.shown(float(z.values[order[-1]]))}")
 
 
 def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
@@ -133,6 +138,11 @@ def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
     for ax in axes[count:]:
         ax.remove()
     return figure, axes[:count]
+
+
+def _best(metric: str) -> str:
+    """What the mark of a metric's best value is called."""
+    return "best" if metric in OBJECTIVES else "highest"
 
 
 def _columns(count: int) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE, STYLE
 from nermo_mjx.sweep.files import replace_file
@@ -19,7 +19,7 @@ from nermo_mjx.sweep.files import replace_file
 _SHOWN: Final = 2.0
 
 
-def draw(content: Mapping[str, Any], folder: Path) -> list[Path]:
+def draw(content: Mapping[str, Any], folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Draw the pictures of identification.json as PNG and SVG.
 
     Raises:
@@ -29,7 +29,7 @@ def draw(content: Mapping[str, Any], folder: Path) -> list[Path]:
     with matplotlib.rc_context(STYLE):
         for name, figure in (("search", _search(content)), ("residuals", _residuals(content))):
             lay_out(figure)
-            files += write_figure(figure, folder, f"identification-{name}", replace_file)
+            files += write_figure(figure, folder, f"identification-{name}", replace_file, formats)
     return files
 
 

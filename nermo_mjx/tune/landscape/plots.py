@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.quantity import Quantity, shown
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, STYLE, horizontal_grid, set_scales
@@ -28,12 +28,18 @@ _CUT: Final = 2.5
 
 
 def draw_plots(
-    tuning: Tuning, lines: Sequence[Line], folder: Path, *, write: Callable[[Path, bytes], None] | None = None
+    tuning: Tuning,
+    lines: Sequence[Line],
+    folder: Path,
+    *,
+    write: Callable[[Path, bytes], None] | None = None,
+    formats: Sequence[str] = FORMATS,
 ) -> list[Path]:
     """Draw a figure for each line, as PNG and SVG; a line on which the robot nowhere walks has none.
 
     Args:
         write: how a file is written; `Path.write_bytes` if it is None.
+        formats: of `png` and `svg`.
 
     Returns:
         The files, in the order drawn.
@@ -45,7 +51,7 @@ def draw_plots(
             if line.ok.any():
                 figure = line_figure(tuning, line)
                 lay_out(figure)
-                files += write_figure(figure, folder, f"line-{line.tuned.name}", write)
+                files += write_figure(figure, folder, f"line-{line.tuned.name}", write, formats)
     return files
 
 
