@@ -11,9 +11,11 @@ from nermo_mjx.cli import (
     identify,
     landscape,
     model,
+    play,
     plot,
     render,
     replay,
+    servos,
     sweep,
     tune,
     walk,
@@ -40,5 +42,20 @@ def main() -> None:
     """
 
 
-for module in (sweep, replay, tune, landscape, experiment, identify, walk, render, plot, model, bench, completion):
+for module in (
+    sweep,
+    replay,
+    tune,
+    landscape,
+    experiment,
+    identify,
+    walk,
+    render,
+    play,
+    plot,
+    servos,
+    model,
+    bench,
+    completion,
+):
     main.add_command(module.command)

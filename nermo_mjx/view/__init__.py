@@ -1,6 +1,8 @@
 """What users see of a run: recordings and videos."""
 
 from nermo_mjx.view.encoding import VideoError
+from nermo_mjx.view.playing import play, write_keyframes
+from nermo_mjx.view.recorded_robot import robot_of
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.video import CAMERAS, check_video, render
 
@@ -11,6 +13,9 @@ __all__ = [
     "VideoError",
     "check_video",
     "model_hash",
+    "play",
     "recording_of",
     "render",
+    "robot_of",
+    "write_keyframes",
 ]

@@ -17,8 +17,8 @@ from nermo_mjx.view.plots.feet import leg_paths, over_ground
 from nermo_mjx.view.plots.gait_diagram import gait_diagram
 from nermo_mjx.view.plots.servos import servo_angles
 from nermo_mjx.view.plots.walk import Walk
+from nermo_mjx.view.recorded_robot import robot_of
 from nermo_mjx.view.recording import Recording, RecordingError
-from nermo_mjx.view.robot_of import robot_of
 
 
 @dataclasses.dataclass(frozen=True)
