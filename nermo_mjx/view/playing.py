@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import time
+import warnings
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,13 +53,26 @@ def play(
     data = mujoco.MjData(model)
     set_sample(data, recording, 0)
     mujoco.mj_forward(model, data)
-    launch = (viewer or importlib.import_module("mujoco.viewer")).launch_passive  # imports what draws, only here
     try:
-        window = launch(model, data)
+        window = (viewer or _viewer()).launch_passive(model, data)
     except (RuntimeError, mujoco.FatalError) as error:
         raise RecordingError(f"MuJoCo's viewer cannot open a window here ({error}).") from None
     with window:
         follow(window, recording, model, data, speed, loop)
+
+
+def _viewer() -> Any:
+    """`mujoco.viewer`, where there is a display: without one, opening it would end the process."""
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not glfw.init():
+            raise RecordingError(
+                "MuJoCo's viewer needs a display, and there is none: write the recording with --xml FILE.xml "
+                "(write_keyframes), and open it where there is one."
+            )
+    return importlib.import_module("mujoco.viewer")
 
 
 def follow(
