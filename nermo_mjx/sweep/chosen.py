@@ -82,6 +82,8 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
         z = quantity(results, color, np.where(well, results.column(color), np.nan))
         others = [quantity(results, other, results.column(other)) for other in varied]
         across, up = (next(each for each in others if each.name == wanted) for wanted in (x, y))
+        repeats = int(np.max(results.column("repeat"))) + 1
+        remark += f"mean of {repeats} repeats; " if repeats > 1 else ""
         return name, heat_map(across, up, [each for each in others if np.ptp(each.values) > 0], z, remark)
     columns = [x, y, *([color] if color else [])]
     drawn = [quantity(results, each, results.column(each)) for each in columns]
@@ -95,5 +97,5 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     across, up, *by = (Quantity(each.name, each.unit, each.values[places], each.log) for each in drawn)
     title = title[:1].upper() + title[1:]
     if by:
-        return name, pair_scatters([(across, up)], by[0], title, f"{note}; ")
+        return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)
     return name, scatters([across], up, [""], title, f"{note}; line: running mean")

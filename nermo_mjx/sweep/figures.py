@@ -102,7 +102,7 @@ def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
 
 def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: str, note: str) -> Figure:
     """The metric against each parameter: every run a point, the line a running mean over runs of alike value."""
-    figure, axes = _panels(len(xs), 2.5)
+    figure, axes = _panels(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
         ax.scatter(x.values, z.values, s=7, color=BAND, alpha=0.55, lw=0, rasterized=len(z.values) > 2000)
         centres, mean, _ = _binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
@@ -115,18 +115,22 @@ def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: 
     return around(figure, title, note)
 
 
-def pair_scatters(pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title: str, note: str) -> Figure:
-    """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best is a star."""
-    figure, axes = _panels(len(pairs), 2.7)
+def pair_scatters(
+    pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title: str, note: str, *, star: bool = True
+) -> Figure:
+    """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
+    figure, axes = _panels(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
     scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.name, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
                    rasterized=len(z.values) > 2000)  # fmt: skip
-        ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
+        if star:
+            ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     _colour_bar(figure, axes, scale, z.label)
-    return around(figure, title, f"{note}star: {_best(z.name)}, {z.shown(float(z.values[order[-1]]))}")
+    best = f"star: {_best(z.name)}, {z.shown(float(z.values[order[-1]]))}"
+    return around(figure, title, note + best if star else note.removesuffix("; "))
 
 
 def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
