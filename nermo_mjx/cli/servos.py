@@ -77,5 +77,5 @@ def command(
                    ("fastest [deg/s]", "right")]  # fmt: skip
         rows = [[str(channel.number), name, f"{low:.1f}", f"{high:.1f}", f"{speed:.0f}"] for name, channel, low, high,
                 speed in zip(table.names, table.channels, lows, highs, table.speed, strict=True)]  # fmt: skip
-        print_table(f"{cycles} gait cycles, {len(table.time)} rows, {table.rate:.6g} rows/s", columns, rows)
+        print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", columns, rows)
         click.echo(f"wrote {out}")

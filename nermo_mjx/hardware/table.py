@@ -63,6 +63,11 @@ class ServoTable:
     servo_speed: float
 
     @property
+    def how_many(self) -> str:
+        """The number of gait cycles in words."""
+        return f"{self.cycles} gait cycle{'s' if self.cycles > 1 else ''}"
+
+    @property
     def too_fast(self) -> str:
         """Which servos are asked for more than the model's can do, in a sentence; empty if none is."""
         names = [f"{name} ({speed:.0f})" for name, speed in zip(self.names, self.speed, strict=True)
@@ -78,7 +83,7 @@ class ServoTable:
         """
         lines = [
             *([about] if about else []),
-            f"{self.cycles} gait cycles of {1 / self.frequency:.6g} s, {len(self.time)} rows, {self.rate:.6g} rows/s; "
+            f"{self.how_many} of {1 / self.frequency:.6g} s, {len(self.time)} rows, {self.rate:.6g} rows/s; "
             "after the last row, go on with the first.",
             "columns are in the order of the channels: "
             + ", ".join(f"{channel.number} {channel.servo}" for channel in self.channels),
