@@ -1,11 +1,13 @@
 """What users see of a run: recordings and videos."""
 
 from nermo_mjx.view.encoding import VideoError
+from nermo_mjx.view.overlays import OVERLAYS
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.video import CAMERAS, check_video, render
 
 __all__ = [
     "CAMERAS",
+    "OVERLAYS",
     "Recording",
     "RecordingError",
     "VideoError",
