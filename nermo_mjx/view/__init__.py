@@ -1,11 +1,13 @@
-"""What users see of a run: recordings and videos."""
+"""What users see of a run: recordings, videos, and a page for the browser."""
 
 from nermo_mjx.view.encoding import VideoError
+from nermo_mjx.view.page import Page, show
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.video import CAMERAS, check_video, render
 
 __all__ = [
     "CAMERAS",
+    "Page",
     "Recording",
     "RecordingError",
     "VideoError",
@@ -13,4 +15,5 @@ __all__ = [
     "model_hash",
     "recording_of",
     "render",
+    "show",
 ]
