@@ -121,8 +121,8 @@ class Tab:
     def click(self, selector: str, share: float = 0.5) -> None:
         """Click an element, at a share of its width from the left."""
         x, y = self.evaluate(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)}); e.scrollIntoView({{block: 'nearest'}});"
-            f"const r = e.getBoundingClientRect(); return [r.left + {share} * r.width, r.top + r.height / 2]; }})()"
+            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
+            f"e.scrollIntoView({{block: 'nearest'}}); const r = e.getBoundingClientRect(); return [r.left + {share} * r.width, r.top + r.height / 2]; }})()"
         )
         self.mouse("mousePressed", x, y)
         self.mouse("mouseReleased", x, y)

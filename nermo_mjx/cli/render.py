@@ -21,9 +21,6 @@ Examples:
   nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
 """
 
-#: What of a recording's setup decides the model.
-ROBOT_FIELDS = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep")
-
 
 @click.command("render", epilog=EPILOG)
 @click.argument("recording", metavar="FILE.npz", type=click.Path(exists=True, dir_okay=False, path_type=Path))
@@ -53,10 +50,8 @@ def command(
 
 def render_video(recording: Recording, path: Path, quiet: bool, **options: Any) -> None:
     """Render with a progress bar; the robot is built from the recording's own setup."""
-    from nermo_mjx.robot import load_robot
-    from nermo_mjx.view import render
+    from nermo_mjx.view import render, robot_of
 
-    setup = recording.metadata.get("setup", {})
-    robot = load_robot(**{name: setup[name] for name in ROBOT_FIELDS if name in setup})
+    robot = robot_of(recording)
     with Progress("video", "frames", quiet=quiet) as progress:
         render(recording, robot.model, path, progress=progress.count, **options)

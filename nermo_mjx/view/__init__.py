@@ -2,6 +2,7 @@
 
 from nermo_mjx.view.encoding import VideoError
 from nermo_mjx.view.page import Page, show
+from nermo_mjx.view.recorded_robot import robot_of
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.video import CAMERAS, check_video, render
 
@@ -15,5 +16,6 @@ __all__ = [
     "model_hash",
     "recording_of",
     "render",
+    "robot_of",
     "show",
 ]

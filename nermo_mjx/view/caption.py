@@ -8,10 +8,12 @@ from typing import Any, Final
 from nermo_mjx.view.recording import Recording
 
 _GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
-_SHOWN: Final = {"rad": ("°", math.degrees(1.0)), "m/s": ("mm/s", 1e3), "m": ("mm", 1e3), "rad/s": ("°/s", math.degrees(1.0))}
+_DEGREES: Final = math.degrees(1.0)
+_SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
 #: Metrics in the page's head, and what they are called there.
 _HEADLINE: Final = {
-    "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip", "cost_of_transport": "CoT",
+    "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip",
+    "cost_of_transport": "cost of transport",
 }  # fmt: skip
 
 
@@ -34,7 +36,9 @@ def title_of(recording: Recording) -> str:
 def headline_of(recording: Recording) -> list[list[str]]:
     """A few metrics as (label, value with unit), and the status if something went wrong."""
     metrics = _part(recording, "metrics")
-    rows = [[label, _shown(metrics[name], _units()[name])] for name, label in _HEADLINE.items() if name in metrics]
+    units = _units()
+    known = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
+    rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in known]
     status = metrics.get("status", "ok")
     return [row for row in rows if row[1] != "–"] + ([["status", str(status)]] if status != "ok" else [])
 
@@ -71,12 +75,13 @@ def _number(value: Any) -> float | None:
     return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
 
 
-def _shown(value: Any, unit: str) -> str:
+def _shown(value: Any, unit: str, digits: int = 4) -> str:
     """A value as people read it: degrees and millimetres."""
     number = _number(value)
     if number is None:
-        return "–" if value is None else {True: "yes", False: "no"}.get(value, value) if isinstance(value, bool) else str(value)
+        return "–" if value is None else ("no", "yes")[value] if isinstance(value, bool) else str(value)
     if not math.isfinite(number):
         return "–"
     name, factor = _SHOWN.get(unit, ("" if unit == "1" else unit, 1.0))
-    return f"{number * factor:.4g}{'' if name == '°' else ' '}{name}".rstrip()
+    shown = f"{number * factor:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
+    return f"{shown}{'' if name == '°' else ' '}{name}".rstrip()

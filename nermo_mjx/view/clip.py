@@ -34,7 +34,8 @@ def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> d
         if id(robot) not in known:
             known[id(robot)] = len(models)
             models.append(shapes_of(robot.model, packer))
-        clips.append({"name": name, "model": known[id(robot)]} | _clip(recording, recorded_model(recording, robot), packer))
+        model = recorded_model(recording, robot)
+        clips.append({"name": name, "model": known[id(robot)]} | _clip(recording, model, packer))
     return {"models": models, "clips": clips}
 
 

@@ -14,8 +14,8 @@ export const VIEWS = {
 
 const FIELD = 32; // vertical [degrees]
 const HEAD_FIELD = 75;
-/** Where the eyes are in the head's frame [m]; the nose points to -y. */
-const EYES = new Vector3(0, -0.035, 0.012);
+/** Where the eyes are in the head's frame [m]; the nose points to -y. The head itself is hidden from them. */
+const EYES = new Vector3(0, -0.03, 0.012);
 
 export class CameraMan {
   constructor(canvas, changed) {
@@ -65,6 +65,14 @@ export class CameraMan {
     this.camera.up.set(0, 0, 1);
     this.camera.position.copy(EYES).applyQuaternion(turn).add(new Vector3(...position));
     this.camera.lookAt(new Vector3(0, -1, -0.18).applyQuaternion(turn).add(this.camera.position));
+  }
+
+  setFollow(on) {
+    this.follow = on;
+    if (!on || this.view === "head") return;
+    // Catches up with the robot, from the side that it looks from.
+    this.camera.position.add(this.target).sub(this.controls.target);
+    this.controls.target.copy(this.target);
   }
 
   resize(aspect) {

@@ -19,10 +19,10 @@ export function onThemeChange(call) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", call);
 }
 
-// Plasma without its palest end: dark blue, purple, red, orange; it grows lighter all the way, so that it reads without
-// hue too.
+// Blue to orange over purple: apart for the colour-blind, and never so dark or so pale that a thin line is lost on the
+// robot's black servos or on a light mat.
 const TENSION = [
-  [0.13, 0.03, 0.58], [0.42, 0.0, 0.66], [0.66, 0.13, 0.59], [0.83, 0.3, 0.44], [0.94, 0.48, 0.29], [0.99, 0.69, 0.16],
+  [0.2, 0.56, 0.95], [0.5, 0.47, 0.95], [0.76, 0.38, 0.8], [0.93, 0.35, 0.48], [0.98, 0.47, 0.16], [1.0, 0.66, 0.0],
 ];
 
 /** Red, green and blue in [0, 1] of a share of the greatest tension. */

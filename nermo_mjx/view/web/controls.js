@@ -42,6 +42,19 @@ export function wireViews(choose) {
   };
 }
 
+/** Fills the list of ways to compare, or hides it where there is nothing to. */
+export function wireComparison(two, choose) {
+  const select = find("compare");
+  select.hidden = !two;
+  const ways = { ghost: "B as a ghost", same: "B in A's place", beside: "B beside A" };
+  for (const [name, label] of Object.entries(ways)) select.append(new Option(label, name));
+  select.addEventListener("change", () => choose(select.value));
+  return () => {
+    select.selectedIndex = (select.selectedIndex + 1) % select.length;
+    choose(select.value);
+  };
+}
+
 /** Buttons with a state: `{id: on}`; calls back with (id, all states) after each change. */
 export function wireToggles(states, changed) {
   const set = (id, on = !states[id]) => {

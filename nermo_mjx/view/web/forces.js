@@ -4,11 +4,11 @@ import { Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, Instanc
 import { LIMBS } from "viewer/colours.js";
 
 /** Length of an arrow [m/N]. */
-export const METRES_PER_NEWTON = 0.012;
+export const METRES_PER_NEWTON = 0.02;
 /** Forces below this are not drawn [N]. */
 const LEAST = 0.02;
-const SHAFT = 0.0009;
-const HEAD = 0.0026;
+const SHAFT = 0.0011;
+const HEAD = 0.003;
 const Y = new Vector3(0, 1, 0);
 
 export class ForceView {

@@ -16,7 +16,7 @@ const SHORTCUTS = [
   [["r"], "trail", "R", "trail and footprints"],
   [["h"], "shadows", "H", "shadows"],
   [["g"], "collisions", "G", "what collides"],
-  [["b"], "apart", "B", "two recordings beside each other, or one as a ghost"],
+  [["b"], "compare", "B", "B as a ghost, in A's place, or beside A"],
   [["p"], "plots", "P", "plots"],
   [["z"], "window", "Z", "plots: all of the run, or two seconds of it"],
   [["l"], "loop", "L", "start again at the end"],
@@ -44,5 +44,5 @@ export function wireKeys(actions) {
 
 /** Rows of the help: key and meaning. */
 export function shortcutRows(two) {
-  return SHORTCUTS.filter(([, name]) => two || name !== "apart").map(([, , key, meaning]) => [key, meaning]);
+  return SHORTCUTS.filter(([, name]) => two || name !== "compare").map(([, , key, meaning]) => [key, meaning]);
 }

@@ -2,7 +2,7 @@
 
 import { Clip } from "viewer/clip.js";
 import { onThemeChange, theme } from "viewer/colours.js";
-import { wireToggles, wireTransport, wireViews } from "viewer/controls.js";
+import { wireComparison, wireToggles, wireTransport, wireViews } from "viewer/controls.js";
 import { unpack } from "viewer/data.js";
 import { readModel } from "viewer/geometry.js";
 import { wireKeys } from "viewer/keys.js";
@@ -72,15 +72,12 @@ function wireControls(player, stage, plots, clips) {
     stage.look(view);
   };
   const states = {
-    follow: true, tendons: true, forces: true, trail: false, shadows: true, collisions: false, apart: false,
+    follow: true, tendons: true, forces: true, trail: false, shadows: true, collisions: false,
     "plots-toggle": true, window: false,
   };
   const set = wireToggles(states, (id) => {
-    if (id === "follow" && stage) stage.man.follow = states.follow;
-    else if (id === "apart") {
-      stage?.arrange(states.apart);
-      if (stage && !stage.turned) stage.look(stage.man.view);
-    } else if (id === "plots-toggle") {
+    if (id === "follow") stage?.setFollow(states.follow);
+    else if (id === "plots-toggle") {
       document.body.classList.toggle("no-plots", !states[id]);
       plots.draw();
     } else if (id === "window") plots.setWindowed(states.window);
@@ -88,7 +85,13 @@ function wireControls(player, stage, plots, clips) {
     find("tension-scale").classList.toggle("off", !states.tendons);
     find("force-scale").classList.toggle("off", !states.forces);
   });
-  find("apart").hidden = clips.length < 2;
+  const nextComparison = wireComparison(clips.length > 1, (way) => {
+    if (!stage) return;
+    stage.arrange(way);
+    stage.setTime(player.time);
+    if (!stage.turned) stage.look(stage.man.view);
+  });
+  stage?.show(states);
   stage?.man.controls.addEventListener("start", () => (stage.turned = true));
   for (const id of ["help", "details"]) {
     find(`${id}-toggle`).addEventListener("click", () => togglePanel(id));
@@ -110,7 +113,7 @@ function wireControls(player, stage, plots, clips) {
     view: (key) => look(Object.keys(VIEWS)[Number(key) - 1]),
     loop: () => player.setLoop(!player.loop),
     plots: toggle("plots-toggle"),
-    apart: () => clips.length > 1 && set("apart"),
+    compare: () => clips.length > 1 && nextComparison(),
     details: () => togglePanel("details"),
     help: () => togglePanel("help"),
     close: () => togglePanel("help", false),

@@ -48,9 +48,9 @@ export function fillDetails(clips) {
     if (clips.length > 1) made.append(tableRow(["", ...clips.map((clip, i) => `${"AB"[i]}: ${clip.name}`)], "th"));
     for (const name of names) {
       const values = tables.map((table) => table.get(name) ?? "–");
-      const made_row = tableRow([name.replaceAll("_", " "), ...values], "td");
-      if (values.some((value) => value !== values[0])) made_row.className = "differs";
-      made.append(made_row);
+      const row = tableRow([name.replaceAll("_", " "), ...values], "td");
+      if (title !== "Metrics" && values.some((value) => value !== values[0])) row.className = "differs";
+      made.append(row);
     }
     body.append(made);
   }

@@ -1,7 +1,7 @@
 // One plot over time: axes with units, curves or bars, a cursor at the time, and values beside the names.
 
 const LEFT = 40;
-const RIGHT = 8;
+const RIGHT = 14;
 const TOP = 6;
 const BOTTOM = 18;
 /** Height of a row of bars [pixels]. */
@@ -104,16 +104,16 @@ export class Plot {
   }
 
   #timeAxis(paper) {
-    const ticks = round(this.from, this.to, Math.max(2, Math.floor((this.area.clientWidth - LEFT) / 60)));
+    const ticks = round(this.from, this.to, Math.max(2, Math.floor((this.area.clientWidth - LEFT) / 45)));
     paper.strokeStyle = this.colours.rule;
     paper.fillStyle = this.colours.muted;
     paper.textAlign = "center";
     paper.lineWidth = 1;
-    for (const tick of ticks.values) {
+    ticks.values.forEach((tick, i) => {
       const x = Math.round(this.x(tick)) + 0.5;
       line(paper, x, TOP, x, this.height - BOTTOM);
-      paper.fillText(`${tick.toFixed(ticks.digits)}${tick === ticks.values[ticks.values.length - 1] ? " s" : ""}`, x, this.height - 5);
-    }
+      paper.fillText(`${tick.toFixed(ticks.digits)}${i === ticks.values.length - 1 ? " s" : ""}`, x, this.height - 5);
+    });
   }
 
   #curves(paper, width) {

@@ -9,6 +9,7 @@ const WINDOW = 2;
 export class Plots {
   constructor(element, clips, player) {
     this.element = element;
+    if (clips.length > 1) document.getElementById("plots-hint").textContent = "A solid, B dashed";
     this.player = player;
     this.windowed = false;
     this.plots = clips[0].plots.map((plot) => {

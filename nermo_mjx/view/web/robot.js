@@ -6,10 +6,10 @@ export class RobotView {
   constructor(clip) {
     this.clip = clip;
     this.group = new Group();
+    this.colour = null;
+    this.collisions = false;
     this.material = new MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0.05 });
-    this.hull = new MeshStandardMaterial({
-      color: "#56b4e9", roughness: 0.9, transparent: true, opacity: 0.45, depthWrite: false,
-    });
+    this.hull = new MeshStandardMaterial({ color: "#56b4e9", roughness: 0.8 });
     this.bodies = clip.model.shapes.map((shape) => {
       const body = new Group();
       if (shape.seen) {
@@ -28,24 +28,35 @@ export class RobotView {
     });
   }
 
-  /** Shows what collides, over what is seen. */
+  /** Shows what collides, through what is seen. */
   showCollisions(on) {
+    this.collisions = on;
     for (const body of this.bodies) for (const mesh of body.children) if (mesh.name === "collides") mesh.visible = on;
+    this.#dress();
   }
 
   /** A translucent robot in one colour, to tell it from the other; null makes it solid and itself again. */
   ghost(colour) {
-    this.material.vertexColors = colour === null;
-    this.material.color = new Color(colour ?? "#ffffff");
-    this.material.transparent = colour !== null;
-    this.material.opacity = colour === null ? 1 : 0.5;
-    this.material.needsUpdate = true;
+    this.colour = colour;
+    this.#dress();
     for (const body of this.bodies) {
       for (const mesh of body.children) if (mesh.name !== "collides") mesh.castShadow = colour === null;
     }
     // The scene stands once, in the first robot's group.
     this.clip.still.position.forEach((_, body) => {
       if (!this.clip.moving.includes(body)) this.bodies[body].visible = colour === null;
+    });
+  }
+
+  #dress() {
+    const ghost = this.colour !== null;
+    Object.assign(this.material, {
+      vertexColors: !ghost,
+      color: new Color(this.colour ?? "#ffffff"),
+      transparent: ghost || this.collisions,
+      opacity: this.collisions ? 0.22 : ghost ? 0.5 : 1,
+      depthWrite: !this.collisions,
+      needsUpdate: true,
     });
   }
 

@@ -10,7 +10,7 @@ import { TrailView } from "viewer/trail.js";
 
 /** How far apart robots walk that are shown beside each other [m]. */
 const APART = 0.16;
-const SUN = new Vector3(0.35, 0.28, 1);
+const SUN = new Vector3(0.24, 0.2, 1);
 
 export class Stage {
   /** Throws if the browser has no WebGL. */
@@ -32,22 +32,21 @@ export class Stage {
     const tension = Math.max(...clips.map((clip) => clip.greatestTension));
     for (const actor of this.actors) actor.tendons.greatest = tension || 1;
     this.man.radius = clips[0].radius;
-    this.apart = false;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     this.resize();
-    this.arrange(false);
+    this.arrange("ghost");
   }
 
   #light() {
-    this.sky = new HemisphereLight("#ffffff", "#b9b4aa", 1.25);
+    this.sky = new HemisphereLight("#ffffff", "#b4b2ae", 1.4);
     this.sky.position.set(0, 0, 1);
-    this.sun = new DirectionalLight("#fff6e8", 2.3);
+    this.sun = new DirectionalLight("#fff8ee", 1.85);
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(2048, 2048);
     this.sun.shadow.radius = 2.5;
     this.sun.shadow.normalBias = 0.0006;
     this.sun.shadow.bias = -0.0004;
-    this.fill = new DirectionalLight("#dbe8ff", 0.6);
+    this.fill = new DirectionalLight("#e4edff", 1.1);
     this.scene.add(this.sky, this.sun, this.sun.target, this.fill, this.fill.target);
   }
 
@@ -65,13 +64,14 @@ export class Stage {
     return actor;
   }
 
-  /** Robots beside each other, or the second as a ghost over the first. */
-  arrange(apart) {
-    this.apart = apart;
+  /** How a second robot is shown: a `ghost`, a ghost in the `same` place as the first, or a robot `beside` it. */
+  arrange(way) {
+    this.way = way;
+    const apart = way === "beside";
     const middle = (this.actors.length - 1) / 2;
     this.actors.forEach((actor, i) => {
       // The first stands on the robot's right, which is the near side of the usual views.
-      actor.group.position.x = apart ? (i - middle) * APART : 0;
+      actor.group.position.set(apart ? (i - middle) * APART : 0, 0, 0);
       actor.robot.ghost(!apart && i > 0 ? this.colours?.second ?? "#e69f00" : null);
     });
     const reach = 0.24 + (apart ? APART : 0);
@@ -93,7 +93,7 @@ export class Stage {
       actor.tendons.slack.set(colours.slack);
       actor.trail.setColours(colours, many ? colours[i ? "second" : "first"] : null);
     });
-    this.arrange(this.apart);
+    this.arrange(this.way);
   }
 
   /** Which things are drawn; keys `tendons`, `forces`, `trail`, `shadows`, `collisions`. */
@@ -110,6 +110,7 @@ export class Stage {
 
   setTime(time) {
     let [x, y, z] = [0, 0, 0];
+    const share = 1 / (this.way === "same" ? 1 : this.actors.length);
     for (const actor of this.actors) {
       const moment = actor.clip.at(time);
       actor.robot.setMoment(moment);
@@ -117,9 +118,13 @@ export class Stage {
       actor.forces.setMoment(moment);
       actor.trail.setTime(time);
       const point = actor.clip.mix(actor.clip.follow, moment);
-      x += point[0] / this.actors.length;
-      y += point[1] / this.actors.length;
-      z += point[2] / this.actors.length;
+      if (this.way === "same" && actor !== this.actors[0]) {
+        actor.group.position.set(x - point[0], y - point[1], 0);
+        continue;
+      }
+      x += point[0] * share;
+      y += point[1] * share;
+      z += point[2] * share;
     }
     this.man.moveTo(x, y, z);
     if (this.man.view === "head") this.#ride();
@@ -131,16 +136,28 @@ export class Stage {
     this.stale = true;
   }
 
+  /** The first robot's head; of a model without one, what the camera follows. */
+  get #head() {
+    const { clip, robot } = this.actors[0];
+    const head = clip.model.bodies.indexOf("head");
+    return robot.bodies[head < 0 ? clip.root : head];
+  }
+
   #ride() {
-    const actor = this.actors[0];
-    const head = actor.robot.bodies[Math.max(actor.clip.model.bodies.indexOf("head"), 0)];
-    const place = head.position.clone().add(actor.group.position);
-    const { x, y, z, w } = head.quaternion;
+    const place = this.#head.position.clone().add(this.actors[0].group.position);
+    const { x, y, z, w } = this.#head.quaternion;
     this.man.ride(place.toArray(), [w, x, y, z]);
+  }
+
+  /** Whether the camera goes with the robot; it catches up where it had stayed. */
+  setFollow(on) {
+    this.man.setFollow(on);
+    this.stale = true;
   }
 
   look(view) {
     this.man.look(view);
+    this.#head.visible = view !== "head";
     if (view === "head") this.#ride();
     this.stale = true;
   }

@@ -1,17 +1,20 @@
 // Tendons as thin round lines in the colour of their tension.
 
-import { Color, CylinderGeometry, DynamicDrawUsage, InstancedMesh, Matrix4, MeshStandardMaterial, Quaternion, Vector3 } from "three";
+import { Color, CylinderGeometry, DynamicDrawUsage, InstancedMesh, Matrix4, MeshBasicMaterial, Quaternion, Vector3 } from "three";
 import { tensionColour } from "viewer/colours.js";
 
 /** Below this a tendon is slack [N]. */
 const SLACK = 0.01;
+/** Drawn thicker than they are by this factor, to be seen from a distance. */
+const THICKER = 1.4;
 const Y = new Vector3(0, 1, 0);
 
 export class TendonView {
   constructor(clip) {
     this.clip = clip;
     const segments = clip.tendons.reduce((sum, tendon) => sum + tendon.points - 1, 0);
-    const material = new MeshStandardMaterial({ roughness: 0.5 });
+    // Without shading, so that the colours are those of the scale.
+    const material = new MeshBasicMaterial();
     this.mesh = new InstancedMesh(new CylinderGeometry(1, 1, 1, 8, 1, true), material, Math.max(segments, 1));
     this.mesh.count = segments;
     this.mesh.frustumCulled = false;
@@ -40,7 +43,8 @@ export class TendonView {
         middle.set((begin[0] + end[0]) / 2, (begin[1] + end[1]) / 2, (begin[2] + end[2]) / 2);
         turn.setFromUnitVectors(Y, length > 0 ? along.divideScalar(length) : Y);
         // A little longer than the segment, so that corners close.
-        size.set(tendon.radius, length + 0.6 * tendon.radius, tendon.radius);
+        const radius = THICKER * tendon.radius;
+        size.set(radius, length + 0.6 * radius, radius);
         this.mesh.setMatrixAt(i, matrix.compose(middle, turn, length > 0 ? size : size.set(0, 0, 0)));
         this.mesh.setColorAt(i, colour);
         begin = end;
