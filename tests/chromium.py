@@ -120,10 +120,13 @@ class Tab:
 
     def click(self, selector: str, share: float = 0.5) -> None:
         """Click an element, at a share of its width from the left."""
-        x, y = self.evaluate(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
-            f"e.scrollIntoView({{block: 'nearest'}}); const r = e.getBoundingClientRect(); return [r.left + {share} * r.width, r.top + r.height / 2]; }})()"
-        )
+        script = f"""(() => {{
+            const element = document.querySelector({json.dumps(selector)});
+            element.scrollIntoView({{block: "nearest"}});
+            const box = element.getBoundingClientRect();
+            return [box.left + {share} * box.width, box.top + box.height / 2];
+        }})()"""
+        x, y = self.evaluate(script)
         self.mouse("mousePressed", x, y)
         self.mouse("mouseReleased", x, y)
 

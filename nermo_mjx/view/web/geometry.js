@@ -35,12 +35,14 @@ function meshGeometry(vertices, faces) {
 /** A geom in its body's frame; MuJoCo's cylinders and capsules stand along z, those of three.js along y. */
 function placed(geom, meshes) {
   const [a, b, c] = geom.size;
+  // Round enough for its size.
+  const round = Math.max(...geom.size) > 0.006 ? 24 : 14;
   const make = {
-    sphere: () => new SphereGeometry(a, 24, 16),
-    ellipsoid: () => new SphereGeometry(1, 32, 20).scale(a, b, c),
+    sphere: () => new SphereGeometry(a, round, round / 2),
+    ellipsoid: () => new SphereGeometry(1, round, 0.6 * round).scale(a, b, c),
     box: () => new BoxGeometry(2 * a, 2 * b, 2 * c),
-    capsule: () => new CapsuleGeometry(a, 2 * b, 8, 16).rotateX(Math.PI / 2),
-    cylinder: () => new CylinderGeometry(a, a, 2 * b, 32).rotateX(Math.PI / 2),
+    capsule: () => new CapsuleGeometry(a, 2 * b, 4, 14).rotateX(Math.PI / 2),
+    cylinder: () => new CylinderGeometry(a, a, 2 * b, round).rotateX(Math.PI / 2),
     plane: () => new PlaneGeometry(2 * a, 2 * b),
     mesh: () => meshes[geom.mesh].clone(),
   };

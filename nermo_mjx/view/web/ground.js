@@ -1,6 +1,6 @@
 // The mat: a plane with a line every 5 cm and a stronger one every 25 cm.
 
-import { CanvasTexture, Group, Mesh, MeshStandardMaterial, PlaneGeometry, RepeatWrapping, SRGBColorSpace } from "three";
+import { CanvasTexture, Group, Mesh, MeshLambertMaterial, PlaneGeometry, RepeatWrapping, SRGBColorSpace } from "three";
 
 /** Side of the texture's picture [m], with so many cells, of so many pixels. */
 const TILE = 0.25;
@@ -16,7 +16,7 @@ export class Ground {
     this.texture.repeat.set(SIZE / TILE, SIZE / TILE);
     this.texture.anisotropy = anisotropy;
     this.texture.colorSpace = SRGBColorSpace;
-    const material = new MeshStandardMaterial({ map: this.texture, roughness: 1, metalness: 0 });
+    const material = new MeshLambertMaterial({ map: this.texture });
     this.mesh = new Mesh(new PlaneGeometry(SIZE, SIZE), material);
     this.mesh.receiveShadow = true;
     this.mesh.position.z = -0.0002;

@@ -23,7 +23,10 @@ async function start() {
   fillHead(clips);
   fillDetails(clips);
   fillHelp(clips.length > 1);
-  document.body.classList.toggle("two", clips.length > 1);
+  if (!clips[0].plots.length) {
+    document.body.classList.add("no-plots");
+    find("plots-toggle").hidden = true;
+  }
 
   const stage = makeStage(clips);
   const plots = new Plots(find("plot-list"), clips, player);
@@ -125,9 +128,10 @@ function wireControls(player, stage, plots, clips) {
 function run(player, stage) {
   let before = performance.now();
   const frame = (now) => {
-    player.tick(Math.min((now - before) / 1000, 0.25));
+    const passed = (now - before) / 1000;
     before = now;
-    stage?.draw();
+    player.tick(Math.min(passed, 0.25));
+    stage?.draw(player.playing ? passed : null);
     requestAnimationFrame(frame);
   };
   requestAnimationFrame(frame);

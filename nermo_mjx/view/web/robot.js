@@ -54,7 +54,7 @@ export class RobotView {
       vertexColors: !ghost,
       color: new Color(this.colour ?? "#ffffff"),
       transparent: ghost || this.collisions,
-      opacity: this.collisions ? 0.22 : ghost ? 0.5 : 1,
+      opacity: this.collisions ? 0.32 : ghost ? 0.5 : 1,
       depthWrite: !this.collisions,
       needsUpdate: true,
     });

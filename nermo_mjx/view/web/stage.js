@@ -5,6 +5,7 @@ import { CameraMan } from "viewer/camera.js";
 import { ForceView } from "viewer/forces.js";
 import { Ground } from "viewer/ground.js";
 import { RobotView } from "viewer/robot.js";
+import { Sharpness } from "viewer/sharpness.js";
 import { TendonView } from "viewer/tendons.js";
 import { TrailView } from "viewer/trail.js";
 
@@ -26,6 +27,8 @@ export class Stage {
     this.scene.add(this.ground.group);
     this.stale = true;
     this.frames = 0;
+    this.sharpness = new Sharpness();
+    this.shadows = true;
     this.man = new CameraMan(canvas, () => (this.stale = true));
     this.actors = clips.map((clip) => this.#actor(clip));
     this.ground.group.visible = clips.some((clip) => clip.model.hasGround);
@@ -42,7 +45,7 @@ export class Stage {
     this.sky.position.set(0, 0, 1);
     this.sun = new DirectionalLight("#fff8ee", 1.85);
     this.sun.castShadow = true;
-    this.sun.shadow.mapSize.set(2048, 2048);
+    this.sun.shadow.mapSize.set(1024, 1024);
     this.sun.shadow.radius = 2.5;
     this.sun.shadow.normalBias = 0.0006;
     this.sun.shadow.bias = -0.0004;
@@ -72,7 +75,9 @@ export class Stage {
     this.actors.forEach((actor, i) => {
       // The first stands on the robot's right, which is the near side of the usual views.
       actor.group.position.set(apart ? (i - middle) * APART : 0, 0, 0);
-      actor.robot.ghost(!apart && i > 0 ? this.colours?.second ?? "#e69f00" : null);
+      const ghost = !apart && i > 0;
+      actor.robot.ghost(ghost ? this.colours?.second ?? "#e69f00" : null);
+      actor.tendons.mesh.castShadow = !ghost;
     });
     const reach = 0.24 + (apart ? APART : 0);
     const shadow = this.sun.shadow.camera;
@@ -104,7 +109,8 @@ export class Stage {
       actor.trail.group.visible = what.trail;
       actor.robot.showCollisions(what.collisions);
     }
-    this.sun.castShadow = what.shadows;
+    this.shadows = what.shadows;
+    this.resize();
     this.stale = true;
   }
 
@@ -165,7 +171,9 @@ export class Stage {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    const { share, shadows } = this.sharpness.take();
+    this.sun.castShadow = shadows && this.shadows;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * share);
     this.renderer.setSize(width, height, false);
     const before = this.man.camera.aspect;
     this.man.resize(width / height);
@@ -174,12 +182,14 @@ export class Stage {
     this.stale = true;
   }
 
-  draw() {
-    if (!this.stale) return false;
+  /** Draws what has changed; `playing` is how long the last frame took while the time goes on [s], or null. */
+  draw(playing) {
+    this.sharpness.note(playing);
+    if (this.sharpness.changed) this.resize();
+    if (!this.stale) return;
     this.stale = false;
     this.frames++;
     this.renderer.render(this.scene, this.man.camera);
-    return true;
   }
 
   /** Where a body of a clip is in the world [m]. */
