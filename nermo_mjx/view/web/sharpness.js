@@ -10,8 +10,9 @@ const LEVELS = [
 /** A frame that takes longer than this is slow [s]; so many of them in a row lower the level. */
 const SLOW = 0.055;
 const PATIENCE = 4;
-/** One that takes longer than this counts for all of them [s]. */
+/** One that takes longer than this counts for two of them [s]; one beyond that was no drawing, but a hidden page. */
 const VERY_SLOW = 0.2;
+const HIDDEN = 3;
 
 export class Sharpness {
   constructor() {
@@ -24,8 +25,8 @@ export class Sharpness {
   /** A frame of a moving picture took so long [s]; null if the picture stands still. */
   note(seconds) {
     this.moving = seconds !== null;
-    if (!this.moving) return;
-    this.slow = seconds > VERY_SLOW ? this.slow + PATIENCE : seconds > SLOW ? this.slow + 1 : 0;
+    if (!this.moving || seconds > HIDDEN) return;
+    this.slow = seconds > SLOW ? this.slow + (seconds > VERY_SLOW ? 2 : 1) : 0;
     if (this.slow < PATIENCE) return;
     this.slow = 0;
     this.level = Math.min(this.level + 1, LEVELS.length - 1);
