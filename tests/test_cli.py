@@ -25,7 +25,9 @@ from nermo_mjx.cli.output import plain
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.version import __version__
 
-COMMANDS = ("sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "model", "bench")
+COMMANDS = (
+    "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "model", "bench",
+)  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
 
@@ -92,7 +94,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
             words = line.split()
             assert words[0] == name
             # FILE.npz need not exist for the check of names and values.
-            words = [word if word != "walk.npz" else os.fspath(Path(__file__)) for word in words]
+            words = [word if word not in ("walk.npz", "other.npz") else os.fspath(Path(__file__)) for word in words]
             command.make_context(name, words[1:])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from nermo_mjx.cli import bench, experiment, identify, landscape, model, render, replay, sweep, tune, walk
+from nermo_mjx.cli import bench, experiment, identify, landscape, model, render, replay, sweep, tune, view, walk
 from nermo_mjx.cli.group import CommandGroup
 from nermo_mjx.version import __version__
 
@@ -27,5 +27,5 @@ def main() -> None:
     """
 
 
-for module in (sweep, replay, tune, landscape, experiment, identify, walk, render, model, bench):
+for module in (sweep, replay, tune, landscape, experiment, identify, walk, render, view, model, bench):
     main.add_command(module.command)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,9 +21,6 @@ Examples:
   nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
   nermo-mjx render spine.npz stiff.npz --out both.mp4 --overlay gait --overlay support
 """
-
-#: What of a recording's setup decides the model.
-ROBOT_FIELDS = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep")
 
 
 @click.command("render", epilog=EPILOG)
@@ -75,32 +71,23 @@ def command(
 
 def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) -> None:
     """Render with a progress bar; the robot is built from the recording's own setup."""
-    from nermo_mjx.view import render
+    from nermo_mjx.view import render, robot_of
 
+    robot = robot_of(recording)
     with Progress("video", "frames", quiet=quiet) as progress:
-        render(recording, _model(recording), path, progress=progress.count, **drawn)
+        render(recording, robot.model, path, progress=progress.count, **drawn)
 
 
-def _render_side_by_side(titles: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
-    """Render several recordings of one robot, each below the name of its file and its metrics."""
+def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
+    """Render several recordings of one robot, each below the name of its file, its title and its figures."""
+    from nermo_mjx.view import robot_of
+    from nermo_mjx.view.caption import headline_of, title_of
     from nermo_mjx.view.side_by_side import Pane, render_side_by_side
 
-    panes = [Pane(each, title, _caption(each)) for title, each in zip(titles, recordings, strict=True)]
+    panes = []
+    for name, each in zip(names, recordings, strict=True):
+        figures = ", ".join(" ".join(row) for row in headline_of(each))
+        panes.append(Pane(each, name, [line for line in (title_of(each), figures) if line]))
+    robot = robot_of(recordings[0])
     with Progress("video", "frames", quiet=quiet) as progress:
-        render_side_by_side(panes, _model(recordings[0]), path, progress=progress.count, **drawn)
-
-
-def _caption(recording: Recording) -> list[str]:
-    """Speed and roll, as far as the recording knows them."""
-    known = recording.metadata.get("metrics", {})
-    parts = {"speed": (1e3, "mm/s"), "roll_std": (math.degrees(1.0), "degrees of roll (std)")}
-    found = [(known.get(name), factor, unit) for name, (factor, unit) in parts.items()]
-    text = ", ".join(f"{value * factor:.1f} {unit}" for value, factor, unit in found if isinstance(value, (int, float)))
-    return [text] if text else []
-
-
-def _model(recording: Recording) -> Any:
-    from nermo_mjx.robot import load_robot
-
-    setup = recording.metadata.get("setup", {})
-    return load_robot(**{name: setup[name] for name in ROBOT_FIELDS if name in setup}).model
+        render_side_by_side(panes, robot.model, path, progress=progress.count, **drawn)
