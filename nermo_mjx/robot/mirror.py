@@ -25,6 +25,8 @@ def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         euler = element.alt.euler
         if not np.isnan(euler[0]):
             element.alt.euler = np.array([euler[0], -euler[1], -euler[2]])
+    for mesh in spec.meshes:
+        mesh.scale = _point(mesh.scale)
     for geom in spec.geoms:
         if not np.isnan(geom.fromto[0]):
             geom.fromto = np.concatenate([_point(geom.fromto[:3]), _point(geom.fromto[3:])])

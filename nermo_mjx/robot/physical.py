@@ -37,7 +37,7 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
     for site in list(lean.sites):
         if site.name not in sites:
             lean.delete(site)
-    for element in (*lean.cameras, *lean.lights):
+    for element in (*lean.cameras, *lean.lights, *lean.meshes):
         lean.delete(element)
     return lean.compile()
 
