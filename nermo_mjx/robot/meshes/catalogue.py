@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from nermo_mjx.robot.meshes.creases import creased
 from nermo_mjx.robot.meshes.head import head_shapes
 from nermo_mjx.robot.meshes.hip import hip_shapes
 from nermo_mjx.robot.meshes.leg import leg_shapes
 from nermo_mjx.robot.meshes.obj import to_obj
 from nermo_mjx.robot.meshes.servo import servo
-from nermo_mjx.robot.meshes.shapes import creased
 from nermo_mjx.robot.meshes.spine import spine_shapes
 from nermo_mjx.robot.meshes.tail import tail_shapes
 from nermo_mjx.robot.meshes.torso import torso_shapes

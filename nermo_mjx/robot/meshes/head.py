@@ -14,12 +14,12 @@ from nermo_mjx.robot.meshes.shapes import Shape, ball, join, loft, superellipse,
 
 #: The skull's sections: y, middle z, half-width, half-height [mm].
 SECTIONS: Final = (
-    (6.4, 13.6, 1.6, 1.6), (5.6, 13.8, 5.6, 5.2), (2.5, 14.2, 9.6, 8.6), (-4.0, 15.0, 12.6, 11.2), (-12.0, 15.4, 13.8, 12.2),
-    (-20.0, 14.8, 12.6, 11.4), (-28.0, 13.0, 9.4, 8.9), (-35.0, 11.7, 6.6, 6.3), (-41.0, 11.1, 4.5, 4.3), (-45.2, 11.0, 2.9, 2.8),
-    (-46.6, 11.0, 1.2, 1.2),
+    (6.4, 13.6, 1.6, 1.6), (5.6, 13.8, 5.6, 5.2), (2.5, 14.2, 9.6, 8.6), (-4.0, 15.0, 12.6, 11.2),
+    (-12.0, 15.4, 13.8, 12.2), (-20.0, 14.8, 12.6, 11.4), (-28.0, 13.0, 9.4, 8.9), (-35.0, 11.7, 6.6, 6.3),
+    (-41.0, 11.1, 4.5, 4.3), (-45.2, 11.0, 2.9, 2.8), (-46.6, 11.0, 1.2, 1.2),
 )  # fmt: skip
-RINGS: Final = 17
-SIDES: Final = 22
+RINGS: Final = 14
+SIDES: Final = 16
 #: The left eye: middle of the lens [mm], and where it looks: outward and up from straight ahead [rad].
 EYE: Final = (9.9, -27.6, 18.6)
 EYE_OUT: Final = 0.50
@@ -40,7 +40,7 @@ def head_shapes() -> dict[str, Shape]:
         "head_cameras": camera().with_mirror_image(),
         "head_rings": ring().with_mirror_image(),
         "head_lenses": lens().with_mirror_image(),
-        "head_nose": ball((0.0, -46.2, 11.6), (2.3, 1.7, 1.7), 14, 7),
+        "head_nose": ball((0.0, -46.2, 11.6), (2.3, 1.7, 1.7), 12, 6),
     }
 
 
@@ -52,7 +52,7 @@ def skull() -> Shape:
     for y, z, w, h in smooth(np.linspace(0.0, len(stations) - 1, RINGS)):
         section = superellipse(w, h, 2.25, SIDES)
         rings.append(np.column_stack([section[:, 0], np.full(SIDES, y), section[:, 1] + z]))
-    neck = turned_part([(0.3, 1.0), (0.3, 6.4), (1.2, 6.8), (2.0, 5.2), (8.0, 5.6)], 20)
+    neck = turned_part([(0.3, 6.4), (1.2, 6.8), (2.0, 5.2), (8.0, 5.6)], 16)
     return join(loft(rings), Shape(neck.vertices[:, [1, 2, 0]], neck.faces))
 
 
@@ -60,10 +60,10 @@ def ear(lining: bool) -> Shape:
     """A thin dish that opens forward; `lining` is its inside."""
     r = EAR_RADIUS
     if lining:
-        profile = [(0.9, 0.1), (1.0, 0.35 * r), (1.35, 0.6 * r), (1.9, 0.82 * r), (1.3, 0.84 * r), (0.4, 0.5 * r), (0.2, 0.1)]
+        profile = [(1.0, 0.84 * r), (1.9, 0.84 * r), (1.15, 0.45 * r)]
     else:
-        profile = [(-0.6, 0.1), (-0.4, 0.5 * r), (0.4, 0.85 * r), (1.5, r), (2.1, 0.97 * r), (2.0, 0.88 * r), (1.3, 0.6 * r), (0.8, 0.3 * r), (0.7, 0.1)]
-    dish = turned_part(profile, 26)
+        profile = [(-0.6, 0.25 * r), (0.3, 0.85 * r), (1.5, r), (2.1, 0.96 * r), (1.2, 0.8 * r)]
+    dish = turned_part(profile, 20)
     dish = Shape(dish.vertices * [1.0, 1.0, 1.06], dish.faces)
     # From the lathe's x axis to -y, then outward and back.
     return dish.turned("z", -np.pi / 2).turned("x", -EAR_BACK).turned("z", EAR_OUT).moved(*EAR)
@@ -71,19 +71,19 @@ def ear(lining: bool) -> Shape:
 
 def camera() -> Shape:
     """The barrel that stands in the skull."""
-    return _at_eye(turned_part([(-6.0, 0.4), (-6.0, 3.7), (0.2, 4.1), (0.9, 4.1), (0.9, 3.3), (0.3, 2.6), (0.3, 0.4)], 22))
+    return _at_eye(turned_part([(-6.0, 3.7), (0.4, 4.1)], 16))
 
 
 def ring() -> Shape:
     """The ring around the lens."""
-    return _at_eye(turned_part([(0.0, 3.2), (0.0, 4.35), (0.7, 4.35), (1.15, 4.0), (1.15, 3.4), (0.7, 3.1)], 22))
+    return _at_eye(turned_part([(0.0, 4.35), (0.7, 4.35), (1.15, 4.0), (1.15, 3.4), (0.6, 3.1)], 16))
 
 
 def lens() -> Shape:
     """The glass dome."""
-    t = np.linspace(0.05, np.pi / 2, 6)[::-1]
-    profile = [(-0.2, 0.3), *((0.2 + 1.7 * np.cos(a), 3.25 * np.sin(a)) for a in t)]
-    return _at_eye(turned_part(profile, 20))
+    t = np.linspace(0.25, np.pi / 2, 4)[::-1]
+    profile = [*((0.2 + 1.7 * np.cos(a), 3.25 * np.sin(a)) for a in t)]
+    return _at_eye(turned_part(profile, 14))
 
 
 def _at_eye(shape: Shape) -> Shape:

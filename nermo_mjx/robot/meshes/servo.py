@@ -20,5 +20,5 @@ def servo() -> Shape:
     middle = block((-15.4, -BEFORE + 0.25, -w + 0.25), (-4.0, BEHIND - 0.25, w - 0.25), 0.5)
     bottom = block((-DEPTH, -BEFORE, -w), (-15.0, BEHIND, w), 0.7)
     ears = block((-6.0, -BEFORE - 1.8, -w + 0.8), (-4.9, BEHIND + 1.8, w - 0.8), 0.3)
-    boss = turned_part([(-0.5, 0.4), (-0.5, 3.6), (0.5, 3.4), (0.7, 2.2), (2.0, 2.0), (2.0, 0.4)], 16)
+    boss = turned_part([(-0.5, 3.6), (0.5, 3.4), (0.5, 2.2), (2.0, 2.0)], 14)
     return join(lid, middle, bottom, ears, boss)

@@ -1,20 +1,16 @@
 """Closed triangle meshes from a few primitives: lofts, tubes, turned parts, plates and blocks.
 
-Lengths are millimetres, as in the mesh files. A shape keeps one vertex a corner while it is built; `creased` splits the
-vertices along sharp edges at the end, because MuJoCo gives every vertex one normal.
+Lengths are millimetres, as in the mesh files. A shape has one vertex a corner; `creases` makes edges sharp.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-
-#: Edges that turn by more than this stay sharp [rad].
-CREASE: Final = np.radians(38.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -31,7 +27,7 @@ class Shape:
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
         """The shape, shifted [mm]."""
-        return Shape(self.vertices + [x, y, z], self.faces)
+        return Shape(self.vertices + np.array([x, y, z]), self.faces)
 
     def turned(self, axis: str, angle: float) -> Shape:
         """The shape, turned about one of the axes "x", "y", "z" by an angle [rad]."""
@@ -70,7 +66,7 @@ def join(*shapes: Shape) -> Shape:
 
 
 def loft(rings: Sequence[Any] | np.ndarray, ring_closed: bool = False) -> Shape:
-    """Skin over rings of equally many points each, shape (R, N, 3); the ends are capped unless the rings form a circle."""
+    """Skin over rings of equally many points each, shape (R, N, 3); its ends are capped unless the rings close."""
     points = np.asarray(rings, float)
     count, size = points.shape[:2]
     index = np.arange(count * size).reshape(count, size)
@@ -91,14 +87,18 @@ def loft(rings: Sequence[Any] | np.ndarray, ring_closed: bool = False) -> Shape:
 def rounded_rectangle(width: float, height: float, corner: float) -> Float[np.ndarray, "8 2"]:
     """Rectangle of half-width and half-height with cut corners, around the origin."""
     w, h, c = width, height, min(corner, 0.95 * width, 0.95 * height)
-    return np.array([[w, -h + c], [w, h - c], [w - c, h], [-w + c, h], [-w, h - c], [-w, -h + c], [-w + c, -h], [w - c, -h]])
+    return np.array(
+        [[w, -h + c], [w, h - c], [w - c, h], [-w + c, h], [-w, h - c], [-w, -h + c], [-w + c, -h], [w - c, -h]]
+    )
 
 
 def superellipse(width: float, height: float, power: float, sides: int) -> Float[np.ndarray, "N 2"]:
     """|x/width|^power + |z/height|^power = 1; power 2 is an ellipse, more is squarer."""
     t = 2 * np.pi * np.arange(sides) / sides
     c, s = np.cos(t), np.sin(t)
-    return np.stack([width * np.sign(c) * np.abs(c) ** (2 / power), height * np.sign(s) * np.abs(s) ** (2 / power)], axis=1)
+    return np.stack(
+        [width * np.sign(c) * np.abs(c) ** (2 / power), height * np.sign(s) * np.abs(s) ** (2 / power)], axis=1
+    )
 
 
 def block(low: Sequence[float], high: Sequence[float], chamfer: float = 0.5) -> Shape:
@@ -121,7 +121,16 @@ def plate(outline: Any, low: float, high: float, chamfer: float = 0.3) -> Shape:
     return loft([np.column_stack([np.full(len(flat), x), points]) for x, points in levels])
 
 
-def strut(start: tuple[float, float], end: tuple[float, float], r0: float, r1: float, sides: int = 8) -> np.ndarray:
+def frame_plate(outline: Any, window: Any, low: float, high: float, chamfer: float = 0.3) -> Shape:
+    """A plate as `plate` makes it, with a window; both outlines (N, 2) have points at matching places [mm]."""
+    outer, inner = np.asarray(outline, float), np.asarray(window, float)
+    edge = _inset(outer, chamfer)
+    levels = ((low, inner), (low, edge), (low + chamfer, outer), (high - chamfer, outer), (high, edge), (high, inner))
+    rings = np.stack([np.column_stack([np.full(len(outer), x), points]) for x, points in levels], axis=1)
+    return loft(rings, ring_closed=True)
+
+
+def strut(start: tuple[float, float], end: tuple[float, float], r0: float, r1: float, sides: int = 6) -> np.ndarray:
     """Outline of a link: a circle of radius r0 at `start` and of r1 at `end`, and their tangents; (2 sides, 2) [mm]."""
     p, q = np.asarray(start, float), np.asarray(end, float)
     along = np.arctan2(*(q - p)[::-1])
@@ -129,6 +138,15 @@ def strut(start: tuple[float, float], end: tuple[float, float], r0: float, r1: f
     near, far = np.linspace(lean, 2 * np.pi - lean, sides), np.linspace(-lean, lean, sides)
     arcs = [(p, r0, along + near), (q, r1, along + far)]
     return np.concatenate([c + r * np.stack([np.cos(a), np.sin(a)], axis=1) for c, r, a in arcs])
+
+
+def beam(stations: Sequence[Sequence[float]], corner: float) -> Shape:
+    """A bar along y through rectangles with cut corners, each (y, middle z, half-width, half-height) [mm]."""
+    rings = []
+    for y, z, width, height in stations:
+        section = rounded_rectangle(width, height, corner)
+        rings.append(np.column_stack([section[:, 0], np.full(8, y), z + section[:, 1]]))
+    return loft(rings)
 
 
 def turned_part(profile: Any, sides: int = 20) -> Shape:
@@ -154,10 +172,8 @@ def tube(path: Any, radii: Any, sides: int = 6, up: Sequence[float] = (0.0, 1.0,
     """
     points = np.asarray(path, float)
     sizes = np.broadcast_to(np.asarray(radii, float), (len(points), 2))
-    if closed:
-        tangent = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-    else:
-        tangent = np.gradient(points, axis=0)
+    around = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    tangent = around if closed else np.gradient(points, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     first = np.asarray(up, float) - tangent * (tangent @ np.asarray(up, float))[:, None]
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -170,45 +186,12 @@ def tube(path: Any, radii: Any, sides: int = 6, up: Sequence[float] = (0.0, 1.0,
     return loft(rings, ring_closed=closed)
 
 
-def creased(shape: Shape, angle: float = CREASE) -> Shape:
-    """The same surface with vertices split wherever faces meet at more than `angle` [rad], and without idle vertices."""
-    corner = shape.vertices[shape.faces]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    kept = np.flatnonzero(area > 1e-9)
-    normal = normal / np.maximum(area, 1e-12)[:, None]
-    around: dict[int, list[int]] = {}
-    for face in kept.tolist():
-        for vertex in shape.faces[face].tolist():
-            around.setdefault(vertex, []).append(face)
-    vertices: list[np.ndarray] = []
-    owner: dict[tuple[int, int], int] = {}
-    for vertex, faces in around.items():
-        for group in _smooth_groups(vertex, faces, shape.faces, normal, np.cos(angle)):
-            owner.update(((face, vertex), len(vertices)) for face in group)
-            vertices.append(shape.vertices[vertex])
-    split = [[owner[face, vertex] for vertex in shape.faces[face].tolist()] for face in kept.tolist()]
-    return Shape(np.array(vertices), np.array(split))
-
-
-def _smooth_groups(
-    vertex: int, faces: list[int], corners: np.ndarray, normal: np.ndarray, limit: float
-) -> list[list[int]]:
-    """Faces around a vertex, grouped by being neighbours across an edge that is not sharp."""
-    group = {face: {face} for face in faces}
-    for i, one in enumerate(faces):
-        for other in faces[i + 1 :]:
-            shared = set(corners[one].tolist()) & set(corners[other].tolist()) - {vertex}
-            if shared and normal[one] @ normal[other] > limit and group[one] is not group[other]:
-                union = group[one] | group[other]
-                group.update((member, union) for member in union)
-    return [list(members) for members in {id(members): sorted(members) for members in group.values()}.values()]
-
-
 def _inset(outline: np.ndarray, distance: float) -> np.ndarray:
     """The outline moved inward, point by point along the mean of its two edges' normals."""
     ahead, behind = np.roll(outline, -1, axis=0) - outline, outline - np.roll(outline, 1, axis=0)
-    along = ahead / np.linalg.norm(ahead, axis=1, keepdims=True) + behind / np.linalg.norm(behind, axis=1, keepdims=True)
+    along = ahead / np.linalg.norm(ahead, axis=1, keepdims=True) + behind / np.linalg.norm(
+        behind, axis=1, keepdims=True
+    )
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return outline + distance * np.stack([-along[:, 1], along[:, 0]], axis=1)
 

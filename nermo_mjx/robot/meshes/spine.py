@@ -5,14 +5,15 @@ In a joint's frame x is back and -y left; the tendons run parallel to x, beside 
 
 from __future__ import annotations
 
+import itertools
 from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.robot.meshes.leg import grooved_pulley
-from nermo_mjx.robot.meshes.numbers import MM, TENDON, dh_pose
-from nermo_mjx.robot.meshes.shapes import Shape, block, join, loft, rounded_rectangle, rotation, turned_part
+from nermo_mjx.robot.meshes.leg import grooved_pulley, pulley_holes
+from nermo_mjx.robot.meshes.numbers import MM, dh_pose
+from nermo_mjx.robot.meshes.shapes import Shape, block, join, loft, rotation, rounded_rectangle, turned_part
 from nermo_mjx.robot.parameters import SPINE
 
 #: Where a tendon leaves a vertebra before the next joint [mm], and how far beside the axis.
@@ -21,26 +22,30 @@ BESIDE: Final = MM * SPINE.segment_offset
 #: Half-height of the end discs, and half-width of the body between them [mm].
 HEIGHT: Final = 4.6
 WAIST: Final = 3.3
+#: Half the width of the pulley [mm].
+PULLEY_WIDTH: Final = 1.2
 
 
 def spine_shapes() -> dict[str, Shape]:
     """Meshes of the spine, by file name."""
     joints = SPINE.lateral_joints
-    shapes = {f"vertebra_{i}": vertebra(dh_pose(here, there)) for i, (here, there) in enumerate(zip(joints, joints[1:], strict=False), 1)}
+    shapes = {
+        f"vertebra_{i}": vertebra(dh_pose(here, there)) for i, (here, there) in enumerate(itertools.pairwise(joints), 1)
+    }
     shapes["spine_front"] = front_stub()
     shapes["spine_rear"] = rear_stub()
     shapes["spine_flexure"] = flexure()
-    wheel = grooved_pulley(MM * SPINE.pulley_radius, 1.2, screws=4)
-    shapes["spine_pulley"] = wheel.transformed(rotation("y", -np.pi / 2))
+    upright = rotation("y", -np.pi / 2)
+    shapes["spine_pulley"] = grooved_pulley(MM * SPINE.pulley_radius, PULLEY_WIDTH).transformed(upright)
+    shapes["spine_pulley_holes"] = pulley_holes(MM * SPINE.pulley_radius, PULLEY_WIDTH).transformed(upright)
     return shapes
 
 
 def end_disc() -> Shape:
     """The disc from which the tendons come: an oval with an eyelet on each side, from x = -EXIT - 1.5 to -EXIT."""
-    profile = [(-EXIT - 1.5, 0.3), (-EXIT - 1.5, 0.9), (-EXIT - 1.2, 1.0), (-EXIT - 0.3, 1.0), (-EXIT, 0.9), (-EXIT, 0.3)]
-    oval = turned_part(profile, 18)
+    oval = turned_part([(-EXIT - 1.5, 0.9), (-EXIT - 1.2, 1.0), (-EXIT - 0.3, 1.0), (-EXIT, 0.9)], 12)
     oval = Shape(oval.vertices * [1.0, BESIDE + 0.4, HEIGHT], oval.faces)
-    eyelet = turned_part([(-EXIT - 1.8, 0.75 * TENDON), (-EXIT - 1.8, 1.25), (-EXIT + 0.15, 1.25), (-EXIT + 0.15, 0.75 * TENDON)], 12)
+    eyelet = turned_part([(-EXIT - 1.8, 1.25), (-EXIT + 0.15, 1.25)], 6)
     return join(oval, eyelet.moved(y=BESIDE), eyelet.moved(y=-BESIDE))
 
 
@@ -48,7 +53,9 @@ def vertebra(after: Float[np.ndarray, "4 4"]) -> Shape:
     """From one joint to the next, whose pose is `after`: two discs, the body between them, and a spinous process."""
     front = end_disc().turned("z", np.pi)
     rear = end_disc().transformed(after[:3, :3], after[:3, 3])
-    return join(front, rear, _body(_pose_along(np.eye(4), EXIT), after @ _pose_along(np.eye(4), -EXIT)), _process(after))
+    return join(
+        front, rear, _body(_pose_along(np.eye(4), EXIT), after @ _pose_along(np.eye(4), -EXIT)), _process(after)
+    )
 
 
 def front_stub() -> Shape:
@@ -68,7 +75,7 @@ def rear_stub() -> Shape:
 def flexure() -> Shape:
     """The leaf that bends in every joint: thin sideways, tall, with a bead along its middle."""
     leaf = block((-EXIT - 0.4, -0.55, -HEIGHT + 1.0), (EXIT + 0.4, 0.55, HEIGHT - 1.0), 0.2)
-    bead = turned_part([(1.4 - HEIGHT, 0.3), (0.8 - HEIGHT, 1.1), (HEIGHT - 0.8, 1.1), (HEIGHT - 1.4, 0.3)], 10)
+    bead = turned_part([(0.8 - HEIGHT, 1.1), (HEIGHT - 0.8, 1.1)], 8)
     return join(leaf, bead.transformed(rotation("y", np.pi / 2)))
 
 

@@ -9,36 +9,30 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.robot.meshes.leg import grooved_pulley
 from nermo_mjx.robot.meshes.shapes import Shape, block, join, rotation, turned_part
 
-#: The pulley's radius, spacing of the joints, and distance of the first eyelets from the middle [mm], as in tail.xml.
-PULLEY: Final = 6.5
+#: Spacing of the joints, and distance of the first eyelets from the middle [mm], as in tail.xml.
 SPACING: Final = 8.0
 BESIDE: Final = 5.5
-#: Radius at which the tail's tendons are drawn [mm].
-TENDON: Final = 0.45
 
 
 def tail_shapes() -> dict[str, Shape]:
     """Meshes of the tail, by file name."""
-    wheel = grooved_pulley(PULLEY, 1.0, TENDON, screws=4)
-    return {"tail_base": base(), "tail_segment": segment(), "tail_pulley": wheel.transformed(rotation("y", -np.pi / 2))}
+    return {"tail_base": base(), "tail_segment": segment()}
 
 
 def segment() -> Shape:
     """A bead from joint to joint, with an eyelet for a tendon on each side."""
-    end = SPACING - 0.35
-    bead = _along([(0.35, 0.4), (0.35, 2.2), (0.9, 3.4), (2.4, 4.3), (4.2, 4.35), (6.4, 3.7), (end - 0.3, 2.5), (end, 0.4)], 16)
-    eyelet = _along([(2.9, 0.4), (2.9, 1.0), (5.1, 1.0), (5.1, 0.4)], 10)
-    arm = block((3.0, 3.2, -0.7), (BESIDE, 4.8, 0.7), 0.3)
-    return join(bead, *(part.moved(x=BESIDE) for part in (eyelet,)), eyelet.moved(x=-BESIDE), arm, arm.mirrored())
+    end = SPACING - 0.4
+    bead = _along([(0.4, 2.8), (0.9, 3.4), (2.8, 3.75), (5.4, 3.2), (end - 0.4, 2.6), (end, 2.0)], 12)
+    bar = block((-BESIDE - 1.0, 3.1, -0.9), (BESIDE + 1.0, 4.9, 0.9), 0.45)
+    return join(bead, bar)
 
 
 def base() -> Shape:
     """The fork around the pulley, and the collar from which the tail comes."""
-    collar = _along([(6.9, 0.5), (6.9, 5.2), (7.6, 5.9), (10.6, 5.9), (11.6, 4.6), (11.8, 0.5)], 20)
-    eyelet = _along([(9.0, 0.4), (9.0, 1.1), (11.0, 1.1), (11.0, 0.4)], 10)
+    collar = _along([(6.9, 5.0), (7.6, 5.6), (10.6, 5.6), (11.6, 4.4)], 16)
+    eyelet = _along([(9.0, 1.1), (11.0, 1.1)], 8)
     cheeks = [block((-4.0, -3.0, z - 0.7), (4.0, 9.5, z + 0.7), 0.4) for z in (-2.6, 2.6)]
     return join(collar, eyelet.moved(x=BESIDE), eyelet.moved(x=-BESIDE), *cheeks)
 

@@ -1,4 +1,4 @@
-"""The chest: a back beam and a breastbone joined by flexible ribs, electronics inside, the shoulders' brackets in front.
+"""The chest: a back beam and a breastbone joined by flexible ribs, electronics inside, the shoulders' bracket ahead.
 
 In the torso's frame, the spine base: x left, y back, z up.
 """
@@ -11,15 +11,28 @@ import numpy as np
 
 from nermo_mjx.robot.meshes.numbers import MM, SERVO_WIDTH
 from nermo_mjx.robot.meshes.servo import BEFORE, BEHIND
-from nermo_mjx.robot.meshes.shapes import Shape, block, join, loft, rounded_rectangle, tube, turned_part
+from nermo_mjx.robot.meshes.shapes import Shape, beam, block, join, loft, rounded_rectangle, tube, turned_part
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG
 
 #: Where the neck's servo turns the head (`neck_mount` of torso.xml) [mm].
 NECK: Final = (0.0, -80.0, -13.0)
-#: The back beam's upper edge: y, z, half-width, half-height [mm].
-BEAM: Final = ((-2.0, -0.6, 5.2, 3.0), (-9.0, -1.8, 4.4, 2.4), (-24.0, -4.4, 3.8, 2.0), (-44.0, -7.4, 4.0, 2.0), (-62.0, -10.2, 5.2, 2.2), (-74.0, -12.0, 6.0, 2.2))  # fmt: skip
+#: The back beam: y, middle z, half-width, half-height [mm].
+BEAM: Final = (
+    (-2.0, -0.6, 5.2, 3.0), (-9.0, -1.8, 4.4, 2.4), (-24.0, -4.4, 3.8, 2.0), (-44.0, -7.4, 4.0, 2.0),
+    (-62.0, -10.2, 5.2, 2.2), (-74.0, -12.0, 6.0, 2.2),
+)  # fmt: skip
+#: The breastbone, likewise.
+BREASTBONE: Final = (
+    (-11.0, -44.5, 1.6, 1.1), (-17.0, -46.3, 2.6, 1.1), (-34.0, -49.8, 3.2, 1.1), (-50.0, -49.6, 3.6, 1.1),
+    (-60.0, -44.0, 4.0, 1.1), (-63.0, -38.0, 4.0, 1.1),
+)  # fmt: skip
 #: Ribs: y at the back beam, half-width, lowest z, and how far the breastbone's end lies before that of the back [mm].
-RIBS: Final = ((-13.0, 19.5, -45.5, 3.0), (-21.5, 21.8, -48.5, 2.5), (-30.0, 22.8, -50.0, 2.0), (-38.5, 22.6, -50.5, 1.5))
+RIBS: Final = (
+    (-13.0, 19.5, -45.5, 3.0),
+    (-21.5, 21.8, -48.5, 2.5),
+    (-30.0, 22.8, -50.0, 2.0),
+    (-38.5, 22.6, -50.5, 1.5),
+)
 
 
 def torso_shapes() -> dict[str, Shape]:
@@ -42,25 +55,17 @@ def back(y: float) -> float:
 def rib(y: float, width: float, bottom: float, forward: float) -> Shape:
     """A closed hoop of flat strip from the back beam around to the breastbone."""
     top = back(y) - 0.4
-    t = 2 * np.pi * np.arange(26) / 26
+    t = 2 * np.pi * np.arange(18) / 18
     middle, half = (top + bottom) / 2, (top - bottom) / 2
     x = width * np.sign(np.sin(t)) * np.abs(np.sin(t)) ** 0.8
     path = np.column_stack([x, y - forward * (1 - np.cos(t)) / 2, middle + half * np.cos(t)])
-    return tube(path, (1.35, 0.55), 6, up=(0.0, 1.0, 0.0), closed=True)
+    return tube(path, (1.6, 0.7), 4, up=(0.0, 1.0, 0.0), closed=True)
 
 
 def frame() -> Shape:
     """Back beam with its crests, breastbone, and the bracket that holds four servos and the neck's."""
-    beam = loft([np.column_stack([p[:, 0], np.full(8, y), z + p[:, 1]]) for y, z, w, h in BEAM for p in [rounded_rectangle(w, h, 1.0)]])
     crests = [crest(y) for y in (*(numbers[0] for numbers in RIBS), -47.0, -55.0)]
-    breastbone = loft(
-        [
-            np.column_stack([p[:, 0], np.full(8, y), z + p[:, 1]])
-            for y, z, w in ((-11.0, -44.5, 1.6), (-17.0, -46.3, 2.6), (-34.0, -49.8, 3.2), (-50.0, -50.2, 3.6), (-58.0, -47.0, 4.0))
-            for p in [rounded_rectangle(w, 1.1, 0.5)]
-        ]
-    )
-    return join(beam, *crests, breastbone, *shoulders())
+    return join(beam(BEAM, 1.0), *crests, beam(BREASTBONE, 0.5), *shoulders())
 
 
 def crest(y: float) -> Shape:
@@ -86,8 +91,8 @@ def shoulders() -> list[Shape]:
     core = block((-13.6, low, z - w - 1.0), (13.6, high, upper + w + 1.0), 1.0)
     post = block((-5.6, low - 1.5, upper + w - 1.0), (5.6, high, back(-60.0) + 1.0), 1.0)
     # The neck's servo stands upright before the bracket; its clamp reaches around it.
-    clamp = block((-7.2, NECK[1] + 6.5, NECK[2] - 15.5), (7.2, low + 2.0, NECK[2] - 3.0), 0.8)
-    collar = turned_part([(-2.2, 3.0), (-2.2, 7.2), (-1.6, 7.6), (-0.6, 7.6), (0.0, 7.0), (0.0, 3.0)], 22)
+    clamp = block((-7.0, NECK[1] - 8.0, NECK[2] - 17.0), (7.0, low + 2.0, NECK[2] - 8.5), 1.2)
+    collar = turned_part([(-2.2, 7.2), (-1.7, 7.6), (-0.5, 7.6), (0.0, 7.0)], 18)
     return [*plates, core, post, clamp, Shape(collar.vertices[:, [1, 2, 0]] + NECK, collar.faces)]
 
 
