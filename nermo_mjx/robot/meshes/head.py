@@ -19,7 +19,7 @@ SECTIONS: Final = (
     (-41.0, 11.1, 4.5, 4.3), (-45.2, 11.0, 2.9, 2.8), (-46.6, 11.0, 1.2, 1.2),
 )  # fmt: skip
 RINGS: Final = 14
-SIDES: Final = 16
+SIDES: Final = 20
 #: The left eye: middle of the lens [mm], and where it looks: outward and up from straight ahead [rad].
 EYE: Final = (9.9, -27.6, 18.6)
 EYE_OUT: Final = 0.50
@@ -62,7 +62,7 @@ def ear(lining: bool) -> Shape:
     if lining:
         profile = [(1.0, 0.84 * r), (1.9, 0.84 * r), (1.15, 0.45 * r)]
     else:
-        profile = [(-0.6, 0.25 * r), (0.3, 0.85 * r), (1.5, r), (2.1, 0.96 * r), (1.2, 0.8 * r)]
+        profile = [(-0.6, 0.25 * r), (0.3, 0.85 * r), (1.5, r), (2.1, 0.96 * r), (0.5, 0.8 * r)]
     dish = turned_part(profile, 20)
     dish = Shape(dish.vertices * [1.0, 1.0, 1.06], dish.faces)
     # From the lathe's x axis to -y, then outward and back.

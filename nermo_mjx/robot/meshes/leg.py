@@ -55,7 +55,7 @@ def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON) -> 
         (-w, rim), (-0.55, floor), (0.55, floor), (w - 0.2, rim), (w, rim - 0.3), (w, radius - 1.0),
         (w - 0.4, radius - 1.4), (w - 0.4, 2.4), (w + 0.4, 2.0), (w + 0.4, 0.5),
     ]  # fmt: skip
-    return turned_part(profile, 22)
+    return turned_part(profile, 20)
 
 
 def pulley_holes(radius: float, half_width: float, count: int = 5) -> Shape:
@@ -119,6 +119,6 @@ def knee_spring(leg: LegGeometry, stout: float) -> Shape:
     angle = (np.pi if side > 0 else 0.0) + 2 * np.pi * turns * t * side
     coil = np.column_stack([start + wire + 1.3 * t, radius * np.cos(angle), radius * np.sin(angle)])
     end = [start + wire, -radius * side, 8.5 * stout]
-    spring = tube(np.concatenate([[end], coil]), (wire, wire), 4, up=(1.0, 0.0, 0.0))
+    spring = tube(np.concatenate([[end], coil]), (wire, wire), 3, up=(1.0, 0.0, 0.0))
     pin = turned_part([(-CHEEK[1] - 0.4, 1.2), (start + 1.7, 1.2), (start + 1.9, 0.9)], 10)
     return join(spring, pin)
