@@ -22,7 +22,7 @@ def scenes() -> tuple[str, ...]:
 
 
 def load_file(name: str) -> mujoco.MjSpec:
-    """The specification in `mjcf/NAME.xml`, editable."""
+    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside."""
     spec = mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
     # Meshes become part of the specification: what is assembled and written needs no files, wherever it is compiled.
     for mesh in spec.meshes:

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Mirror a model at its y-z plane (x -> -x), in place; returns it.
+    """Mirror a model at its y-z plane (x -> -x), with its meshes, in place; returns it.
 
     Joints keep their axes, which must lie along x: both sides then share one sign convention (positive swings
     backward), and a hinge along x is its own mirror image.

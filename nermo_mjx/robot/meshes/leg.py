@@ -52,8 +52,8 @@ def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON) -> 
     """A pulley about the x axis; a tendon of radius `tendon` lies in its groove, its middle at `radius` [mm]."""
     rim, floor, w = radius + 0.8, radius - tendon - 0.1, half_width
     profile = [
-        (-w, rim), (-0.55, floor), (0.55, floor), (w - 0.2, rim), (w, rim - 0.3), (w, radius - 1.0),
-        (w - 0.4, radius - 1.4), (w - 0.4, 2.4), (w + 0.4, 2.0), (w + 0.4, 0.5),
+        (-w, rim), (-0.55, floor), (0.55, floor), (w - 0.1, rim), (w, radius - 1.0), (w - 0.4, radius - 1.4),
+        (w - 0.4, 2.4), (w + 0.4, 2.0),
     ]  # fmt: skip
     return turned_part(profile, 20)
 
@@ -108,8 +108,8 @@ def foot(leg: LegGeometry, stout: float) -> Shape:
 
 def paw() -> Shape:
     """The rubber sole about its centre: a pad and three toes, 7 mm wide."""
-    toes = [ball((x, 0.0, -0.3), (1.25, 2.3, 1.75), 8, 6) for x in (-2.15, 0.0, 2.15)]
-    return join(ball((0.0, 0.0, 0.5), (3.3, 2.15, 2.1), 12, 6), *toes)
+    toes = [ball((x, 0.0, -0.3), (1.25, 2.3, 1.75), 8, 5) for x in (-2.15, 0.0, 2.15)]
+    return join(ball((0.0, 0.0, 0.5), (3.3, 2.15, 2.1), 10, 5), *toes)
 
 
 def knee_spring(leg: LegGeometry, stout: float) -> Shape:

@@ -158,7 +158,7 @@ def turned_part(profile: Any, sides: int = 20) -> Shape:
 
 def ball(centre: Sequence[float], radii: Sequence[float], sides: int = 14, rows: int = 8) -> Shape:
     """An ellipsoid [mm]."""
-    t = np.linspace(0.06, np.pi - 0.06, rows)
+    t = np.linspace(0.2, np.pi - 0.2, rows)
     unit = turned_part(np.stack([-np.cos(t), np.sin(t)], axis=1), sides)
     return Shape(unit.vertices * np.asarray(radii, float) + np.asarray(centre, float), unit.faces)
 

@@ -55,7 +55,7 @@ def back(y: float) -> float:
 def rib(y: float, width: float, bottom: float, forward: float) -> Shape:
     """A closed hoop of flat strip from the back beam around to the breastbone."""
     top = back(y) - 0.4
-    t = 2 * np.pi * np.arange(18) / 18
+    t = 2 * np.pi * np.arange(24) / 24
     middle, half = (top + bottom) / 2, (top - bottom) / 2
     x = width * np.sign(np.sin(t)) * np.abs(np.sin(t)) ** 0.8
     path = np.column_stack([x, y - forward * (1 - np.cos(t)) / 2, middle + half * np.cos(t)])
