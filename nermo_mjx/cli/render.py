@@ -29,7 +29,9 @@ Examples:
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
 )  # fmt: skip
 @options.file("--out", ".mp4", "MP4 (H.264) or GIF.", required=True)
-@click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
+@click.option(
+    "--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}; eyes: the head's."
+)
 @click.option(
     "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",
     help="gait: footfall; servos: their angles; support: polygon of the standing feet and centre of mass. Repeatable.",
