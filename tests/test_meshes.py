@@ -250,3 +250,18 @@ def test_the_eyes_look_ahead_and_turn_with_the_head():
     data.qpos[robot.joints.neck] = 0.5
     mujoco.mj_forward(robot.model, data)
     assert -data.cam("eyes").xmat.reshape(3, 3)[:, 2] @ ahead == pytest.approx(np.cos(0.5), abs=0.01)
+
+
+# --- light
+
+
+def test_the_light_from_above_leaves_white_plastic_below_white():
+    """Ambient light, headlight and both suns on a level face, seen from above: bright, not overexposed."""
+    model = load_robot(scene="maze").model
+    head = model.vis.headlight
+    light = np.array(head.ambient) + np.array(head.diffuse)
+    for diffuse, way in zip(model.light_diffuse, model.light_dir, strict=True):
+        light = light + diffuse * -way[2] / np.linalg.norm(way)
+    seen = light * model.mat("torso_plastic").rgba[:3]
+    assert seen.min() > 0.8
+    assert seen.max() < 1.0
