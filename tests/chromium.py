@@ -57,6 +57,15 @@ class Browser:
                 return answer["result"]
             self._events.append(answer)
 
+    @contextlib.contextmanager
+    def tab(self) -> Iterator[Tab]:
+        """A new page, closed with the context."""
+        page = Tab(self)
+        try:
+            yield page
+        finally:
+            page.close()
+
     def events(self, session: str) -> list[dict[str, Any]]:
         """What a page has told of itself so far."""
         return [event for event in self._events if event.get("sessionId") == session]
@@ -77,13 +86,16 @@ class Tab:
 
     def __init__(self, browser: Browser) -> None:
         self._browser = browser
-        target = browser.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = browser.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._target = browser.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = browser.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self._call(f"{domain}.enable")
 
     def _call(self, method: str, **params: Any) -> dict[str, Any]:
         return self._browser.call(method, self._session, **params)
+
+    def close(self) -> None:
+        self._browser.call("Target.closeTarget", targetId=self._target)
 
     def open(self, path: Path, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0) -> None:
         """Load a file in a window of so many pixels."""
