@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import OVERLAYS, VIEWS
+from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
@@ -24,14 +24,9 @@ Examples:
 
 
 @click.command("render", epilog=EPILOG)
-@click.argument(
-    "recordings", metavar="FILE.npz...", nargs=-1, required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-)  # fmt: skip
+@click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
 @options.file("--out", ".mp4", "MP4 (H.264) or GIF.", required=True)
-@click.option(
-    "--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}; eyes: the head's."
-)
+@options.camera
 @click.option(
     "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",
     help="gait: footfall; servos: their angles; support: polygon of the standing feet and centre of mass. Repeatable.",

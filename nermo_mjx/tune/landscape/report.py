@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.sweep.style import shown
+from nermo_mjx.plotting.quantity import shown
 from nermo_mjx.tune.landscape.lines import Line
 from nermo_mjx.tune.spec import Tuning
 
