@@ -372,3 +372,14 @@ def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(program:
         tab.key(" ")
         tab.wait("viewer.player.time > 0.1")
         assert tab.evaluate("document.querySelector('[data-plot=force] output').textContent") != ""
+
+
+def test_a_page_that_may_not_start_says_so(browser: chromium.Browser, one: Path, tmp_path: Path) -> None:
+    """As in a frame whose host forbids scripts from data URLs."""
+    rule = "<meta http-equiv='Content-Security-Policy' content=\"script-src 'unsafe-inline'\">"
+    path = tmp_path / "forbidden.html"
+    path.write_text(one.read_text(encoding="utf-8").replace("</title>", f"</title>{rule}", 1), encoding="utf-8")
+    with browser.tab() as tab:
+        tab.open(path, 700, 400)
+        tab.wait("document.getElementById('failed') && !document.getElementById('failed').hidden")
+        assert "could not start" in tab.evaluate("document.getElementById('failed').innerText")
