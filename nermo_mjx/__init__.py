@@ -3,8 +3,8 @@
 The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
 `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`; `control_parameters` (a pytree
 of arrays); `Sweep`, `run_sweep` and `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
-`run_experiment` and `run_experiments`; `Recording`, `render` (a video) and `show` (a page, also in a notebook); and the
-geometry in `kinematics`. Names are imported on first use.
+`run_experiment` and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a
+notebook); and the geometry in `kinematics`. Names are imported on first use.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from nermo_mjx import kinematics
     from nermo_mjx.control import control_parameters
     from nermo_mjx.experiments.run import run_experiment, run_experiments
+    from nermo_mjx.hardware import ServoTable, servo_table
     from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, load_robot
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
     from nermo_mjx.rollout.differentiable import Rollout
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "nermo_mjx.control": ("control_parameters",),
     "nermo_mjx.experiments.run": ("run_experiment", "run_experiments"),
+    "nermo_mjx.hardware": ("ServoTable", "servo_table"),
     "nermo_mjx.robot": ("LIMBS", "SERVOS", "ParameterError", "Robot", "load_robot"),
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
@@ -42,9 +44,9 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Page", "ParameterError", "Recording", "Robot", "Rollout", "Run", "RunResult",
-    "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters",
-    "control_parameters", "kinematics", "load_robot", "read_history", "read_table", "render", "run_experiment",
-    "run_experiments", "run_landscape", "run_sweep", "run_tuning", "show",
+    "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__",
+    "all_parameters", "control_parameters", "kinematics", "load_robot", "read_history", "read_table", "render",
+    "run_experiment", "run_experiments", "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
 ]  # fmt: skip
 
 

@@ -22,9 +22,9 @@ from nermo_mjx.experiments.plots import straight_line as plot_straight_line
 from nermo_mjx.experiments.plots import turning as plot_turning
 from nermo_mjx.experiments.plots.draw import DRAWERS, draw, pictures
 from nermo_mjx.experiments.published import FIGURES
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.sweep.style import STYLE
 from nermo_mjx.view.recording import Recording
 
 BOTH = ("exact", "as_published")

@@ -7,10 +7,11 @@ from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.image import imread
 from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
+from nermo_mjx.plotting.quantity import shown
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep import Results, draw_plots, run_sweep
 from nermo_mjx.sweep.figures import heat_maps
 from nermo_mjx.sweep.plots import _figures
-from nermo_mjx.sweep.style import STYLE, shown
 
 
 def plots_of(spec, out, simulator=None):

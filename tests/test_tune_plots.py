@@ -15,8 +15,8 @@ from matplotlib.image import imread
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx import runtime
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.style import STYLE
 from nermo_mjx.tune import (
     Objective,
     Term,

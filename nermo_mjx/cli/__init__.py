@@ -4,7 +4,23 @@ from __future__ import annotations
 
 import click
 
-from nermo_mjx.cli import bench, experiment, identify, landscape, model, render, replay, sweep, tune, view, walk
+from nermo_mjx.cli import (
+    bench,
+    completion,
+    experiment,
+    identify,
+    landscape,
+    model,
+    play,
+    plot,
+    render,
+    replay,
+    servos,
+    sweep,
+    tune,
+    view,
+    walk,
+)
 from nermo_mjx.cli.group import CommandGroup
 from nermo_mjx.version import __version__
 
@@ -27,5 +43,21 @@ def main() -> None:
     """
 
 
-for module in (sweep, replay, tune, landscape, experiment, identify, walk, render, view, model, bench):
+for module in (
+    sweep,
+    replay,
+    tune,
+    landscape,
+    experiment,
+    identify,
+    walk,
+    render,
+    view,
+    play,
+    plot,
+    servos,
+    model,
+    bench,
+    completion,
+):
     main.add_command(module.command)

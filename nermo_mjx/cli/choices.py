@@ -14,4 +14,26 @@ STEERINGS = ("leg", "spine", "mix")
 PROFILES = ("exact", "as_published")
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze")
 PILOTS = ("straight", "arc", "open_loop")
+OVERLAYS = ("gait", "servos", "support")
 VIEWS = ("three_quarter", "high", "side", "top", "front", "rear")
+FORMATS = ("png", "svg")
+SCENES = ("balance_stand", "flat", "maze", "quarter_circles", "straight_line")
+METRICS = (
+    "speed", "distance", "duration", "lateral_drift", "roll_mean", "roll_std", "roll_min", "roll_max", "pitch_mean",
+    "pitch_std", "pitch_min", "pitch_max", "yaw_mean", "yaw_std", "yaw_min", "yaw_max", "cross_track_peak",
+    "cross_track_rms", "cross_track_walked", "turning_radius", "slip", "duty_front_left", "duty_front_right",
+    "duty_rear_left", "duty_rear_right", "servo_work", "cost_of_transport", "fell", "diverged", "failure_time",
+)  # fmt: skip
+PARAMETERS = (
+    "frequency", "stride", "duty", "gait_factor", "speed", "offset.front_left", "offset.front_right",
+    "offset.rear_left", "offset.rear_right", "stance.front_y", "stance.front_z", "stance.rear_y", "stance.rear_z",
+    "stance.swing_amplitude", "stance.stance_amplitude", "stance.max_stride", "spine.amplitude", "spine.phase",
+    "spine.max_servo_angle", "spine.fusion_exponent", "spine.offset_compensation", "spine.balance_lift",
+    "turning.exponent", "turning.leg", "turning.spine", "pilot.guidance", "pilot.look_ahead", "pilot.damping",
+    "pilot.bandwidth", "pilot.grip", "pilot.error_gain", "pilot.change_gain", "pilot.output_limit",
+    "pilot.turn_rate", "pilot.radius", "pilot.direction", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
+    "servo.kv", "servo.torque_limit", "servo.speed", "contact.friction", "contact.time_constant",
+    "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee", "stiffness.rear_knee",
+    "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle", "damping.spine",
+    "damping.pulley", "mass.front", "mass.rear", "start.x", "start.y", "start.yaw", "start.phase",
+)  # fmt: skip

@@ -39,13 +39,7 @@ _WIDEST = 72
 @click.option("--quick", is_flag=True, help="A look: fewer cases, no videos; a minute.")
 @click.option("--no-video", is_flag=True, help="Draw no videos.")
 @click.option("--again", is_flag=True, help="Run again, and replace, what DIR holds of it.")
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=X",
-    help="A parameter of the body, such as contact.friction; repeatable.",
-)
+@options.assigned("A parameter of the body, such as contact.friction; repeatable.")
 @options.engine
 @options.report
 def command(

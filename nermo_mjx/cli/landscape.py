@@ -22,7 +22,7 @@ Examples:
 
 
 @click.command("landscape", epilog=EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", type=click.Path(path_type=Path))
+@click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 @click.option(
     "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
 )

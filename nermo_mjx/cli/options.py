@@ -3,15 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from nermo_mjx.cli.choices import ENGINES, PHYSICS
+from nermo_mjx.cli.choices import (
+    ENGINES,
+    GAITS,
+    METRICS,
+    PARAMETERS,
+    PHYSICS,
+    PROFILES,
+    SCENES,
+    SPINE_MODES,
+    STEERINGS,
+    VIEWS,
+)
+from nermo_mjx.cli.completing import FileKind, assignments, names
 
 F = TypeVar("F", bound=Callable[..., Any])
 POSITIVE = click.FloatRange(0, min_open=True)
+#: Files that are read: of a sweep or a tuning, and recordings.
+SPEC = FileKind(".yaml", ".yml")
+RECORDING = FileKind(".npz", exists=True, dir_okay=False)
+#: Completes the columns of a sweep's table.
+columns = names(*PARAMETERS, *METRICS)
 
 
 def choice(name: str, names: tuple[str, ...], about: str | None = None, **more: Any) -> Callable[[F], F]:
@@ -29,8 +45,7 @@ def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F
 
 def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
     """An option that names a file to write."""
-    kind: Any = click.Path(dir_okay=False, path_type=Path)
-    return click.option(name, metavar=f"FILE{suffix}", type=kind, help=about, **more)
+    return click.option(name, metavar=f"FILE{suffix}", type=FileKind(suffix, dir_okay=False), help=about, **more)
 
 
 def engine(function: F) -> F:
@@ -46,9 +61,40 @@ def physics(function: F) -> F:
 
 def scene(function: F) -> F:
     """`--scene`."""
-    return click.option("--scene", default="flat", metavar="NAME", show_default=True, help="A file of mjcf/scenes.")(
-        function
-    )
+    return click.option("--scene", default="flat", metavar="NAME", show_default=True, help="A file of mjcf/scenes.",
+                        shell_complete=names(*SCENES))(function)  # fmt: skip
+
+
+def camera(function: F) -> F:
+    """`--camera`."""
+    return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}; eyes: the head's.",
+                        shell_complete=names(*VIEWS, "eyes"))(function)  # fmt: skip
+
+
+def assigned(about: str) -> Callable[[F], F]:
+    """`--set`."""
+    return click.option("--set", "assignments", multiple=True, metavar="NAME=X", help=about,
+                        shell_complete=assignments(*PARAMETERS))  # fmt: skip
+
+
+def gait(function: F) -> F:
+    """What decides how the robot steps: gait, stride, spine, turn rate and profile."""
+    listed = [
+        choice("--gait", GAITS, "Trot, walking trot, lateral walk."),
+        number("--frequency", "Gait cycles per second [Hz]."),
+        number("--stride", "Stride length, as a share of the maximum."),
+        choice("--spine", SPINE_MODES, "What the spine adds."),
+        number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),
+        number("--spine-phase", "Phase of the stride extension [rad]."),
+        number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
+        choice("--steering", STEERINGS, "What turns the robot."),
+        number("--offset-compensation", "Rear legs take up the hip's rise; a share, or all if no number is given.",
+               is_flag=False, flag_value=1.0, metavar="[X]"),
+        choice("--profile", PROFILES, "Controller as described, or as published."),
+    ]  # fmt: skip
+    for option in reversed(listed):
+        function = option(function)
+    return function
 
 
 def report(function: F) -> F:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import ENGINES, VIEWS
+from nermo_mjx.cli.choices import ENGINES
 from nermo_mjx.cli.group import Failure
 from nermo_mjx.cli.output import plain, print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
@@ -34,7 +34,7 @@ Examples:
 @options.choice("--engine", ENGINES, "By default the sweep's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4 or GIF.")
-@click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
+@options.camera
 @options.report
 def command(
     out: Path,

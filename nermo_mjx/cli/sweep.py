@@ -36,7 +36,7 @@ class Shard(click.ParamType):
 
 
 @click.command("sweep", epilog=EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", required=False, type=click.Path(path_type=Path))
+@click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC)
 @click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Where the results go.")
 @options.engine
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))

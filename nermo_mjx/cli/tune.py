@@ -27,7 +27,7 @@ _NAMED = 3
 
 
 @click.command("tune", epilog=EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", type=click.Path(path_type=Path))
+@click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 @click.option(
     "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
 )
@@ -153,7 +153,7 @@ def _digits(value: float) -> str:
 
 
 def _number_and_unit(metric: str, value: float) -> str:
-    from nermo_mjx.sweep.style import shown
+    from nermo_mjx.plotting.quantity import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     quantity = shown(metric, OBJECTIVE_METRICS[metric].unit, value)
@@ -162,7 +162,7 @@ def _number_and_unit(metric: str, value: float) -> str:
 
 def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
     """Values of a parameter or metric as figures show them, and the unit."""
-    from nermo_mjx.sweep.style import shown
+    from nermo_mjx.plotting.quantity import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     about = tuning.parameters.get(name) or OBJECTIVE_METRICS[name]

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import GAITS, PILOTS, PROFILES, ROBOTS, SPINE_MODES, STEERINGS, TAILS, VIEWS
+from nermo_mjx.cli.choices import PILOTS, ROBOTS, TAILS
 from nermo_mjx.cli.output import plain, print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.render import render_video
@@ -25,23 +25,8 @@ Examples:
 
 
 @click.command("walk", epilog=EPILOG)
-@options.choice("--gait", GAITS, "Trot, walking trot, lateral walk.")
-@options.number("--frequency", "Gait cycles per second [Hz].")
-@options.number("--stride", "Stride length, as a share of the maximum.")
-@options.choice("--spine", SPINE_MODES, "What the spine adds.")
-@options.number("--spine-amplitude", "Servo amplitude of the stride extension [rad].")
-@options.number("--spine-phase", "Phase of the stride extension [rad].")
-@options.number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left.")
-@options.choice("--steering", STEERINGS, "What turns the robot.")
+@options.gait
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
-@options.number(
-    "--offset-compensation",
-    "Rear legs take up the hip's rise; a share, or all if no number is given.",
-    is_flag=False,
-    flag_value=1.0,
-    metavar="[X]",
-)
-@options.choice("--profile", PROFILES, "Controller as described, or as published.")
 @options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)
 @options.number("--duration", "Length in seconds, instead of --cycles.", options.POSITIVE)
 @options.number("--warmup", "Part that is not measured, in the same unit; by default 2.", click.FloatRange(0))
@@ -49,18 +34,12 @@ Examples:
 @options.scene
 @options.choice("--tail", TAILS)
 @options.physics
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=X",
-    help="Any parameter that `sweep --list-parameters` prints; repeatable.",
-)
+@options.assigned("Any parameter that `sweep --list-parameters` prints; repeatable.")
 @options.number("--seed", "Shift the start a little, as the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4 or GIF.")
-@click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.")
+@options.camera
 @options.report
 def command(
     engine: str, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool, **chosen: Any

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.robot import RobotConfig, load_robot
-from nermo_mjx.view import Recording, render
+from nermo_mjx.view import Recording, render, robot_of
 
 #: A frame takes 0.1 to 0.15 s of one core without a graphics card, so that a video takes 25 s at most.
 FPS: Final = 20
@@ -52,9 +51,7 @@ def shoot(outcome: Outcome, shot: Shot, path: Path, progress: Callable[[float], 
     name = shot.choose(outcome)
     assert name is not None
     recording = outcome.recordings[name]
-    setup = recording.metadata.get("setup", {})
-    robot = load_robot(**{field.name: setup[field.name] for field in dataclasses.fields(RobotConfig)
-                          if field.name in setup})  # fmt: skip
+    robot = robot_of(recording)
     end = _end(outcome, recording, shot)
     speed = max(shot.speed, float(math.ceil(end / LONGEST)) if math.isfinite(end) else 0.0)
     began = float(recording.time[0])

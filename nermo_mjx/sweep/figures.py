@@ -9,16 +9,26 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from nermo_mjx.sweep.style import BAND, BEST, COLOURS, LINE, MISSING, Quantity, add_note, horizontal_grid, set_scales
-
-GAIN_COLOURS = "RdBu"
+from nermo_mjx.plotting.page import around, blank
+from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.style import (
+    BAND,
+    BEST,
+    COLOURS,
+    GAIN_COLOURS,
+    INK,
+    LINE,
+    MISSING,
+    horizontal_grid,
+    set_scales,
+)
+from nermo_mjx.sweep.summary import OBJECTIVES, cost
 
 
 def heat_maps(
@@ -33,8 +43,8 @@ def heat_maps(
 ) -> Figure:
     """One heat map a panel (its title, and a mask of the points in it) on a shared colour scale.
 
-    Points that share a cell are averaged. The best cell of all is a star, that of each panel a ring; a cell without
-    a run that went well is hatched grey.
+    Points that share a cell are averaged. The best cell of all (the highest, of a metric without a better side) is a
+    star, that of each panel a ring; a cell without a run that went well is hatched grey.
 
     With `gain`, z is a gain in percent: 0 is white, the scale reaches alike far to both sides (far losses are cut off
     where they would leave the gains pale), marks carry their value, and only points where `gain` holds are marked.
@@ -46,18 +56,21 @@ def heat_maps(
     if gain is not None:
         chosen = np.where(gain, z.values, np.nan)
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
-        colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", "#222222"
-    figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4, title)
-    best = max((float(np.nanmax(grid)) for grid in marked if np.isfinite(grid).any()), default=math.nan)
-    for ax, (name, _), grid, candidates in zip(axes, panels, grids, marked, strict=False):
+        colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", INK
+    figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4)
+    prices = [cost(z.name, grid) for grid in marked]
+    lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
+    best = math.nan
+    for ax, (name, _), grid, candidates, price in zip(axes, panels, grids, marked, prices, strict=False):
         ax.add_patch(matplotlib.patches.Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white",
                                                   hatch="////", lw=0, zorder=0))  # fmt: skip
         ax.pcolormesh(_edges(xs, x.log), _edges(ys, y.log), np.ma.masked_invalid(grid.T), norm=scale, cmap=colours)
         set_scales(ax, x, y)
         ax.set_title(name)
         if np.isfinite(candidates).any():
-            i, j = np.unravel_index(int(np.nanargmax(candidates)), grid.shape)
-            star = candidates[i, j] == best
+            i, j = np.unravel_index(int(np.nanargmin(price)), grid.shape)
+            star = price[i, j] == lowest
+            best = float(candidates[i, j]) if star else best
             ax.scatter(xs[i], ys[j], s=190 if star else 34, marker="*" if star else "o", fc=BEST if star else fill,
                        ec="white" if star else edge, lw=1.3, zorder=5, clip_on=False)  # fmt: skip
             if gain is not None:
@@ -66,31 +79,30 @@ def heat_maps(
     bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
-    ring = "; ring: best of its panel" if len(panels) > 1 else ""
-    add_note(figure, f"{note}star: best, {z.shown(best) if gain is None else _signed(best)}{ring}")
-    return figure
+    word = _best(z.name) if gain is None else "best"
+    ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
+    return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else _signed(best)}{ring}")
 
 
 def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
     """Mean over x, with a band of one standard deviation where points share an x, and the best point as a star."""
-    figure, (ax,) = _panels(1, 4.4, title)
+    figure, (ax,) = _panels(1, 4.4)
     xs, mean, std = _binned(x.values, z.values, np.unique(x.values))
     ax.fill_between(xs, mean - std, mean + std, color=BAND, alpha=0.6, lw=0)
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
-        at = int(np.nanargmax(mean))
+        at = int(np.nanargmin(cost(z.name, mean)))
         ax.scatter(xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
-        note += f"star: best, {z.shown(mean[at])} at {x.shown(xs[at])}"
+        note += f"star: {_best(z.name)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
-    add_note(figure, note)
-    return figure
+    return around(figure, title, note)
 
 
 def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: str, note: str) -> Figure:
     """The metric against each parameter: every run a point, the line a running mean over runs of alike value."""
-    figure, axes = _panels(len(xs), 2.5, title)
+    figure, axes = _panels(len(xs), 2.5)
     for ax, x, name in zip(axes, xs, titles, strict=False):
         ax.scatter(x.values, z.values, s=7, color=BAND, alpha=0.55, lw=0, rasterized=len(z.values) > 2000)
         centres, mean, _ = _binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
@@ -100,14 +112,13 @@ def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: 
         ax.set_title(name)
         ax.set_xlabel(x.label)
     figure.supylabel(z.label, fontsize=9.5)
-    add_note(figure, note)
-    return figure
+    return around(figure, title, note)
 
 
 def pair_scatters(pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title: str, note: str) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best is a star."""
-    figure, axes = _panels(len(pairs), 2.7, title)
-    scale, order = Normalize(*_limits(z.values)), np.argsort(z.values)
+    figure, axes = _panels(len(pairs), 2.7)
+    scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.name, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
                    rasterized=len(z.values) > 2000)  # fmt: skip
@@ -115,22 +126,23 @@ def pair_scatters(pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     _colour_bar(figure, axes, scale, z.label)
-    add_note(figure, f"{note}star: best, {z.shown(float(np.max(z.values)))}")
-    return figure
+    return around(figure, title, f"{note}star: {_best(z.name)}, {z.shown(float(z.values[order[-1]]))}")
 
 
-def _panels(count: int, size: float, title: str) -> tuple[Figure, list[Axes]]:
+def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels of about `size` inches, and its axes, row by row."""
     columns = _columns(count)
     rows = math.ceil(count / columns)
-    figure = Figure(figsize=(columns * size * 1.12 + 1.3, rows * size + 0.9), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(rect=(0, 0.05 if rows == 1 else 0.03, 1, 0.95))  # type: ignore[union-attr, call-arg]
-    figure.suptitle(title, x=0.01, ha="left", fontweight="bold")
+    figure = blank(columns * size * 1.12 + 1.3, rows * size + 0.9)
     axes = list(figure.subplots(rows, columns, squeeze=False).ravel())
     for ax in axes[count:]:
         ax.remove()
     return figure, axes[:count]
+
+
+def _best(metric: str) -> str:
+    """What the mark of a metric's best value is called."""
+    return "best" if metric in OBJECTIVES else "highest"
 
 
 def _columns(count: int) -> int:
@@ -152,7 +164,7 @@ def _colour_bar(
 def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
     """A text next to a mark, that many points apart."""
     ax.annotate(text, (x, y), (-apart if left else apart, 0), textcoords="offset points",
-                ha="right" if left else "left", va="center", fontsize=8.5, fontweight="bold", color="#222222", zorder=6,
+                ha="right" if left else "left", va="center", fontsize=8.5, fontweight="bold", color=INK, zorder=6,
                 bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0})  # fmt: skip
 
 

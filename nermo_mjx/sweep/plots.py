@@ -1,4 +1,8 @@
-"""Which figures a sweep's table gives: heat maps over pairs of a grid, a line for one parameter, else scatters."""
+"""Which figures a sweep's table gives.
+
+Heat maps over pairs of a grid, a line for one parameter, scatters of a sample; and, where two parameters or more tell
+the variants apart, parallel coordinates and the Pareto front of speed against roll.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +17,15 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 from scipy import stats
 
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
+from nermo_mjx.sweep.points import quantity
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.style import STYLE, Quantity, lay_out, shown, write_figure
-from nermo_mjx.sweep.summary import LEADING, spine_ratio
-from nermo_mjx.sweep.table import columns_of, meta
+from nermo_mjx.sweep.summary import LEADING, cost, spine_ratio
+from nermo_mjx.sweep.survey import survey_figures
+from nermo_mjx.sweep.table import columns_of
 
 #: A figure has no more panels than this; more values are thinned evenly.
 MOST_PANELS = 12
@@ -33,6 +41,8 @@ def draw_plots(
     *,
     metrics: Sequence[str] = ("speed",),
     write: Callable[[Path, bytes], None] | None = None,
+    formats: Sequence[str] = FORMATS,
+    remark: str = "",
 ) -> list[Path]:
     """Draw the figures of a result table as PNG and SVG.
 
@@ -41,6 +51,8 @@ def draw_plots(
         folder: where the files go.
         metrics: the metrics to draw; one that the table lacks is left out.
         write: how a file is written; `Path.write_bytes` if it is None.
+        formats: of `png` and `svg`.
+        remark: what the note of each figure begins with.
 
     Returns:
         The files, in the order drawn.
@@ -50,62 +62,66 @@ def draw_plots(
     folder.mkdir(parents=True, exist_ok=True)
     with matplotlib.rc_context(STYLE):
         for metric in metrics:
-            for name, figure in _figures(results, metric) if metric in results.schema.names else []:
+            for name, figure in _figures(results, metric, remark) if metric in results.schema.names else []:
                 lay_out(figure)
-                files += write_figure(figure, folder, name, write)
+                files += write_figure(figure, folder, name, write, formats)
     return files
 
 
-def _figures(results: Results, metric: str) -> list[tuple[str, Figure]]:
+def _figures(results: Results, metric: str, remark: str = "") -> list[tuple[str, Figure]]:
     """(file name, figure) of one metric; only runs that went well count."""
     well, _ = results.statuses()
     if not well.any():
         return []
-    z = _quantities(results, [metric])[0]
-    z = Quantity(z.name, z.unit, np.where(well, z.values, np.nan))
+    return [*_over_parameters(results, metric, well, remark), *survey_figures(results, metric, remark)]
+
+
+def _over_parameters(results: Results, metric: str, well: np.ndarray, remark: str) -> list[tuple[str, Figure]]:
+    """Maps, lines or scatters of a metric over the parameters."""
+    z = quantity(results, metric, np.where(well, results.column(metric), np.nan))
     varied = [x for x in _quantities(results, columns_of(results, "varied")) if np.ptp(x.values) > 0]
     if (results.schema.metadata or {}).get(b"sampler") == b"grid" and varied:
         repeats = int(np.max(results.column("repeat"))) + 1
-        note = f"mean of {repeats} repeats; " if repeats > 1 else ""
+        note = remark + (f"mean of {repeats} repeats; " if repeats > 1 else "")
         if len(varied) == 1:
             x = varied[0]
             return [(f"{metric}-over-{x.name}", line(x, z, f"{_title(metric)} over {x.name}", note))]
-        return _heat_map_figures(varied, z, metric, note) + _gain_figures(results, metric)
+        return _heat_map_figures(varied, z, note) + _gain_figures(results, metric, remark)
     drawn = varied or _quantities(results, columns_of(results, "randomized"))
-    return _scatter_figures(drawn, z, metric)
+    return _scatter_figures(drawn, z, metric, remark)
 
 
-def _heat_map_figures(varied: list[Quantity], z: Quantity, metric: str, note: str) -> list[tuple[str, Figure]]:
-    """A heat map a pair; with a third parameter, one panel for each of its values."""
-    figures = []
-    for x, y in itertools.combinations(varied[:MOST_PAIRED], 2):
-        panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
-        title = f"{_title(metric)} over {x.name} and {y.name}"
-        name = f"{metric}-over-{x.name}-and-{y.name}"
-        figures.append((name, heat_maps(x, y, z, panels, title, note + remark)))
-    return figures
+def _heat_map_figures(varied: list[Quantity], z: Quantity, note: str) -> list[tuple[str, Figure]]:
+    """A heat map a pair."""
+    pairs = itertools.combinations(varied[:MOST_PAIRED], 2)
+    return [(f"{z.name}-over-{x.name}-and-{y.name}", heat_map(x, y, varied, z, note)) for x, y in pairs]
 
 
-def _gain_figures(results: Results, metric: str) -> list[tuple[str, Figure]]:
+def heat_map(x: Quantity, y: Quantity, varied: Sequence[Quantity], z: Quantity, note: str) -> Figure:
+    """A heat map of z over two parameters; with a third one that varies, one panel for each of its values."""
+    panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
+    return heat_maps(x, y, z, panels, f"{_title(z.name)} over {x.name} and {y.name}", note + remark)
+
+
+def _gain_figures(results: Results, metric: str, start: str) -> list[tuple[str, Figure]]:
     """Speed relative to the stiff spine, where a grid varies the spine's phase, and its amplitude from 0."""
     names = columns_of(results, "varied")
     if metric != LEADING or not {"spine.amplitude", "spine.phase"} <= set(names):
         return []
     data = spine_ratio(results)
-    about = {name: meta(results.schema.field(name)) for name in names}
-    varied = {n: shown(n, about[n]["unit"], data[n], log=about[n].get("scale") == "log") for n in names}
+    varied = {name: quantity(results, name, data[name]) for name in names}
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
     z = Quantity("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
     bends = x.values > 0
     if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
         return []
     panels, remark = _panels([other for other in varied.values() if len(np.unique(other.values)) > 1], len(z.values))
-    title, note = f"Speed gain over {x.name} and {y.name}", f"{remark}stiff: mean at {x.name} 0; "
+    title, note = f"Speed gain over {x.name} and {y.name}", f"{start}{remark}stiff: mean at {x.name} 0; "
     figure = heat_maps(x, y, z, panels, title, note, gain=bends)
     return [(f"{metric}-gain-over-{x.name}-and-{y.name}", figure)]
 
 
-def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str) -> list[tuple[str, Figure]]:
+def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str, remark: str) -> list[tuple[str, Figure]]:
     """The metric against each parameter, and over the pairs of those that matter most."""
     good = np.isfinite(z.values)
     drawn = [Quantity(x.name, x.unit, x.values[good], x.log) for x in drawn if len(np.unique(x.values[good])) > 1]
@@ -117,18 +133,20 @@ def _scatter_figures(drawn: list[Quantity], z: Quantity, metric: str) -> list[tu
     order = np.argsort(-np.abs(influence), kind="stable")
     first = [drawn[i] for i in order[:MOST_PANELS]]
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
-    note = f"{len(z.values)} runs; line: running mean"
+    note = f"{len(z.values):,} runs; line: running mean"
     if len(z.values) > MOST_POINTS:
         thin = np.linspace(0, len(z.values) - 1, MOST_POINTS).round().astype(int)
+        thin = np.union1d(thin, [np.argmin(cost(z.name, z.values))])  # the best one is a star
         first = [dataclasses.replace(x, values=x.values[thin]) for x in first]
-        z, note = dataclasses.replace(z, values=z.values[thin]), f"{MOST_POINTS} of {note}"
+        z, note = dataclasses.replace(z, values=z.values[thin]), f"{MOST_POINTS:,} of {note}"
+    note = remark + note
     if len(drawn) > MOST_PANELS:
         note += f"; the {MOST_PANELS} of {len(drawn)} parameters that matter most"
     figures = [(f"{metric}-over-each", scatters(first, z, titles, f"{_title(metric)} over each parameter", note))]
     if len(drawn) > 1:
         pairs = list(itertools.combinations(first[:MOST_PAIRED], 2))
         title = f"{_title(metric)} over pairs of the parameters that matter most"
-        figures.append((f"{metric}-over-pairs", pair_scatters(pairs, z, title, note.partition(";")[0] + "; ")))
+        figures.append((f"{metric}-over-pairs", pair_scatters(pairs, z, title, note.partition("; line")[0] + "; ")))
     return figures
 
 
@@ -150,11 +168,7 @@ def _slices(third: Quantity) -> tuple[list[tuple[str, np.ndarray]], int]:
 
 
 def _quantities(results: Results, names: Sequence[str]) -> list[Quantity]:
-    about = {name: meta(results.schema.field(name)) for name in names}
-    return [
-        shown(name, about[name]["unit"], values, log=about[name].get("scale") == "log")
-        for name, values in results.columns(names)
-    ]
+    return [quantity(results, name, values) for name, values in results.columns(names)]
 
 
 def _title(metric: str) -> str:

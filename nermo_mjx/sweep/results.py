@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -54,6 +55,27 @@ class Results:
         """The chunks of a complete table of so many rows."""
         schema = pq.read_schema(files[0])
         return cls(schema.with_metadata(_common(schema)), rows, lambda names: _read(files, names))
+
+    @classmethod
+    def of_present(cls, files: Sequence[Path]) -> Results:
+        """The chunks that are there of a table that may have more; their rows in the order of the files.
+
+        Raises:
+            StoreError: a chunk cannot be read.
+        """
+        with _clear(files[0]):
+            schema = pq.read_schema(files[0])
+        counts = []
+        for path in files:
+            with _clear(path):
+                counts.append(pq.read_metadata(path).num_rows)
+        begins = np.cumsum([0, *counts])
+
+        def parts(names: Sequence[str]) -> Iterator[Part]:
+            for begin, part in zip(begins, _read(files, names), strict=False):
+                yield Part(begin + np.arange(len(part.places)), part.columns)
+
+        return cls(schema.with_metadata(_common(schema)), int(begins[-1]), parts)
 
     def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
         """Columns of numbers one after the other, (rows,) each; the files are read as few times as memory allows."""
@@ -110,9 +132,15 @@ def _whole(table: pa.Table, names: Sequence[str]) -> Part:
 
 def _read(files: Sequence[Path], names: Sequence[str]) -> Iterator[Part]:
     for path in files:
-        try:
-            with pq.ParquetFile(path, page_checksum_verification=True) as file:
-                table = file.read(columns=[*names, "row"], use_threads=False)
-        except (OSError, pa.ArrowException) as error:
-            raise StoreError(f"{path} cannot be read ({error}): run the same command again.") from None
+        with _clear(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
+            table = file.read(columns=[*names, "row"], use_threads=False)
         yield Part(table.column("row").to_numpy(), table)
+
+
+@contextlib.contextmanager
+def _clear(path: Path) -> Iterator[None]:
+    """Turn what is wrong with a file into a `StoreError`."""
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        raise StoreError(f"{path} cannot be read ({error}): run the same command again.") from None

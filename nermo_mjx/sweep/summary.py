@@ -30,6 +30,12 @@ OBJECTIVES = {
 LEADING = "speed"
 
 
+def cost(metric: str, values: np.ndarray) -> np.ndarray:
+    """Values of a metric so that less is better; of one without a better side, less where it is higher."""
+    side = OBJECTIVES.get(metric, "max")
+    return {"max": -values, "min": values, "nearest zero": np.abs(values)}[side]
+
+
 def summarize(table: pa.Table | Results) -> dict[str, Any]:
     """The summary of a complete table; few of its columns are in memory at once."""
     results = table if isinstance(table, Results) else Results.of_table(table)

@@ -11,13 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from nermo_mjx.sweep.style import BAND, BEST, LINE, MISSING, MUTED, Quantity, horizontal_grid, page, set_scales
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MISSING, MUTED, SERIES, horizontal_grid, set_scales
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Term
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.traces import Traces
 
 #: Colours of single starts; with more starts, only the best one has its own.
-START_COLOURS: Final = ("#23648f", "#e0a82c", "#2a9d8f", "#882255", "#6bb3d6", "#5e3c99")
+START_COLOURS: Final = SERIES
 #: Panels of one figure.
 MOST_PANELS: Final = 12
 _WIDTH, _PANEL, _MARGINS = 7.2, 1.75, 0.85
@@ -39,8 +41,8 @@ def objective_figure(traces: Traces) -> Figure:
     # Where no start has walked to the end yet there is no best.
     lowest = np.minimum.accumulate(np.where(np.isfinite(value), value, np.inf).min(axis=1))
     lowest[np.isinf(lowest)] = np.nan
-    axes[0].step(traces.iterations, lowest, where="post", color="#222222", lw=1.1, ls=(0, (4, 2)))
-    axes[0].set_ylabel("objective")
+    axes[0].step(traces.iterations, lowest, where="post", color=INK, lw=1.1, ls=(0, (4, 2)))
+    axes[0].set_ylabel("objective [1]")
     _cut(axes[0], value)
     _mark_falls(axes[0], traces)
     for ax, (metric, term) in zip(axes[1:], terms.items(), strict=True):
@@ -92,7 +94,7 @@ def gradients_figure(traces: Traces) -> Figure:
     figure = page("Gradient over the iterations", _WIDTH, _MARGINS + 2.3 + _PANEL * (count - 1), note)
     axes = _column(figure, count)
     _draw_starts(axes[0], traces, norm)
-    axes[0].set_ylabel("norm of the gradient")
+    axes[0].set_ylabel("norm of the gradient [1]")
     if np.isfinite(norm).any():
         axes[0].set_yscale("log")
         axes[0].set_ylim(0.5 * np.nanmin(norm), 2.0 * np.nanmax(norm))
@@ -102,7 +104,7 @@ def gradients_figure(traces: Traces) -> Figure:
         _draw_starts(axes[1], traces, noise)
         axes[1].axhline(1.0, color=MUTED, lw=0.9, ls=(0, (4, 3)), zorder=1)
         highest = float(known.max()) if len(known) else 1.0
-        axes[1].set(ylabel="standard error / norm", ylim=(0, min(2.5, max(1.1, 1.05 * highest))))
+        axes[1].set(ylabel="standard error / norm [1]", ylim=(0, min(2.5, max(1.1, 1.05 * highest))))
         axes[1].annotate("above 1: noise alone", (1, 1.01), xycoords="axes fraction", ha="right", va="bottom",
                          fontsize=8, color=MUTED)  # fmt: skip
     if estimator.name == "mixture":
@@ -181,7 +183,7 @@ def _draw_shares(ax: Axes, traces: Traces) -> None:
     for name, (colour, ls) in zip(traces.tuning.names, styles, strict=False):
         share = traces.column(f"first_order.{name}").mean(axis=1)
         ax.plot(traces.iterations, share, label=name, lw=1.4, color=colour, ls=ls)
-    ax.set(ylabel="share of the first order", ylim=(-0.04, 1.04))
+    ax.set(ylabel="share of the first order [1]", ylim=(-0.04, 1.04))
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, title_fontsize=8,
               title="mean over the starts" if traces.starts > 1 else None)  # fmt: skip
 
@@ -229,7 +231,7 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
         ax.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
         ax.set_xlim(-0.5, len(traces.iterations) - 0.5)
     for ax in axes[len(axes) - columns :]:
-        ax.set_xlabel("iteration")
+        ax.set_xlabel("iteration [1]")
     handles, labels = axes[0].get_legend_handles_labels()
     if handles:
         axes[columns - 1].legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)

@@ -14,7 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
-from nermo_mjx.sweep.style import BEST, COLOURS, MISSING, MUTED, Quantity, horizontal_grid, page, set_scales
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.style import BEST, COLOURS, GRID, INK, MISSING, MUTED, horizontal_grid, set_scales
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.figures import start_styles
 from nermo_mjx.tune.traces import Traces
@@ -24,7 +26,7 @@ _COLOURS: Final = f"{COLOURS}_r"
 _LEVELS: Final = 18
 #: Share of the landscape's points that the colours cover; the highest of the rest would take the contrast from all.
 _COVERED: Final = 0.97
-_LABEL: Final = "objective (lower is better)"
+_LABEL: Final = "objective, lower is better [1]"
 
 
 def path_figure(traces: Traces, background: Background | None = None) -> Figure:
@@ -69,7 +71,7 @@ def _line(traces: Traces, background: Background | None) -> Figure:
     ax = figure.subplots()
     if background is not None:
         nodes = traces.in_shown_unit(each.name, background.axes[each.name])
-        ax.plot(nodes, background.value, color="#9a9a9a", lw=1.4, zorder=1)
+        ax.plot(nodes, background.value, color=MUTED, lw=1.4, zorder=1)
     place, value = traces.in_shown_unit(each.name, traces.column(each.name)), traces.column("objective")
     for start, style in start_styles(traces).items():
         ax.scatter(place[:, start], value[:, start], s=np.linspace(8, 40, len(place)), color=style["color"],
@@ -78,7 +80,7 @@ def _line(traces: Traces, background: Background | None) -> Figure:
     quantity = Quantity(each.name, traces.quantity(each.name).unit,
                         traces.in_shown_unit(each.name, np.array([each.low, each.high])))  # fmt: skip
     set_scales(ax, quantity)
-    ax.set(xlabel=quantity.label, ylabel="objective", xlim=quantity.values)
+    ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)
     horizontal_grid(ax)
     handles, labels = ax.get_legend_handles_labels()
     if handles:
@@ -134,7 +136,7 @@ def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
     bar = figure.colorbar(points, ax=ax, aspect=28, pad=0.02)
     bar.set_label(_LABEL)
     bar.outline.set_visible(False)
-    ax.grid(color="#e6e6e6", lw=0.8)
+    ax.grid(color=GRID, lw=0.8)
     ax.set_axisbelow(True)
 
 
@@ -154,15 +156,15 @@ def _draw_path(
 ) -> None:
     """One start's way, from a ring to a dot; a way over a periodic bound goes on at the other side."""
     width, layer = (1.6, 5) if leading else (0.9, 4)
-    halo: list[Any] = [withStroke(linewidth=width + 1.5, foreground="#222222")]
+    halo: list[Any] = [withStroke(linewidth=width + 1.5, foreground=INK)]
     for turn in copies:
         x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
         ax.plot(x, y, color="white", lw=width, path_effects=halo, zorder=layer, solid_capstyle="round")
         if leading:
-            ax.plot(x[1:-1], y[1:-1], ls="none", marker="o", ms=2.2, color="#222222", zorder=layer)
-        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec="#222222", mew=3.2, zorder=6)
+            ax.plot(x[1:-1], y[1:-1], ls="none", marker="o", ms=2.2, color=INK, zorder=layer)
+        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec=INK, mew=3.2, zorder=6)
         ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec="white", mew=1.5, zorder=6)
-        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=6, mfc="white", mec="#222222", mew=1.1, zorder=6)
+        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=6, mfc="white", mec=INK, mew=1.1, zorder=6)
 
 
 def _draw_thin(ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float]) -> None:
@@ -170,5 +172,5 @@ def _draw_thin(ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], 
     for turn in copies:
         x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
         ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
-        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=8, mfc="none", mec="#222222", mew=1.2, zorder=6)
-        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=5, mfc="white", mec="#222222", mew=1.1, zorder=6)
+        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=8, mfc="none", mec=INK, mew=1.2, zorder=6)
+        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=1.1, zorder=6)

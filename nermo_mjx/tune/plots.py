@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import matplotlib
 import pyarrow as pa
 
-from nermo_mjx.sweep.style import STYLE, lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.figures import gradients_figure, objective_figure, parameters_figure
 from nermo_mjx.tune.path_figure import path_figure
@@ -23,6 +24,7 @@ def draw_plots(
     *,
     background: Background | None = None,
     write: Callable[[Path, bytes], None] | None = None,
+    formats: Sequence[str] = FORMATS,
 ) -> list[Path]:
     """Draw the figures of a tuning as PNG and SVG: `objective`, `parameters`, `gradients` and `path`.
 
@@ -32,6 +34,7 @@ def draw_plots(
         folder: where the files go.
         background: the objective's landscape behind the paths.
         write: how a file is written; `Path.write_bytes` if it is None.
+        formats: of `png` and `svg`.
 
     Returns:
         The files, in the order drawn. The same history gives the same bytes.
@@ -48,5 +51,5 @@ def draw_plots(
         }
         for name, figure in drawn.items():
             lay_out(figure)
-            files += write_figure(figure, folder, name, write)
+            files += write_figure(figure, folder, name, write, formats)
     return files

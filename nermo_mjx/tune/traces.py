@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.sweep.style import Quantity, shown
+from nermo_mjx.plotting.quantity import Quantity, shown
 from nermo_mjx.sweep.table import columns_of, meta
 from nermo_mjx.tune.objective import Term
 from nermo_mjx.tune.sections import Tuned

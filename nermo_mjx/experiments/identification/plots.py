@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE, STYLE
 from nermo_mjx.sweep.files import replace_file
-from nermo_mjx.sweep.style import BAND, BEST, LINE, MISSING, STYLE, lay_out, write_figure
 
 #: Costs above this share of the start's are cut off: candidates that fell say only that they fell.
 _SHOWN: Final = 2.0
 
 
-def draw(content: Mapping[str, Any], folder: Path) -> list[Path]:
+def draw(content: Mapping[str, Any], folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Draw the pictures of identification.json as PNG and SVG.
 
     Raises:
@@ -28,39 +29,32 @@ def draw(content: Mapping[str, Any], folder: Path) -> list[Path]:
     with matplotlib.rc_context(STYLE):
         for name, figure in (("search", _search(content)), ("residuals", _residuals(content))):
             lay_out(figure)
-            files += write_figure(figure, folder, f"identification-{name}", replace_file)
+            files += write_figure(figure, folder, f"identification-{name}", replace_file, formats)
     return files
-
-
-def _figure(width: float, height: float, title: str) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.02, ha="left", fontweight="bold")
-    return figure
 
 
 def _search(content: Mapping[str, Any]) -> Figure:
     costs, objective = np.asarray(content["costs"], float), content["objective"]
-    figure = _figure(7.0, 3.6, "Objective of every candidate, in the order tried")
+    figure = page("Objective of every candidate, in the order tried", 7.0, 3.6)
     ax = figure.subplots()
     top = _SHOWN * max(objective["start"], objective["end"])
     ax.scatter(np.arange(len(costs)), np.minimum(costs, top), s=9, color=BAND, lw=0, label="candidate")
     ax.step(np.arange(len(costs)), np.minimum.accumulate(costs), where="post", color=LINE, lw=1.6, label="best so far")
-    ax.axhline(objective["start"], color="#555555", lw=0.9, ls="--", label="at the start")
+    ax.axhline(objective["start"], color=MUTED, lw=0.9, ls="--", label="at the start")
     # The first, even search fills whole batches: its length is what the generations leave.
     search = content["settings"]
     sampled = len(costs) - search["generations"] * search["population"]
     if 0 < sampled < len(costs):
         ax.axvline(sampled - 0.5, color=MISSING, lw=1)
-        ax.annotate("CMA-ES", (sampled, top), xytext=(4, -2), textcoords="offset points", va="top", color="#555555")
-    ax.set(xlabel="candidate", ylabel="objective [1]", ylim=(0, 1.03 * top), xlim=(-1, len(costs)))
+        ax.annotate("CMA-ES", (sampled, top), xytext=(4, -2), textcoords="offset points", va="top", color=MUTED)
+    ax.set(xlabel="candidate [1]", ylabel="objective [1]", ylim=(0, 1.03 * top), xlim=(-1, len(costs)))
     ax.legend(loc="upper right", ncols=3, bbox_to_anchor=(1.0, 1.14))
     return figure
 
 
 def _residuals(content: Mapping[str, Any]) -> Figure:
     targets = content["targets"]
-    figure = _figure(7.0, 1.5 + 0.3 * len(targets), "Deviation from the published speeds")
+    figure = page("Deviation from the published speeds", 7.0, 1.5 + 0.3 * len(targets))
     ax = figure.subplots()
     y = np.arange(len(targets))
     before = [target["start_residual"] for target in targets.values()]
@@ -70,7 +64,7 @@ def _residuals(content: Mapping[str, Any]) -> Figure:
     if known:
         ax.barh(y - height / 2, np.asarray(before, float), height, color=BAND, label="at the start")
     ax.barh(y + (height / 2 if known else 0), np.asarray(after, float), height, color=LINE, label="identified")
-    ax.axvspan(-1, 1, color="#eaf1f6", lw=0, zorder=-5, label="within the tolerance")
+    ax.axvspan(-1, 1, color=SHADE, lw=0, zorder=-5, label="within the tolerance")
     ax.axvline(0, color=BEST, lw=0.9)
     ax.set_yticks(y, list(targets))
     ax.set(xlabel="residual [tolerances]", ylim=(len(targets) - 0.4, -0.6))

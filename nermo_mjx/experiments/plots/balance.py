@@ -14,24 +14,15 @@ from matplotlib.patches import Rectangle
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import (
-    FOOT,
-    INK,
-    SPINE,
-    Page,
-    horizontal_grid,
-    profiles,
-    shade_phases,
-    shown,
-    stroke,
-    swatch,
-)
+from nermo_mjx.experiments.plots.page import FAIL, PASS, SPINE, profiles, shade_phases, shown, stroke, swatch
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import FOOT, GRID, INK, SHADE, horizontal_grid
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.view.recording import Recording
 
 PHASES: Final = ("stand", "shift", "lift", "swing")
 _WITH: Final = {False: "without compensation", True: "with compensation"}
-_VERDICT: Final = {"pass": "#cfe3ee", "fail": "#f4c2b1"}
+_VERDICT: Final = {"pass": PASS, "fail": FAIL}
 
 
 def verdict_figure(limb: str, sbc: bool, *, hardware: bool = False) -> str:
@@ -98,7 +89,7 @@ def _verdicts(outcome: Outcome, lines: Sequence[Line]) -> Figure:
 
 
 def _tile(ax: Axes, column: int, row: int, text: str, *, framed: bool) -> None:
-    colour = _VERDICT.get(text, "#efefef")
+    colour = _VERDICT.get(text, SHADE)
     ax.add_patch(Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fc=colour, lw=0))
     if framed:
         frame = Rectangle(
@@ -135,10 +126,10 @@ def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: fl
     if sensor == "com_margin":
         for ax in page.axes.ravel():
             low = min(ax.get_ylim()[0], -2.0)
-            ax.axhspan(low, 0, color="#f4c2b1", alpha=0.45, lw=0, zorder=-4)
+            ax.axhspan(low, 0, color=FAIL, alpha=0.45, lw=0, zorder=-4)
             ax.axhline(0, color=INK, lw=1.1)
             ax.set_ylim(bottom=low)
-        handles += [stroke("support diagonal", INK, lw=1.1), swatch("beyond it the robot tips", "#f4c2b1", alpha=0.45)]
+        handles += [stroke("support diagonal", INK, lw=1.1), swatch("beyond it the robot tips", FAIL, alpha=0.45)]
     for ax in page.axes[:, 0]:
         ax.set_ylabel(label)
     for ax in page.axes[-1]:
@@ -167,7 +158,7 @@ def _forces(outcome: Outcome) -> Figure | None:
         row[0].set_ylabel("force [N]")
     for ax in page.axes.ravel():
         ax.set_ylim(-0.03 * highest, 1.12 * highest)
-        ax.grid(axis="y", color="#e6e6e6", lw=0.8)
+        ax.grid(axis="y", color=GRID, lw=0.8)
     for ax in page.axes[-1]:
         ax.set_xlabel("time [s]")
     handles: list[Artist] = [stroke(f"{_name(foot)} foot", FOOT[foot], lw=1.8) for foot in LIMBS]

@@ -13,15 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots.page import (
-    INK,
-    Published,
-    horizontal_grid,
-    mark_published,
-    published_entry,
-    swatch,
-)
-from nermo_mjx.sweep import style
+from nermo_mjx.experiments.plots.page import Published, mark_published, published_entry, swatch
+from nermo_mjx.plotting.quantity import shown as in_shown_unit
+from nermo_mjx.plotting.style import INK, MUTED, horizontal_grid
 
 #: Share of a group's width that its bars fill.
 _FILLED: Final = 0.82
@@ -71,14 +65,14 @@ def repeats(outcome: Outcome, column: str, **wanted: object) -> np.ndarray:
     Empty where the table has no such case.
     """
     rows = outcome.where(**wanted)
-    values = style.shown(column, outcome.about[column].unit, outcome.columns[column][rows]).values
+    values = in_shown_unit(column, outcome.about[column].unit, outcome.columns[column][rows]).values
     well = outcome.columns["status"][rows] == "ok" if "status" in outcome.columns else np.full(len(values), True)
     return np.where(well & np.isfinite(values), values, np.nan)
 
 
 def axis_label(outcome: Outcome, column: str, name: str) -> str:
     """Name and shown unit of a column."""
-    return style.shown(name, outcome.about[column].unit, np.zeros(0)).label
+    return in_shown_unit(name, outcome.about[column].unit, np.zeros(0)).label
 
 
 def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | None = None) -> None:
@@ -131,7 +125,7 @@ def bar_entries(bars: Sequence[Bar], *, hatched: str = "") -> list[Artist]:
     if any(bar.published is not None for bar in bars):
         entries.append(published_entry())
     if any(bar.hatched for bar in bars):
-        entries.append(swatch(hatched, "#bbbbbb", hatch=_HATCH, ec="white", lw=0))
+        entries.append(swatch(hatched, MUTED, hatch=_HATCH, ec="white", lw=0))
     if any(bar.failed for bar in bars):
         entries.append(Line2D([], [], label="a repeat without result", **_FAILED))
     return entries

@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots import balance, maze, report, straight_line, turning
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep.files import replace_file
-from nermo_mjx.sweep.style import STYLE, lay_out, write_figure
 
 Drawer = Callable[[Outcome, Sequence[Line]], Iterator[tuple[str, Figure | None]]]
 DRAWERS: Final[dict[str, Drawer]] = {
@@ -24,7 +25,7 @@ DRAWERS: Final[dict[str, Drawer]] = {
 }
 
 
-def draw(outcome: Outcome, lines: Sequence[Line], out: Path) -> list[Path]:
+def draw(outcome: Outcome, lines: Sequence[Line], out: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
     """Draw the pictures of one experiment, each as PNG and SVG.
 
     What the outcome does not have (a profile, a case, a recording) is left out of the pictures, and a picture of
@@ -34,6 +35,7 @@ def draw(outcome: Outcome, lines: Sequence[Line], out: Path) -> list[Path]:
         outcome: of the experiment.
         lines: of its report; they hold what the publication says, which is drawn beside what was simulated.
         out: folder of the files, which are called EXPERIMENT-PICTURE.png and .svg.
+        formats: of `png` and `svg`.
 
     Returns:
         The files, in the order drawn. Each is written whole or not at all, and the same outcome gives the same bytes.
@@ -42,7 +44,7 @@ def draw(outcome: Outcome, lines: Sequence[Line], out: Path) -> list[Path]:
     files: list[Path] = []
     for name, figure in pictures(outcome, lines):
         with matplotlib.rc_context(STYLE):
-            files += write_figure(figure, out, f"{outcome.experiment}-{name}", replace_file)
+            files += write_figure(figure, out, f"{outcome.experiment}-{name}", replace_file, formats)
     return files
 
 

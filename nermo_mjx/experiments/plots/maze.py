@@ -19,12 +19,8 @@ from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
 from nermo_mjx.experiments.plots.page import (
     CLOCK,
-    INK,
-    MUTED,
     SPINE,
-    Page,
     angles,
-    horizontal_grid,
     profile_swatches,
     profiles,
     published,
@@ -36,6 +32,8 @@ from nermo_mjx.experiments.plots.page import (
     tone,
 )
 from nermo_mjx.experiments.published.measure import clock
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import INK, MISSING, MUTED, horizontal_grid
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view.recording import Recording
 
@@ -56,7 +54,6 @@ _FROM, _SECONDS = 0.3, 12.0
 #: Seconds of the controller's clock between two dots on a way, and samples between two of its points.
 _DOTS: Final = 10.0
 _THINNED: Final = 4
-_BOX: Final = "#c9ccd1"
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
@@ -86,7 +83,7 @@ def _ways(outcome: Outcome) -> Figure | None:
     boxes = box_outlines(load_robot(scene="maze"))
     for ax, (profile, ways) in zip(page.axes[0], runs.items(), strict=True):
         corners = np.stack(seen_from_above(ax, boxes), axis=-1)
-        ax.add_collection(PolyCollection(list(corners), fc=_BOX, ec="white", lw=0.8, zorder=1))
+        ax.add_collection(PolyCollection(list(corners), fc=MISSING, ec="white", lw=0.8, zorder=1))
         ax.plot(*seen_from_above(ax, drawn), color=INK, ls="--", lw=1.1, zorder=5)
         for on, run in sorted(ways.items()):
             _way(ax, outcome, profile, on, run)
@@ -106,7 +103,7 @@ def _ways(outcome: Outcome) -> Figure | None:
         ax.set_ylabel("")
     handles = spine_strokes()
     handles += [
-        stroke("course", INK, ls="--", lw=1.1), swatch("boxes", _BOX),
+        stroke("course", INK, ls="--", lw=1.1), swatch("boxes", MISSING),
         Line2D([], [], ls="none", marker="o", ms=4.5, color=MUTED, label=f"every {_DOTS:g} s"),
     ]  # fmt: skip
     if not all(np.isfinite(_arrival(outcome, profile, on)) for profile, ways in runs.items() for on in ways):

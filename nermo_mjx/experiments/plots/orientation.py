@@ -17,9 +17,7 @@ from nermo_mjx.experiments.plots.page import (
     COMPENSATED,
     GAIT,
     SPINE,
-    Page,
     angles,
-    horizontal_grid,
     profile_swatches,
     profiles,
     published,
@@ -31,6 +29,8 @@ from nermo_mjx.experiments.plots.page import (
     tone,
 )
 from nermo_mjx.experiments.published.measure import clock
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import MISSING, horizontal_grid
 from nermo_mjx.view.recording import Recording
 
 #: Published numbers in these pictures: the figures of the report that hold them.
@@ -89,7 +89,7 @@ def _orientation(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
         ax.set(xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))
         ax.margins(y=0.08)
         horizontal_grid(ax)
-        ax.axvline(1, color="#c8c8c8", lw=0.8, zorder=0)
+        ax.axvline(1, color=MISSING, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
     note = f"{shown(labels['profile'])}; positive: leaning left, nose down, turned left"
     return page.finish(handles, note)  # fmt: skip

@@ -1,12 +1,11 @@
-"""What all pictures of the experiments share: colours by meaning, a page with title, legend and note, and marks.
+"""What all pictures of the experiments share: colours by meaning, entries of legends, and marks.
 
-One colour has one meaning throughout; each set of colours differs in lightness too, for the colour-blind and in print.
+One colour has one meaning throughout.
 The profile `exact` is drawn in full colour, `as_published` lighter, and what the publication reports in black outline.
 """
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
@@ -14,80 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex, to_rgb
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from nermo_mjx.experiments.line import Line
+from nermo_mjx.plotting.style import MUTED, OKABE_ITO, SHADE, light
 from nermo_mjx.rollout.attitude import attitude
 from nermo_mjx.view.recording import Recording
 
-SPINE: Final = {False: "#23648f", True: "#e4572e"}
-COMPENSATED: Final = "#7f2009"
-STRATEGY: Final = {"leg": "#2a9d8f", "spine": "#5e3c99", "mix": "#e0a82c"}
-FOOT: Final = {"front_left": "#332288", "front_right": "#6bb3d6", "rear_left": "#882255", "rear_right": "#cdb44f"}
-INK, MUTED, GRID, SHADE = "#222222", "#555555", "#e6e6e6", "#f1f1f1"
+SPINE: Final = {False: OKABE_ITO["blue"], True: OKABE_ITO["vermilion"]}
+COMPENSATED: Final = OKABE_ITO["purple"]
+STRATEGY: Final = {"leg": OKABE_ITO["green"], "spine": OKABE_ITO["purple"], "mix": OKABE_ITO["orange"]}
+PASS, FAIL = "#c6dff0", "#f6cfb5"
 GAIT: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral walk"}
 CLOCK: Final = "times and speeds are those of the controller's clock"
 ANGLES: Final = ("roll", "pitch", "yaw")
-#: Inches around a page, between its lines of text, and of a line of text.
-_EDGE, _GAP, _LINE = 0.1, 0.08, 0.15
-#: Mean width of a character of the note [inch].
-_CHARACTER = 0.059
 Published = float | tuple[float, float] | None
-
-
-class Page:
-    """A figure with a title above its axes, and a legend and a note below."""
-
-    def __init__(self, title: str, size: tuple[float, float], rows: int = 1, columns: int = 1, **subplots) -> None:
-        self.figure = Figure(figsize=size, layout="constrained")
-        FigureCanvasAgg(self.figure)
-        self.axes: np.ndarray = self.figure.subplots(rows, columns, squeeze=False, **subplots)
-        self._width, self._height = size
-        self.figure.text(self._across(_EDGE), 1 - self._up(_EDGE), title, va="top", fontsize=11.5, fontweight="bold")
-        for ax in self.axes.ravel():
-            ax.set_axisbelow(True)
-
-    def finish(self, handles: Sequence[Artist], note: str) -> Figure:
-        """Add the legend, in as few rows as fit, and the note; the axes keep the rest of the page."""
-        lines = textwrap.wrap(note, int((self._width - 2 * _EDGE) / _CHARACTER))
-        left, bottom = self._across(_EDGE), self._up(_EDGE)
-        self.figure.text(left, bottom, "\n".join(lines), va="bottom", fontsize=8, color=MUTED, linespacing=1.2)
-        below = _EDGE + _LINE * len(lines) + _GAP
-        if handles:
-            below += self._legend(handles, below) + _GAP
-        above = _EDGE + 0.28
-        engine = self.figure.get_layout_engine()
-        engine.set(rect=(0, self._up(below), 1, 1 - self._up(below + above)), hspace=0.05, wspace=0.05)  # type: ignore[union-attr, call-arg]
-        return self.figure
-
-    def _legend(self, handles: Sequence[Artist], below: float) -> float:
-        """The legend in the fewest rows that fit the page; its height [inch]."""
-        for rows in range(1, len(handles) + 1):
-            columns = -(-len(handles) // rows)
-            legend = self.figure.legend(
-                handles=_by_rows(handles, columns), ncols=columns, fontsize=8.5, columnspacing=1.4, handlelength=1.7,
-                loc="lower left", bbox_to_anchor=(self._across(_EDGE), self._up(below)), borderaxespad=0, borderpad=0.2,
-            )  # fmt: skip
-            box = legend.get_window_extent(self.figure.canvas.get_renderer())  # type: ignore[attr-defined]
-            if box.width / self.figure.dpi <= self._width - 2 * _EDGE or columns == 1:
-                return box.height / self.figure.dpi
-            legend.remove()
-        raise AssertionError("one column is always taken")
-
-    def _across(self, inches: float) -> float:
-        return inches / self._width
-
-    def _up(self, inches: float) -> float:
-        return inches / self._height
-
-
-def _by_rows(handles: Sequence[Artist], columns: int) -> list[Artist]:
-    """Matplotlib fills a legend column by column; in this order, it reads row by row."""
-    return [handle for first in range(columns) for handle in handles[first::columns]]
 
 
 def published(lines: Iterable[Line], figure: str) -> Published:
@@ -96,12 +37,6 @@ def published(lines: Iterable[Line], figure: str) -> Published:
         if line.figure == figure and not isinstance(line.published, (bool, str)):
             return line.published
     return None
-
-
-def light(colour: str) -> str:
-    """The colour as the profile `as_published` has it: on its way to white."""
-    red, green, blue = (0.42 * part + 0.58 for part in to_rgb(colour))
-    return to_hex((red, green, blue))
 
 
 def tone(colour: str, profile: str) -> str:
@@ -171,14 +106,6 @@ def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool
                     fontsize=7.5, color=MUTED)  # fmt: skip
     ends = [time for phase in phases.values() for time in phase]
     ax.set_xlim(min(ends), max(ends))
-
-
-def horizontal_grid(ax: Axes) -> None:
-    """Faint lines to read values by, and a line at zero where values have both signs."""
-    ax.grid(axis="y", color=GRID, lw=0.8)
-    low, high = ax.get_ylim()
-    if low < 0 < high:
-        ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
 
 
 def angles(recording: Recording) -> np.ndarray:

@@ -14,11 +14,13 @@ from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.experiments.line import AGREES, Line, Value
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots.page import GRID, INK, MUTED, Page, published_entry, swatch, tone
+from nermo_mjx.experiments.plots.page import published_entry, swatch, tone
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED
 
 #: Shares of the published number between which the axis reaches; what lies beyond is an arrow at its end.
 LEAST, MOST = -0.5, 2.5
-_COLOUR, _NEAR, _RED = "#23648f", "#eaf1f6", "#b3300f"
+_COLOUR, _NEAR, _WRONG = LINE, "#e6f1f8", BEST
 _PROFILES: Final = ("exact", "as_published")
 #: Right ends of the columns of numbers, in widths of the table.
 _COLUMNS: Final = {"published": 0.36, "exact": 0.66, "as_published": 0.98}
@@ -78,7 +80,7 @@ def _report(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
     note = (
         "arrow: beyond the axis; bracket: published as an interval, of which the diamond is the middle (the end, if it "
-        "begins at 0); red: does not agree with the publication"
+        "begins at 0); orange: does not agree with the publication"
     )
     return page.finish(handles, note)  # fmt: skip
 
@@ -101,8 +103,10 @@ def _row(ax: Axes, table: Axes, y: int, line: Line) -> None:
                    gid=profile)  # fmt: skip
     cells = {"published": line.published} | {profile: getattr(line, profile) for profile in _PROFILES}
     for name, x in _COLUMNS.items():
-        red = name == "exact" and line.holds is False
-        table.text(x, y, _text(cells[name], line.unit), ha="right", va="center", fontsize=8, color=_RED if red else INK)
+        wrong = name == "exact" and line.holds is False
+        table.text(
+            x, y, _text(cells[name], line.unit), ha="right", va="center", fontsize=8, color=_WRONG if wrong else INK
+        )
 
 
 def _text(value: Value | tuple[float, float], unit: str) -> str:

@@ -17,10 +17,7 @@ from nermo_mjx.experiments.plots.orientation import gait_page, walked_gaits
 from nermo_mjx.experiments.plots.page import (
     CLOCK,
     GAIT,
-    INK,
     SPINE,
-    Page,
-    horizontal_grid,
     mark_published,
     profile_swatches,
     profiles,
@@ -32,6 +29,8 @@ from nermo_mjx.experiments.plots.page import (
     tone,
 )
 from nermo_mjx.experiments.published.measure import clock
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import INK, horizontal_grid
 
 #: Published numbers in these pictures: the figures of the report that hold them.
 SPEED: Final = "speed of trt, 0.8 Hz, no spine"

@@ -18,9 +18,7 @@ from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_
 from nermo_mjx.experiments.plots.page import (
     CLOCK,
     GAIT,
-    INK,
     STRATEGY,
-    Page,
     Published,
     profile_swatches,
     profiles,
@@ -32,6 +30,8 @@ from nermo_mjx.experiments.plots.page import (
     tone,
 )
 from nermo_mjx.experiments.published.measure import clock
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import GRID, INK, MISSING
 from nermo_mjx.view.recording import Recording
 
 #: Published numbers in these pictures: the figures of the report that hold them, by the strategy.
@@ -190,12 +190,12 @@ def _paths(outcome: Outcome) -> Figure | None:
         walked, mean = _walked(run, radius)
         ax.plot(*seen_from_above(ax, walked), color=colour, lw=0.8, alpha=0.55, zorder=3)
         ax.plot(*seen_from_above(ax, mean), color=colour, lw=2.2, zorder=4)
-    ax.grid(color="#eeeeee", lw=0.8)
+    ax.grid(color=GRID, lw=0.8)
     ax.margins(0.04)
     bound = 1e3 * float(turning.bound(np.asarray(radius)))
     handles: list[Artist] = [
         *(stroke(_NAMES[name], STRATEGY[name], lw=2.2) for name in turning.STRATEGIES),
-        stroke("course", INK, ls="--", lw=1.2), swatch(f"followed: within {bound:g} mm", "#e3e3e3"),
+        stroke("course", INK, ls="--", lw=1.2), swatch(f"followed: within {bound:g} mm", MISSING),
     ]  # fmt: skip
     note = (
         f"{shown(labels['profile'])}; thick: mean over a gait cycle; thin: the torso's IMU, by which a path is judged"
@@ -211,7 +211,7 @@ def _course(ax: Axes, radius: float, side: float) -> None:
 
     bound = float(turning.bound(np.asarray(radius)))
     edge = np.concatenate([arc(radius - bound), arc(radius + bound)[::-1]])
-    ax.add_patch(Polygon(np.stack(seen_from_above(ax, edge), axis=-1), fc="#e3e3e3", lw=0, zorder=1))
+    ax.add_patch(Polygon(np.stack(seen_from_above(ax, edge), axis=-1), fc=MISSING, lw=0, zorder=1))
     ax.plot(*seen_from_above(ax, arc(radius)), color=INK, ls="--", lw=1.2, zorder=5)
 
 

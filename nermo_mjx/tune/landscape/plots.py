@@ -11,26 +11,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nermo_mjx.sweep.style import (
-    BAND,
-    BEST,
-    LINE,
-    MUTED,
-    STYLE,
-    Quantity,
-    horizontal_grid,
-    lay_out,
-    page,
-    set_scales,
-    shown,
-    write_figure,
-)
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.quantity import Quantity, shown
+from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, STYLE, horizontal_grid, set_scales
 from nermo_mjx.tune.landscape.lines import Line
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.spec import Tuning
 
 #: From narrow secants to wide ones.
-_SECANTS: Final = ("#f2b134", "#e8763a", "#c9415b", "#8b2c7d", "#2d1b5e")
+_SECANTS: Final = ("#fcae12", "#e55c30", "#ba3655", "#781c6d", "#230c4c")  # of the even colour map inferno
 #: Length of a tangent, in distances of two points.
 _TANGENT: Final = 0.8
 #: Slopes further from the middle than so many times the exact ones' spread are cut off.
@@ -38,12 +28,18 @@ _CUT: Final = 2.5
 
 
 def draw_plots(
-    tuning: Tuning, lines: Sequence[Line], folder: Path, *, write: Callable[[Path, bytes], None] | None = None
+    tuning: Tuning,
+    lines: Sequence[Line],
+    folder: Path,
+    *,
+    write: Callable[[Path, bytes], None] | None = None,
+    formats: Sequence[str] = FORMATS,
 ) -> list[Path]:
     """Draw a figure for each line, as PNG and SVG; a line on which the robot nowhere walks has none.
 
     Args:
         write: how a file is written; `Path.write_bytes` if it is None.
+        formats: of `png` and `svg`.
 
     Returns:
         The files, in the order drawn.
@@ -55,7 +51,7 @@ def draw_plots(
             if line.ok.any():
                 figure = line_figure(tuning, line)
                 lay_out(figure)
-                files += write_figure(figure, folder, f"line-{line.tuned.name}", write)
+                files += write_figure(figure, folder, f"line-{line.tuned.name}", write, formats)
     return files
 
 
@@ -74,9 +70,8 @@ def line_figure(tuning: Tuning, line: Line) -> Figure:
         ax.axvline(_about(tuning, line.tuned.name, np.array([line.tuned.start])).values[0], color=MUTED, lw=0.9,
                    ls=(0, (4, 3)), zorder=1)  # fmt: skip
     set_scales(below, x)
-    unit = f"1/{x.unit}" if x.unit else "1"
-    above.set_ylabel("objective")
-    below.set(xlabel=x.label, ylabel=f"slope [{unit}]" if x.unit else "slope")
+    above.set_ylabel("objective [1]")
+    below.set(xlabel=x.label, ylabel=f"slope [1/{x.unit}]" if x.unit else "slope [1]")
     return figure
 
 
@@ -106,7 +101,7 @@ def _draw_objective(ax: Axes, line: Line, x: Quantity) -> None:
     ax.set_ylim(low - room, high + room)
     fell = x.values[~line.ok]
     if len(fell):
-        ax.plot(fell, np.full(len(fell), 0.97), "x", transform=ax.get_xaxis_transform(), color="#222222", ms=5,
+        ax.plot(fell, np.full(len(fell), 0.97), "x", transform=ax.get_xaxis_transform(), color=INK, ms=5,
                 mew=1.3, label="fell")  # fmt: skip
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.sweep.style import shown
+from nermo_mjx.plotting.quantity import shown
 from nermo_mjx.tune.landscape.lines import Line
 from nermo_mjx.tune.spec import Tuning
 
@@ -154,7 +154,9 @@ def _sentence(name: str, about: Mapping[str, Any]) -> str:
         f"({_percent(width['sign_agreement'])} of one sign)"
         for width in widths
     )
-    verdict = "exact gradients can be followed" if about["follows"] else "exact gradients alone mislead; average them"
+    verdict = (
+        "exact gradients can be followed" if about["follows"] else "exact gradients alone may mislead; average them"
+    )
     return f"{name}: {verdict}. The slope differs by {found}."
 
 

@@ -1,0 +1,25 @@
+"""`nermo-mjx completion`: makes a shell complete what is typed."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+EPILOG = """\b
+Examples:
+  nermo-mjx completion bash >> ~/.bashrc
+  nermo-mjx completion zsh >> ~/.zshrc
+  nermo-mjx completion fish > ~/.config/fish/completions/nermo-mjx.fish
+"""
+SHELLS = ("bash", "zsh", "fish")
+_PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"
+
+
+@click.command("completion", epilog=EPILOG)
+@click.argument("shell", type=click.Choice(SHELLS))
+@click.pass_context
+def command(context: click.Context, shell: str) -> None:
+    """Print what makes a shell complete commands, options, names and files."""
+    kind = get_completion_class(shell)
+    assert kind is not None
+    click.echo(kind(context.find_root().command, {}, _PROGRAM, _VARIABLE).source())

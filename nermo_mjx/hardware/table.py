@@ -1,0 +1,235 @@
+"""The servo angles of a gait as a table over time, open loop, from the controller alone: no physics runs.
+
+The rows fill whole gait cycles exactly and evenly, so that the table can be played in a loop.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from nermo_mjx.control import check
+from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
+from nermo_mjx.robot import SERVOS, ParameterError, Sensors
+from nermo_mjx.robot.quantity import check_quantities, replace_quantities
+from nermo_mjx.rollout import Setup, all_parameters
+from nermo_mjx.rollout.parameters import WorldParameters
+
+#: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate is every so manyth of its ticks.
+CONTROL_RATE: Final = 100.0
+#: Highest rate of a table, and longest table [Hz, rows].
+HIGHEST_RATE: Final = 1000.0
+MOST_ROWS: Final = 1_000_000
+#: A table is periodic when no angle differs more than this between one of its cycles and the next [rad].
+_ALIKE: Final = 1e-6
+#: Gait cycles after which a controller that has not settled is given up.
+_PATIENCE: Final = 200
+
+
+@dataclasses.dataclass(frozen=True)
+class ServoTable:
+    """Servo angles of whole gait cycles.
+
+    Attributes:
+        names: servos, in the order of their channels.
+        time: of each row, from 0, on the controller's clock [s].
+        angles: (rows, servos) [deg].
+        rate: rows a second [Hz]; it differs from the one asked for by so little that the cycles are whole rows.
+        cycles: gait cycles in the table.
+        frequency: of the gait [Hz].
+        channels: where the servos hang.
+        speed: highest speed of each servo, (servos,) [deg/s].
+        servo_speed: what the model's servos can do, `servo.speed` [deg/s]; commands are not held back to it.
+    """
+
+    names: tuple[str, ...]
+    time: Float[np.ndarray, " rows"]
+    angles: Float[np.ndarray, "rows servos"]
+    rate: float
+    cycles: int
+    frequency: float
+    channels: Channels
+    speed: Float[np.ndarray, " servos"]
+    servo_speed: float
+
+    @property
+    def too_fast(self) -> str:
+        """Which servos are asked for more than the model's can do, in a sentence; empty if none is."""
+        names = [f"{name} ({speed:.0f})" for name, speed in zip(self.names, self.speed, strict=True)
+                 if speed > self.servo_speed]  # fmt: skip
+        what = f"asked for more than the {self.servo_speed:.0f} deg/s that the model's servos can do: "
+        return f"{what}{', '.join(names)}." if names else ""
+
+    def to_csv(self, about: str = "") -> str:
+        """The table as text: comments that begin with #, a line of headings with units, then the rows.
+
+        Args:
+            about: what the first comment says of the gait.
+        """
+        lines = [
+            *([about] if about else []),
+            f"{self.cycles} gait cycles of {1 / self.frequency:.6g} s, {len(self.time)} rows, {self.rate:.6g} rows/s; "
+            "after the last row, go on with the first.",
+            "columns are in the order of the channels: "
+            + ", ".join(f"{channel.number} {channel.servo}" for channel in self.channels),
+            *([self.too_fast] if self.too_fast else []),
+        ]
+        headings = ["time [s]", *(f"{name} [deg]" for name in self.names)]
+        rows = (",".join([f"{t:.6f}", *(f"{angle + 0.0:.3f}" for angle in row)])
+                for t, row in zip(self.time.tolist(), np.round(self.angles, 3).tolist(), strict=True))  # fmt: skip
+        return "\n".join([*(f"# {line}" for line in lines), ",".join(headings), *rows]) + "\n"
+
+
+def servo_table(
+    setup: Setup | None = None,
+    values: Mapping[str, float] | None = None,
+    *,
+    rate: float = 50.0,
+    cycles: int = 1,
+    channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None = None,
+) -> ServoTable:
+    """The servo angles that the controller commands in a steady gait.
+
+    The pilot is `open_loop`, whatever the setup says: the turn rate is `pilot.turn_rate`. The table begins at the phase
+    `start.phase`, long after the start, so that filters have settled.
+
+    Args:
+        setup: gait, spine mode, steering, profile, tail.
+        values: parameters by name, as for `Simulator.run`, one number each.
+        rate: rows a second of the controller's clock [Hz].
+        cycles: gait cycles in the table.
+        channels: where the servos hang, see `nermo_mjx.hardware.channels`; by default all servos in the order of
+            `SERVOS`, in the controller's convention: hip 0 straight down, positive backward; spine positive to the
+            left.
+
+    Raises:
+        ParameterError: a wrong argument or parameter, or an angle beyond a servo's limit; the message is one sentence.
+    """
+    setup = dataclasses.replace(setup or Setup(), pilot="open_loop", waypoints=None, command=None)
+    world = _parameters(setup, values or {})
+    params, phase = world.control, float(np.asarray(world.start.phase))
+    _check(rate, cycles)
+    frequency = float(np.asarray(params.gait.frequency))
+    rows = max(1, round(rate * cycles / frequency))
+    if rows > MOST_ROWS:
+        raise ParameterError(f"cycles is {cycles}: with {rate:g} rows/s this would be {rows:,} rows, of {MOST_ROWS:,}.")
+    rate = rows * frequency / cycles
+    if rows < 4 * cycles:
+        raise ParameterError(f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows.")
+    angles = _steady(setup, params, phase, rows, cycles, rate)
+    connected = _connected(channels, setup)
+    columns = np.stack([channel.zero + channel.direction * np.degrees(angles[:, SERVOS.index(channel.servo)])
+                        for channel in connected], axis=-1)  # fmt: skip
+    time = np.arange(rows) / rate
+    _check_limits(connected, columns, time)
+    steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
+    return ServoTable(tuple(channel.servo for channel in connected), time, columns, rate, cycles, frequency, connected,
+                      steps.max(axis=0) * rate, math.degrees(float(np.asarray(world.model.servo.speed))))  # fmt: skip
+
+
+def _parameters(setup: Setup, values: Mapping[str, float]) -> WorldParameters:
+    known = all_parameters(setup)
+    for name, value in values.items():
+        if name in known:
+            known[name].check(name, value)
+    params = replace_quantities(
+        WorldParameters(), setup.defaults() | {n: np.asarray(v, float) for n, v in values.items()}
+    )
+    for name, value in values.items():
+        if np.ndim(value):
+            raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
+    check_quantities(params)
+    check(params.control, routing=setup.routing)
+    return params
+
+
+def _check(rate: float, cycles: int) -> None:
+    if not 0.0 < rate <= HIGHEST_RATE:
+        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {HIGHEST_RATE:g}].")
+    if isinstance(cycles, bool) or int(cycles) != cycles or cycles < 1:
+        raise ParameterError(
+            f"cycles is {cycles!r}: allowed is a whole number from 1 on, so that the table is periodic."
+        )
+
+
+def _steady(
+    setup: Setup, params: ControlParameters, phase: float, rows: int, cycles: int, rate: float
+) -> Float[np.ndarray, "rows servos"]:
+    """Angles [rad] of `rows` rows at `rate`, once one run through them is like the next."""
+    # Ticks are counted in simulated time, which the controller's own clock may outrun.
+    ratio = float(np.asarray(params.tracking.clock_ratio))
+    within = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
+    ticks_rate = within * rate / ratio
+    controller = dataclasses.replace(setup.controller(), control_rate=ticks_rate, pilot_rate=ticks_rate)
+    # In double precision, so that the phase is exact after many cycles.
+    with jax.enable_x64(True):
+        exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
+        state = controller.init(exact, _still(controller.n_servos), phase)
+        before = None
+        for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
+            state, angles = _run(controller, exact, state, rows, within)
+            found = np.asarray(angles)
+            if before is not None and np.abs(found - before).max() < _ALIKE:
+                return found
+            before = found
+    raise ParameterError("the controller does not settle into a periodic gait with these parameters.")
+
+
+@jax.jit(static_argnums=(0, 3, 4))
+def _run(controller: Controller, params: ControlParameters, state: Any, rows: int, within: int) -> tuple[Any, Any]:
+    """The next rows: before each, the angles as they are, then `within` ticks."""
+    sensors = _still(controller.n_servos)
+
+    def tick(state: Any, _: None) -> tuple[Any, None]:
+        return controller.update(params, state, sensors)[0], None
+
+    def row(state: Any, _: None) -> tuple[Any, Any]:
+        angles = controller.servo_angles(state).vector(controller.n_servos)
+        return jax.lax.scan(tick, state, None, length=within)[0], angles
+
+    return jax.lax.scan(row, state, None, length=rows)
+
+
+def _still(n_servos: int) -> Sensors:
+    """What an open loop reads of the robot, which does not matter to it."""
+    shapes = {
+        "orientation": 4, "servo_angle": n_servos, "servo_velocity": n_servos, "servo_torque": n_servos,
+        "knee_angle": 4, "foot_force": 4, "foot_position": (4, 3), "foot_velocity": (4, 3),
+    }  # fmt: skip
+    return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
+
+
+def _connected(channels: Any, setup: Setup) -> Channels:
+    count = setup.load().n_servos
+    if channels is None:
+        return default_channels(count, setup.routing)
+    connected = channels if isinstance(channels, tuple) else read_channels(channels)
+    for channel in connected:
+        if SERVOS.index(channel.servo) >= count:
+            raise ParameterError(f"{channel.servo} is no servo of the robot with tail {setup.tail!r}: take the "
+                                 "articulated tail, or leave the servo out.")  # fmt: skip
+    return connected
+
+
+def _check_limits(channels: Channels, angles: np.ndarray, time: np.ndarray) -> None:
+    for channel, column in zip(channels, angles.T, strict=True):
+        for beyond, word, limit in (
+            (column < channel.low - 1e-6, "below", channel.low),
+            (column > channel.high + 1e-6, "above", channel.high),
+        ):
+            if beyond.any():
+                at = int(np.argmax(np.where(beyond, np.abs(column - limit), 0.0)))
+                raise ParameterError(
+                    f"{channel.servo} would go to {column[at]:.1f} deg at {time[at]:.3f} s, {word} its limit of "
+                    f"{limit:.1f} deg: take a shorter stride, or another zero or direction of the servo."
+                )

@@ -1,0 +1,47 @@
+"""Numbers as figures show them: with a name, a unit for people, and values in that unit."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_SHOWN_UNITS = {
+    "rad": ("deg", 180 / math.pi),
+    "m/s": ("mm/s", 1e3),
+    "m": ("mm", 1e3),
+    "rad/s": ("deg/s", 180 / math.pi),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Quantity:
+    """Values of one column as a figure shows them: angles in degrees, lengths in mm, speeds in mm/s.
+
+    Attributes:
+        name, unit: what the axis is called; the unit is empty for a pure number.
+        values: (n,), in that unit.
+        log: whether the axis is logarithmic.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+    log: bool = False
+
+    @property
+    def label(self) -> str:
+        """Name and unit for an axis; a pure number has the unit 1."""
+        return f"{self.name} [{self.unit or 1}]"
+
+    def shown(self, value: float) -> str:
+        """One value with its unit, for a title."""
+        return f"{value + 0.0:.4g} {self.unit}".rstrip()
+
+
+def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False) -> Quantity:
+    """A column in SI units as a `Quantity`."""
+    unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
+    return Quantity(name, unit, np.asarray(values, dtype=float) * factor, log)

@@ -1,0 +1,93 @@
+"""The look that all figures share: type, colours by meaning, scales and grids.
+
+Colours of things are from Okabe and Ito's palette, which the colour-blind tell apart; colours of numbers are those of
+viridis, which is even to the eye and becomes lighter throughout, so that it survives print in grey.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
+
+from nermo_mjx.plotting.quantity import Quantity
+
+#: Okabe, M. and Ito, K., "Color universal design", 2008.
+OKABE_ITO: Final = {
+    "black": "#000000", "orange": "#e69f00", "sky": "#56b4e9", "green": "#009e73",
+    "yellow": "#f0e442", "blue": "#0072b2", "vermilion": "#d55e00", "purple": "#cc79a7",
+}  # fmt: skip
+INK, MUTED, GRID, SHADE, MISSING = "#222222", "#555555", "#e6e6e6", "#f1f1f1", "#d9d9d9"
+#: The main line, what lies around or behind it, and what is best.
+LINE, BAND, BEST = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
+#: Several things side by side, in this order; yellow is too pale for lines on white.
+SERIES: Final = tuple(OKABE_ITO[name] for name in ("blue", "orange", "green", "purple", "sky", "vermilion"))
+#: The feet: front blue, rear red; left dark, right light.
+FOOT: Final = {
+    "front_left": OKABE_ITO["blue"], "front_right": OKABE_ITO["sky"],
+    "rear_left": OKABE_ITO["vermilion"], "rear_right": OKABE_ITO["orange"],
+}  # fmt: skip
+#: Numbers from low to high, and gains and losses about 0.
+COLOURS: Final = "viridis"
+GAIN_COLOURS: Final = "RdBu"
+#: Sizes of type that are not those of `STYLE` [pt].
+SMALL: Final = 8.0
+
+STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that no machine draws another one
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.5,
+    "figure.titlesize": 11.5,
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.fontsize": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "axes.grid": False,
+    "axes.unicode_minus": True,
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+    "svg.hashsalt": "nermo",
+    "svg.fonttype": "none",  # text stays text
+}
+
+
+def light(colour: str) -> str:
+    """The colour on its way to white."""
+    red, green, blue = (0.42 * part + 0.58 for part in to_rgb(colour))
+    return to_hex((red, green, blue))
+
+
+def set_scales(ax: Axes, x: Quantity, y: Quantity | None = None) -> None:
+    """Linear or logarithmic axes, with ticks at round values; whole turns in round angles."""
+    for quantity, axis, scale in ((x, ax.xaxis, ax.set_xscale), (y, ax.yaxis, ax.set_yscale)):
+        if quantity is None:
+            continue
+        if quantity.log:
+            scale("log")
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FormatStrFormatter("%g"))
+            axis.set_minor_locator(NullLocator())
+        elif quantity.unit == "deg" and np.ptp(quantity.values) >= 180:
+            axis.set_major_locator(MaxNLocator(6, steps=[1, 3, 4.5, 6, 9, 10]))
+        else:
+            axis.set_major_locator(MaxNLocator(5))
+
+
+def horizontal_grid(ax: Axes) -> None:
+    """Faint lines to read values by, and a line at zero where values have both signs."""
+    ax.grid(axis="y", color=GRID, lw=0.8)
+    ax.set_axisbelow(True)
+    low, high = ax.get_ylim()
+    if low < 0 < high:
+        ax.axhline(0, color=MUTED, lw=0.8, zorder=1)

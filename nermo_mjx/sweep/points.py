@@ -1,0 +1,74 @@
+"""What a figure of variants shows as one point each: the mean of a variant's runs, or a run where nothing is varied."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from nermo_mjx.plotting.quantity import Quantity, shown
+from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.summary import Variants
+from nermo_mjx.sweep.table import columns_of, meta
+
+
+@dataclasses.dataclass(frozen=True)
+class Points:
+    """Points of a table, with some of its metrics.
+
+    Attributes:
+        results: the table.
+        parameters: names of what tells the points apart: the varied parameters, or else the randomized ones.
+        rows: a row of each point, (n,), which has its parameters.
+        metrics: name -> (n,), as shown; NaN where no run had the number.
+        runs: how many runs went well.
+    """
+
+    results: Results
+    parameters: tuple[str, ...]
+    rows: np.ndarray
+    metrics: dict[str, Quantity]
+    runs: int
+
+    def of(self, names: Sequence[str], chosen: np.ndarray) -> list[Quantity]:
+        """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
+        rows = self.rows[chosen]
+        return [quantity(self.results, name, values[rows]) for name, values in self.results.columns(names)]
+
+    @property
+    def differing(self) -> tuple[str, ...]:
+        """The parameters that are not the same in all points."""
+        values = self.results.columns(self.parameters)
+        return tuple(name for name, column in values if len(self.rows) and np.ptp(column[self.rows]) > 0)
+
+    @property
+    def what(self) -> str:
+        """How many points there are, and what they are."""
+        count = len(self.rows)
+        if count == self.runs:
+            return f"{count:,} runs"
+        return f"{count:,} variants, each the mean of its runs"
+
+
+def points_of(results: Results, metrics: Sequence[str]) -> Points:
+    """The points of a table with these metrics; only runs that went well count."""
+    well, _ = results.statuses()
+    varied = columns_of(results, "varied")
+    columns = results.columns(["variant", *metrics])
+    variant = next(columns)[1]
+    places = np.flatnonzero(well)
+    if not len(places):
+        return Points(results, tuple(varied), places, {name: quantity(results, name, []) for name in metrics}, 0)
+    if not varied:
+        found = {name: quantity(results, name, values[well]) for name, values in columns}
+        return Points(results, tuple(columns_of(results, "randomized")), places, found, len(places))
+    variants = Variants.of(variant, well)
+    found = {name: quantity(results, name, variants.means(values[well])[0]) for name, values in columns}
+    return Points(results, tuple(varied), places[variants.first], found, len(places))
+
+
+def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> Quantity:
+    """Values of a column as shown."""
+    about = meta(results.schema.field(name))
+    return shown(name, about["unit"], values, log=about.get("scale") == "log")

@@ -1,0 +1,133 @@
+"""Recordings in MuJoCo's own viewer: played there, or written as MJCF whose keyframes are the recording."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import time
+import warnings
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.view.recorded_robot import robot_of
+from nermo_mjx.view.recording import Recording, RecordingError
+
+#: Frames that the viewer is given a second [Hz].
+_REFRESH: Final = 60.0
+#: Keyframes of one file; MuJoCo's viewer has a slider over them.
+MOST_KEYS: Final = 5000
+
+
+def set_sample(data: mujoco.MjData, recording: Recording, sample: int) -> None:
+    """Put a sample's time, positions, velocities and commands into MuJoCo's data, for `mj_forward`."""
+    data.time = float(recording.time[sample])
+    data.qpos[:], data.qvel[:], data.ctrl[:] = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]
+
+
+def play(
+    recording: Recording, robot: Robot | None = None, *, speed: float = 1.0, loop: bool = True, viewer: Any = None
+) -> None:
+    """Play a recording in MuJoCo's viewer, until its window is closed.
+
+    On macOS, run Python as `mjpython`.
+
+    Args:
+        recording: what is played.
+        robot: that was recorded; by default assembled from the recording's setup.
+        speed: 1 is real time, 0.25 a quarter of it.
+        loop: begin again at the end.
+        viewer: stands in for `mujoco.viewer`.
+
+    Raises:
+        ParameterError: speed is not allowed.
+        RecordingError: the recording does not fit the robot, or no window can be opened.
+    """
+    if not speed > 0.0:
+        raise ParameterError(f"speed is {speed:g}: allowed is (0, inf).")
+    model = (robot or robot_of(recording)).model
+    recording.check_model(model)
+    data = mujoco.MjData(model)
+    set_sample(data, recording, 0)
+    mujoco.mj_forward(model, data)
+    try:
+        window = (viewer or _viewer()).launch_passive(model, data)
+    except (RuntimeError, mujoco.FatalError) as error:
+        raise RecordingError(f"MuJoCo's viewer cannot open a window here ({error}).") from None
+    with window:
+        follow(window, recording, model, data, speed, loop)
+
+
+def _viewer() -> Any:
+    """`mujoco.viewer`, where there is a display: without one, opening it would end the process."""
+    import glfw
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not glfw.init():
+            raise RecordingError(
+                "MuJoCo's viewer needs a display, and there is none: write the recording with --xml FILE.xml "
+                "(write_keyframes), and open it where there is one."
+            )
+    return importlib.import_module("mujoco.viewer")
+
+
+def follow(
+    window: Any, recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, speed: float, loop: bool
+) -> None:
+    """Show the sample of each moment in an open viewer until it is closed, or until the end."""
+    began, first = time.perf_counter(), float(recording.time[0])
+    while window.is_running():
+        passed = speed * (time.perf_counter() - began)
+        if passed > recording.duration:
+            if not loop:
+                return
+            began, passed = time.perf_counter(), 0.0
+        sample = int(np.searchsorted(recording.time, first + passed + 1e-9, side="right")) - 1
+        with window.lock():
+            set_sample(data, recording, max(sample, 0))
+            mujoco.mj_forward(model, data)
+        window.sync()
+        time.sleep(1.0 / _REFRESH)
+
+
+def write_keyframes(
+    recording: Recording, path: str | os.PathLike[str], robot: Robot | None = None, *, rate: float = 25.0
+) -> int:
+    """Write the robot as one MJCF file whose keyframes are samples of the recording, and return their number.
+
+    Any MuJoCo of version 3 opens it, without this package: `python -m mujoco.viewer --mjcf=FILE.xml`, then the slider
+    "Key" and "Load key".
+
+    Args:
+        recording: what is written.
+        path: the file.
+        robot: that was recorded; by default assembled from the recording's setup.
+        rate: keyframes a second [Hz]; the nearest samples are taken.
+
+    Raises:
+        ParameterError: the rate is not allowed, or gives too many keyframes.
+        RecordingError: the recording does not fit the robot, or the file cannot be written.
+    """
+    if not rate > 0.0:
+        raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, inf).")
+    robot = robot or robot_of(recording)
+    recording.check_model(robot.model)
+    count = int(recording.duration * rate + 1e-6) + 1
+    if count > MOST_KEYS:
+        raise ParameterError(f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}.")
+    wanted = recording.time[0] + np.arange(count) / rate
+    samples = np.unique(np.abs(recording.time - wanted[:, None]).argmin(axis=1))
+    spec = mujoco.MjSpec.from_string(robot.to_xml())
+    for sample in samples:
+        key = spec.add_key(name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample]))
+        key.qpos, key.qvel, key.ctrl = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]
+    spec.compile()
+    try:
+        Path(path).write_text(spec.to_xml(), encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: the MJCF cannot be written ({error.strerror}).") from None
+    return len(samples)

@@ -1,0 +1,107 @@
+"""What the figures of a recording have in common: its gait, planned and measured contact, and the part they show."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import Any, Final
+
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.control.clock import limb_states
+from nermo_mjx.control.parameters import ControlParameters, published_values
+from nermo_mjx.robot import GAITS, LIMBS
+from nermo_mjx.rollout.attitude import attitude
+from nermo_mjx.view.recording import Recording
+
+#: A foot touches the ground if it bears more than this; the robot weighs 2.65 N [N].
+CONTACT: Final = 0.02
+#: Gait cycles that figures show of single steps: the last whole ones.
+SHOWN_CYCLES: Final = 4
+NAMES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Walk:
+    """A recording, and what its metadata say of its gait."""
+
+    recording: Recording
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """The parameters that are known by name."""
+        setup = self.recording.metadata.get("setup", {})
+        known: dict[str, Any] = published_values(setup["gait"]) if setup.get("gait") in GAITS else {}
+        return known | dict(self.recording.metadata.get("parameters", {}))
+
+    @property
+    def cycle(self) -> float | None:
+        """Simulated time of a gait cycle [s]; None if the recording does not say."""
+        frequency = self.values.get("frequency", 0.0)
+        return self.values.get("tracking.clock_ratio", 1.0) / frequency if frequency > 0 else None
+
+    @property
+    def title(self) -> str:
+        """The gait in words, after a colon; nothing where it is not known."""
+        setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
+        gait = NAMES.get(setup.get("gait", labels.get("gait")), "")
+        if self.cycle is None:
+            return f": {gait}" if gait else ""
+        return f": {gait} at {self.values['frequency']:.3g} Hz" if gait else f" at {self.values['frequency']:.3g} Hz"
+
+    @cached_property
+    def shown(self) -> tuple[slice, str]:
+        """The samples of the last whole gait cycles, or all, and what they are in words."""
+        time = self.recording.time
+        if self.cycle is None or time[-1] < self.cycle:
+            return slice(None), "the whole recording"
+        whole = int(time[-1] / self.cycle + 1e-6)
+        count = min(SHOWN_CYCLES, whole)
+        begin, end = np.searchsorted(time, [(whole - count) * self.cycle - 1e-9, whole * self.cycle + 1e-9])
+        return slice(int(begin), max(int(end), int(begin) + 2)), f"the last {count} whole gait cycles"
+
+    @cached_property
+    def planned(self) -> np.ndarray | None:
+        """Whether the gait has each foot on the ground, (T, 4); None if the recording does not say."""
+        offsets = [self.values.get(f"offset.{limb}") for limb in LIMBS]
+        duty = self.values.get("duty")
+        if self.cycle is None or duty is None or None in offsets:
+            return None
+        phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
+        gait = dataclasses.replace(ControlParameters().gait, duty=jnp.asarray(duty), offset=jnp.asarray(offsets, float))
+        return np.asarray(limb_states(gait, jnp.asarray(phase)).stance)
+
+    @cached_property
+    def contact(self) -> np.ndarray | None:
+        """Whether each foot bears a load, (T, 4); None without such a sensor."""
+        force = self.recording.sensors.get("foot_force")
+        return None if force is None else np.asarray(force) > CONTACT
+
+    @cached_property
+    def angles(self) -> np.ndarray | None:
+        """Roll, pitch and yaw of the torso, (T, 3) [deg]; the yaw does not jump. None without such a sensor."""
+        orientation = self.recording.sensors.get("orientation")
+        if orientation is None:
+            return None
+        found = np.array(attitude(jnp.asarray(orientation)), float)
+        found[:, 2] = np.unwrap(found[:, 2])
+        return np.degrees(found)
+
+
+def spans(flags: np.ndarray, time: np.ndarray) -> list[tuple[float, float]]:
+    """(begin, length) of each stretch of samples that are true; a sample stands for the time since the one before.
+
+    Args:
+        flags: (T,) bool.
+        time: (T,) [s].
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    begins = np.concatenate([time - step, [time[-1]]])
+    return [(float(begins[a]), float(begins[b] - begins[a])) for a, b in edges.reshape(-1, 2)]
+
+
+def name_of(limb: str) -> str:
+    """A limb's name for people."""
+    return limb.replace("_", " ")

@@ -1,0 +1,90 @@
+"""Completion in the shell: what is offered, quickly, and without anything heavy."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from nermo_mjx.cli import choices, main
+from nermo_mjx.cli.completing import offered
+
+
+def complete(line: str, folder: Path, shell: str = "bash") -> list[str]:
+    """What a shell is offered for the last word of a line, in a process of its own."""
+    words = line.split(" ")
+    fish = {"COMP_WORDS": line, "COMP_CWORD": words[-1]}
+    position = {"COMP_WORDS": line, "COMP_CWORD": str(len(words) - 1)}
+    script = (
+        "import sys\nfrom nermo_mjx.cli import main\n"
+        "try:\n    main(prog_name='nermo-mjx')\n"
+        "finally:\n    assert not {'jax', 'mujoco', 'numpy', 'pyarrow'} & set(sys.modules), 'heavy'\n"
+    )
+    environment = os.environ | {"_NERMO_MJX_COMPLETE": f"{shell}_complete"} | (fish if shell == "fish" else position)
+    environment |= {"PYTHONPATH": str(Path(__file__).parents[1])}
+    done = subprocess.run([sys.executable, "-c", script], env=environment, cwd=folder, capture_output=True, text=True)
+    assert "heavy" not in done.stderr
+    return done.stdout.splitlines()
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("trot.yaml", "walk.npz", "notes.txt", "runs/a.yaml", "runs/b.npz", "deep/er/c.yaml", ".hidden.yaml"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("line", "offer"),
+    [
+        ("nermo-mjx pl", ["plain,play", "plain,plot"]),
+        ("nermo-mjx walk --gait t", ["plain,trt", "plain,trt1"]),
+        ("nermo-mjx walk --set spine.a", ["plain,spine.amplitude=", "plain,spine.amplitude=X"]),
+        ("nermo-mjx walk --scene q", ["plain,quarter_circles"]),
+        ("nermo-mjx render --camera th", ["plain,three_quarter"]),
+        ("nermo-mjx plot runs --x roll_s", ["plain,roll_std"]),
+        ("nermo-mjx sweep ", ["plain,deep/", "plain,runs/", "plain,trot.yaml"]),
+        ("nermo-mjx play ", ["plain,deep/", "plain,runs/", "plain,walk.npz"]),
+        ("nermo-mjx tune runs/", ["plain,runs/a.yaml"]),
+        ("nermo-mjx tune d", ["plain,deep/er/c.yaml"]),
+        ("nermo-mjx tune nothing", ["file,nothing"]),
+    ],
+)
+def test_the_shell_offers_commands_names_and_files_by_their_kind(line: str, offer: list[str], folder: Path) -> None:
+    assert complete(line, folder) == offer
+
+
+def test_zsh_and_fish_are_offered_the_same(folder: Path) -> None:
+    assert "trot.yaml" in complete("nermo-mjx sweep t", folder, "zsh")
+    assert complete("nermo-mjx sweep t", folder, "fish") == ["plain,trot.yaml"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_command_prints_what_the_shell_needs(shell: str) -> None:
+    text = CliRunner().invoke(main, ["completion", shell]).stdout
+    assert f"_NERMO_MJX_COMPLETE={shell}_complete" in text
+    assert "nermo-mjx" in text
+
+
+def test_names_written_out_for_the_shell_are_those_of_the_package() -> None:
+    """After a parameter, metric or scene is added, `nermo_mjx/cli/choices.py` lists it, too."""
+    from nermo_mjx.plotting.files import FORMATS
+    from nermo_mjx.robot.files import scenes
+    from nermo_mjx.rollout import METRICS, all_parameters
+
+    assert set(choices.PARAMETERS) == set(all_parameters())
+    assert set(choices.METRICS) == set(METRICS)
+    assert set(choices.SCENES) == set(scenes())
+    assert choices.FORMATS == FORMATS
+
+
+def test_hidden_files_are_offered_when_asked_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    assert offered(".h", (".yaml",)) == [".hidden.yaml"]
+    assert offered(f"{folder}/tr", (".yaml",)) == [f"{folder}/trot.yaml"]
+    assert offered("missing/", (".yaml",)) == []

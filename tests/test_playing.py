@@ -1,0 +1,172 @@
+"""Recordings in MuJoCo's own viewer, and the robot's MJCF by itself: as far as a machine without a display can tell."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx import Recording, Run, Setup, Simulator, load_robot
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.view import RecordingError, play, recording_of, robot_of, write_keyframes
+from nermo_mjx.view.playing import set_sample
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Half a second of a walk."""
+    simulator = Simulator(Setup(spine="stride_extension"), "c")
+    trace = simulator.run({}, Run(duration=0.5, warmup=0.1), record=True).trace
+    setup = {"spine": "stride_extension", "scene": "flat", "tail": "rigid"}
+    return recording_of(trace, simulator.robot.model, metadata={"setup": setup})
+
+
+@pytest.mark.parametrize("sample", [0, 17, 49])
+def test_mujocos_forward_gives_the_recorded_readings(recording: Recording, sample: int) -> None:
+    """A sensor was read a physics step before the positions, so that its way in that step lies between them."""
+    robot = robot_of(recording)
+    data = mujoco.MjData(robot.model)
+    set_sample(data, recording, sample)
+    mujoco.mj_forward(robot.model, data)
+    now = robot.sensors(np.array(data.sensordata))
+    step = robot.model.opt.timestep
+    for name, rate in (
+        ("position", "linear_velocity"),
+        ("servo_angle", "servo_velocity"),
+        ("foot_position", "foot_velocity"),
+    ):
+        before = np.asarray(getattr(now, name)) - step * np.asarray(getattr(now, rate))
+        span = step * np.abs(recording.sensors[rate][sample]).max() + 1e-6
+        np.testing.assert_allclose(before, recording.sensors[name][sample], atol=0.25 * span)
+    assert data.time == recording.time[sample]
+
+
+def test_a_file_of_keyframes_needs_mujoco_alone(recording: Recording, tmp_path: Path) -> None:
+    """In a folder of its own and without this package, MuJoCo steps through the recording."""
+    count = write_keyframes(recording, tmp_path / "walk.xml", rate=20.0)
+    script = (
+        "import sys, mujoco, numpy as np\n"
+        "m = mujoco.MjModel.from_xml_path('walk.xml'); d = mujoco.MjData(m)\n"
+        "out = []\n"
+        "for k in range(m.nkey):\n"
+        "    mujoco.mj_resetDataKeyframe(m, d, k); mujoco.mj_forward(m, d)\n"
+        "    out.append([d.time, *d.qpos, *d.qvel, *d.ctrl])\n"
+        "mujoco.mj_step(m, d)\n"
+        "assert 'nermo_mjx' not in sys.modules and 'jax' not in sys.modules\n"
+        "np.save('keys.npy', out)\n"
+    )
+    subprocess.run([sys.executable, "-I", "-c", script], cwd=tmp_path, check=True)
+    keys = np.load(tmp_path / "keys.npy")
+    assert len(keys) == count == 11
+    samples = np.abs(recording.time - keys[:, :1]).argmin(axis=1)
+    np.testing.assert_allclose(np.diff(keys[:, 0]), 0.05, atol=1e-9)
+    wanted = np.concatenate([recording.time[:, None], recording.qpos, recording.qvel, recording.ctrl], axis=1)
+    np.testing.assert_allclose(keys, wanted[samples], atol=2e-5)
+
+
+class Window:
+    """A viewer that is closed after some frames, and notes what it shows."""
+
+    def __init__(self, frames: int) -> None:
+        self.frames, self.shown, self.closed = frames, list[float](), False
+
+    def launch_passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> Window:
+        self.model, self.data = model, data
+        return self
+
+    def __enter__(self) -> Window:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.closed = True
+
+    def is_running(self) -> bool:
+        return len(self.shown) < self.frames
+
+    def lock(self) -> contextlib.AbstractContextManager[None]:
+        return contextlib.nullcontext()
+
+    def sync(self) -> None:
+        self.shown.append(self.data.time)
+
+
+def test_a_recording_plays_in_real_time_or_faster_and_again(recording: Recording) -> None:
+    """Time goes on with the clock, times the speed, and begins again at the end; the window is closed in the end."""
+    window = Window(60)
+    play(recording, speed=2.0, viewer=window)
+    shown = np.array(window.shown)
+    assert window.closed
+    assert shown.min() == pytest.approx(recording.time[0], abs=0.1)
+    assert shown.max() > 0.8 * recording.time[-1]
+    assert (np.diff(shown) < 0).any(), "it begins again"
+    window = Window(10**6)
+    play(recording, speed=20.0, loop=False, viewer=window)
+    assert (np.diff(window.shown) >= 0).all()
+    assert window.closed
+
+
+def test_what_cannot_be_played_is_said(recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ParameterError, match="speed is 0"):
+        play(recording, speed=0.0)
+    with pytest.raises(ParameterError, match="keyframes, of 5,000"):
+        write_keyframes(recording, tmp_path / "a.xml", rate=1e5)
+    with pytest.raises(ParameterError, match="rate is -1"):
+        write_keyframes(recording, tmp_path / "a.xml", rate=-1.0)
+    with pytest.raises(RecordingError, match="cannot be written"):
+        write_keyframes(recording, tmp_path / "missing" / "a.xml")
+    with pytest.raises(RecordingError, match="positions, but the model has"):
+        play(recording, load_robot(tail="articulated"))
+    if "DISPLAY" not in os.environ and "WAYLAND_DISPLAY" not in os.environ and sys.platform == "linux":
+        with pytest.raises(RecordingError, match="needs a display"):
+            play(recording)
+
+
+@pytest.mark.parametrize("tail", ["rigid", "articulated"])
+def test_the_robots_mjcf_by_itself_has_the_same_physics(tail: str, tmp_path: Path) -> None:
+    """`model --xml`, copied to an empty folder: MuJoCo without this package steps it to the same state."""
+    file = tmp_path / "robot.xml"
+    command = [sys.executable, "-m", "nermo_mjx", "model", "--tail", tail, "--xml", str(file), "--quiet"]
+    subprocess.run(command, check=True)
+    script = (
+        "import sys, mujoco, numpy as np\n"
+        "m = mujoco.MjModel.from_xml_path('robot.xml'); d = mujoco.MjData(m)\n"
+        "d.ctrl[:] = 0.1\n"
+        "for _ in range(100): mujoco.mj_step(m, d)\n"
+        "assert 'nermo_mjx' not in sys.modules\n"
+        "np.savez('state.npz', qpos=d.qpos, mass=m.body_mass, friction=m.pair_friction)\n"
+    )
+    subprocess.run([sys.executable, "-I", "-c", script], cwd=tmp_path, check=True)
+    model = load_robot(tail=tail).model
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 0.1
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+    with np.load(tmp_path / "state.npz") as state:
+        np.testing.assert_allclose(state["mass"], model.body_mass, rtol=1e-5)
+        np.testing.assert_allclose(state["friction"], model.pair_friction, rtol=1e-5)
+        # XML holds six digits of each number, which a tenth of a second of contact makes a little more of.
+        np.testing.assert_allclose(state["qpos"], data.qpos, atol=5e-4)
+        assert np.abs(data.qpos - model.qpos0).max() > 0.05
+
+
+def test_the_robots_mjcf_by_itself_loads_in_mjx(tmp_path: Path) -> None:
+    """MJX takes the model over as it is; nothing is compiled."""
+    file = tmp_path / "robot.xml"
+    file.write_text(load_robot().to_xml())
+    script = (
+        "import mujoco, sys\nfrom mujoco import mjx\n"
+        "m = mujoco.MjModel.from_xml_path('robot.xml'); x = mjx.put_model(m); d = mjx.make_data(m)\n"
+        "assert 'nermo_mjx' not in sys.modules\n"
+        "print(x.nq, x.nu, x.ntendon, d.qpos.shape[0])\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", script], cwd=tmp_path, check=True, capture_output=True, text=True
+    )
+    model = load_robot().model
+    assert done.stdout.splitlines()[-1].split() == [str(n) for n in (model.nq, model.nu, model.ntendon, model.nq)]

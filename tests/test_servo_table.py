@@ -1,0 +1,206 @@
+"""Servo tables for the real robot: what the controller commands, periodic, in degrees, on the robot's channels."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from nermo_mjx import SERVOS, Run, ServoTable, Setup, Simulator, load_robot, servo_table
+from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.interface import servo_range
+from nermo_mjx.sweep import SpecError
+
+#: The balancing spine jumps where a leg switches, so that no tick may fall on a switch but for its rounding.
+GAITS = [
+    (Setup(gait="trt", spine="stride_extension"), {"frequency": 0.8, "spine.phase": -0.5}),
+    (Setup(gait="lat", steering="mix"), {"frequency": 0.5, "pilot.turn_rate": -0.4}),
+    (
+        Setup(gait="trt1", spine="stride_extension+balance"),
+        {"frequency": 1.0, "spine.offset_compensation": 1.0, "start.phase": 0.004},
+    ),
+    (Setup(gait="trt", spine="stride_extension", profile="as_published"), {"frequency": 0.8}),
+]
+
+
+@pytest.mark.parametrize(("setup", "values"), GAITS, ids=["trot", "turn", "modes", "published"])
+def test_a_table_is_what_the_simulation_commands(setup: Setup, values: dict[str, float]) -> None:
+    """The simulated servos are given the same angles, cycle for cycle: tick k of a steady cycle is row k."""
+    recorded = dataclasses.replace(setup, pilot="open_loop")
+    ratio = recorded.defaults()["tracking.clock_ratio"]
+    period = ratio / values["frequency"]
+    rate = 100.0 * ratio  # rows a second of the controller's clock: a row a tick
+    table = servo_table(setup, values, rate=rate)
+    result = Simulator(recorded, "c").run(values, Run(cycles=9, warmup_cycles=1), record=True)
+    assert result.trace is not None
+    ctrl = np.degrees(np.asarray(result.trace.ctrl)[0])
+    # The simulated servos follow no faster than they can, 15 rad/s, where the balancing spine jumps.
+    angles, reach = table.angles.copy(), np.degrees(recorded.defaults()["servo.speed"]) / 100.0
+    for row in [*range(1, len(angles)), *range(len(angles))]:
+        angles[row] = angles[row - 1] + np.clip(table.angles[row] - angles[row - 1], -reach, reach)
+    phase = np.asarray(result.trace.time)[-len(table.time) :] / period % 1.0
+    rows = np.round(phase * len(table.time)).astype(int) % len(table.time)
+    error = np.abs(ctrl[-len(table.time) :] - angles[rows])
+    # Single precision there, double here.
+    assert error.max() < 0.02
+
+
+def test_a_servo_is_where_the_leg_needs_it_at_the_end_of_stance() -> None:
+    """By the closed form alone: at phase 0 of the trot, a front left stance begins half a cycle later at the front."""
+    table = servo_table(Setup(gait="trt"), {"frequency": 1.0}, rate=100.0)
+    half = table.angles[50]
+    # The stance of front left begins at phase 0.5: its foot is half a stride ahead of its neutral place.
+    place = np.array([-0.005 - 0.03, -0.045])
+    leg = four_legs()
+    servo = np.degrees(np.asarray(inverse(leg, np.broadcast_to(place, (4, 2)), "type3").servo))[0]
+    assert table.angles[50, 0] == pytest.approx(servo[0], abs=0.05)
+    assert half[SERVOS.index("front_left_knee")] == pytest.approx(servo[1], abs=0.05)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 0.67, 0.83])
+@pytest.mark.parametrize("rate", [30.0, 50.0, 120.0])
+def test_whole_cycles_are_whole_rows(frequency: float, rate: float) -> None:
+    """The rows divide the cycles evenly, at nearly the rate asked for, and the end leads to the beginning."""
+    table = servo_table(Setup(gait="trt"), {"frequency": frequency}, rate=rate, cycles=3)
+    assert table.rate == pytest.approx(rate, rel=0.51 / len(table.time))
+    assert len(table.time) / table.rate == pytest.approx(3 / frequency, rel=1e-12)
+    steps = np.abs(np.diff(np.concatenate([table.angles, table.angles[:1]]), axis=0)).max(axis=1)
+    assert steps[-1] <= steps[:-1].max() * 1.01
+    assert steps.max() == pytest.approx(table.speed.max() / table.rate)
+    if len(table.time) % 3 == 0:
+        cycle = len(table.time) // 3
+        np.testing.assert_allclose(table.angles[:cycle], table.angles[cycle : 2 * cycle], atol=1e-4)
+
+
+def test_a_cycle_and_three_cycles_are_the_same_gait() -> None:
+    one = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0)
+    three = servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=50.0, cycles=3)
+    np.testing.assert_allclose(np.tile(one.angles, (3, 1)), three.angles, atol=1e-4)
+
+
+def test_left_and_right_turns_mirror_each_other() -> None:
+    """A trot's turn to the left is that to the right, half a cycle later on the other side."""
+    tables = [servo_table(Setup(gait="trt", steering="mix"), {"frequency": 1.0, "pilot.turn_rate": turn}, rate=100.0)
+              for turn in (0.6, -0.6)]  # fmt: skip
+    left, right = (table.angles for table in tables)
+    other = [SERVOS.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
+             for name in tables[0].names]  # fmt: skip
+    signs = np.array([-1.0 if name in ("spine", "neck") else 1.0 for name in tables[0].names])
+    np.testing.assert_allclose(left, signs * np.roll(right, 50, axis=0)[:, other], atol=0.02)
+    assert left[:, SERVOS.index("spine")].mean() > 5.0
+
+
+def test_columns_are_the_robots_servos_in_the_order_of_ctrl() -> None:
+    model = load_robot().model
+    table = servo_table(rate=30.0)
+    assert [f"{name}_servo" for name in table.names] == [model.actuator(i).name for i in range(model.nu)]
+    limits = np.radians([[channel.low, channel.high] for channel in table.channels])
+    np.testing.assert_allclose(limits, model.actuator_ctrlrange)
+    assert [channel.number for channel in table.channels] == list(range(model.nu))
+    assert servo_table(Setup(tail="articulated"), rate=30.0).names[-1] == "tail"
+
+
+CHANNELS = {
+    "spine": {"channel": 0, "direction": -1, "zero": 90.0},
+    "front_right_hip": {"channel": 5, "direction": -1, "zero": 92.5, "low": 0, "high": 180},
+    "front_left_hip": {"channel": 2},
+}
+
+
+def test_channels_order_turn_and_shift_the_columns(tmp_path: Path) -> None:
+    setup = Setup(spine="stride_extension")
+    plain = servo_table(setup, rate=30.0)
+    file = tmp_path / "channels.yaml"
+    file.write_text("".join(f"{name}: {fields}\n".replace("'", "") for name, fields in CHANNELS.items()))
+    for source in (CHANNELS, file):
+        table = servo_table(setup, rate=30.0, channels=source)
+        assert table.names == ("spine", "front_left_hip", "front_right_hip")
+        np.testing.assert_allclose(table.angles[:, 0], 90.0 - plain.angles[:, 8])
+        np.testing.assert_allclose(table.angles[:, 1], plain.angles[:, 0])
+        np.testing.assert_allclose(table.angles[:, 2], 92.5 - plain.angles[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"spin": {"channel": 3}}, "field 'spin' is no servo; did you mean 'spine'?"),
+        ({"neck": {"channel": 2}}, "is 2, which front_left_hip has already."),
+        ({"neck": {"channel": -1}}, "expected 0, 1, 2, ..."),
+        ({"neck": {"zero": 90}}, "the channel is missing"),
+        ({"neck": {"channel": 3, "direction": 2}}, "is 2: allowed is 1 or -1."),
+        ({"neck": {"channel": 3, "zeros": 2}}, "is unknown; did you mean 'zero'?"),
+        ({"neck": {"channel": 3, "zero": "ninety"}}, "is the text 'ninety': expected a finite number."),
+        ({"neck": {"channel": 3, "low": 100, "high": 80}}, "low must be less."),
+        ({"neck": 3}, "expected a mapping"),
+    ],
+)
+def test_wrong_channels_are_refused(change: dict, sentence: str) -> None:
+    with pytest.raises(SpecError) as refused:
+        servo_table(channels=CHANNELS | change, rate=30.0)
+    assert sentence in str(refused.value)
+
+
+def test_an_angle_beyond_a_limit_is_refused() -> None:
+    with pytest.raises(
+        ParameterError, match=r"front_left_hip would go to 8\d\.\d deg at .* above its limit of 45\.0 deg"
+    ):
+        servo_table(channels={"front_left_hip": {"channel": 0, "high": 45}}, rate=30.0)
+    low, high = np.degrees(servo_range("spine"))
+    table = servo_table(Setup(spine="stride_extension"), rate=30.0)
+    assert low < table.angles[:, 8].min() < table.angles[:, 8].max() < high
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"rate": 0.0}, "rate is 0 Hz: allowed is (0, 1000]."),
+        ({"rate": 1.0}, "needs at least four rows"),
+        ({"cycles": 0}, "allowed is a whole number from 1 on"),
+        ({"cycles": 10**7}, "rows, of 1,000,000."),
+        ({"values": {"frequncy": 1.0}}, "frequncy"),
+        ({"values": {"frequency": 9.0}}, "frequency is 9: allowed is"),
+        ({"values": {"frequency": np.array([0.5, 0.6])}}, "a servo table is of one gait"),
+        ({"values": {"stride": 3.0, "stance.max_stride": 0.15}}, "stride"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments: dict, sentence: str) -> None:
+    with pytest.raises(ParameterError) as refused:
+        servo_table(**arguments)
+    assert sentence in str(refused.value)
+
+
+def test_the_csv_is_read_by_pandas_and_by_hand() -> None:
+    """Comments, one line of headings with units, numbers to a thousandth of a degree."""
+    table = servo_table(rate=30.0, cycles=2)
+    text = table.to_csv("a trot")
+    frame = pd.read_csv(io.StringIO(text), comment="#")
+    assert list(frame.columns) == ["time [s]", *(f"{name} [deg]" for name in table.names)]
+    np.testing.assert_allclose(frame.to_numpy()[:, 1:], table.angles, atol=5.1e-4)
+    np.testing.assert_allclose(frame["time [s]"], table.time, atol=5.1e-7)
+    rows = [row for row in csv.reader(text.splitlines()) if not row[0].startswith("#")]
+    assert len(rows) == 1 + len(table.time)
+    assert text.startswith("# a trot\n# 2 gait cycles of ")
+    assert "-0.000" not in text
+    assert isinstance(table, ServoTable)
+
+
+def test_the_command_writes_the_table(tmp_path: Path) -> None:
+    """The same numbers as from Python, and nothing but JSON on standard output."""
+    out = tmp_path / "new" / "gait.csv"
+    command = [sys.executable, "-m", "nermo_mjx", "servos", "--gait", "lat", "--frequency", "0.5", "--turn-rate", "0.3",
+               "--rate", "40", "--cycles", "2", "--out", str(out), "--json"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    report = json.loads(done.stdout)
+    table = servo_table(Setup(gait="lat"), {"frequency": 0.5, "pilot.turn_rate": 0.3}, rate=40.0, cycles=2)
+    assert report["rows"] == len(table.time) == 160
+    assert [servo["servo"] for servo in report["servos"]] == list(table.names)
+    np.testing.assert_allclose(pd.read_csv(out, comment="#").to_numpy()[:, 1:], table.angles, atol=5.1e-4)
