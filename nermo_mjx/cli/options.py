@@ -67,7 +67,8 @@ def scene(function: F) -> F:
 
 def camera(function: F) -> F:
     """`--camera`."""
-    return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}; eyes: the head's.",
+    known = f"{', '.join(VIEWS)}; eyes: the head's."
+    return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=known,
                         shell_complete=names(*VIEWS, "eyes"))(function)  # fmt: skip
 
 

@@ -19,7 +19,7 @@ EPILOG = """\b
 Examples:
   nermo-mjx render walk.npz --out walk.mp4
   nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
-  nermo-mjx render spine.npz stiff.npz --out both.mp4 --overlay gait --overlay support
+  nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
 """
 
 
