@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import fcntl
 import itertools
 import json
 import os
@@ -176,21 +175,16 @@ def browser(path: str, webgl: bool = True) -> Iterator[Browser]:
     """A running Chromium, ended with the context."""
     to_read, to_write = os.pipe()
     back_read, back_write = os.pipe()
-    # Chromium reads from 3 and writes to 4; high copies are safe from being overwritten.
-    ours = [fcntl.fcntl(fd, fcntl.F_DUPFD_CLOEXEC, 20) for fd in (to_read, back_write)]
-
-    def connect() -> None:
-        os.dup2(ours[0], 3)
-        os.dup2(ours[1], 4)
-
+    # Chromium reads from 3 and writes to 4; a shell puts them there, as Python has threads that no fork may copy.
+    connect = f'exec "$0" "$@" 3</dev/fd/{to_read} 4>/dev/fd/{back_write}'
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         flags = (*FLAGS, *(SOFTWARE if webgl else WITHOUT_WEBGL), f"--user-data-dir={profile}")
         process = subprocess.Popen(
-            [path, *flags], preexec_fn=connect, pass_fds=(3, 4), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            ["sh", "-c", connect, path, *flags], pass_fds=(to_read, back_write), stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
-        for fd in (to_read, back_write, *ours):
-            os.close(fd)
+        os.close(to_read)
+        os.close(back_write)
         try:
             yield Browser(process, to_write, back_read)
         finally:

@@ -364,6 +364,24 @@ def test_a_page_of_another_model_draws_its_shapes_and_meshes(
     assert tab.evaluate("viewer.clips[0].model.shapes[1].seen.attributes.position.count") == 12, "four triangles"
 
 
+def test_the_curved_skull_is_smooth(tab: chromium.Tab, one: Path) -> None:
+    """Corners of a triangle on a curved mesh have normals of their own; on a faceted one they share the face's."""
+    opened(tab, one)
+    shares = tab.evaluate("""(() => {
+        const { bodies, shapes } = viewer.clips[0].model;
+        const normal = shapes[bodies.indexOf("head")].seen.attributes.normal;
+        let flat = 0;
+        for (let i = 0; i < normal.count; i += 3) {
+            const at = (k) => [normal.getX(k), normal.getY(k), normal.getZ(k)];
+            const [a, b, c] = [at(i), at(i + 1), at(i + 2)];
+            const same = (p, q) => p.every((value, k) => Math.abs(value - q[k]) < 1e-3);
+            if (same(a, b) && same(b, c)) flat++;
+        }
+        return flat / (normal.count / 3);
+    })()""")
+    assert shares < 0.6
+
+
 def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(program: str, one: Path) -> None:
     with chromium.browser(program, webgl=False) as running, running.tab() as tab:
         opened(tab, one, 900, 600)
@@ -372,3 +390,14 @@ def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(program:
         tab.key(" ")
         tab.wait("viewer.player.time > 0.1")
         assert tab.evaluate("document.querySelector('[data-plot=force] output').textContent") != ""
+
+
+def test_a_page_that_may_not_start_says_so(browser: chromium.Browser, one: Path, tmp_path: Path) -> None:
+    """As in a frame whose host forbids scripts from data URLs."""
+    rule = "<meta http-equiv='Content-Security-Policy' content=\"script-src 'unsafe-inline'\">"
+    path = tmp_path / "forbidden.html"
+    path.write_text(one.read_text(encoding="utf-8").replace("</title>", f"</title>{rule}", 1), encoding="utf-8")
+    with browser.tab() as tab:
+        tab.open(path, 700, 400)
+        tab.wait("document.getElementById('failed') && !document.getElementById('failed').hidden")
+        assert "could not start" in tab.evaluate("document.getElementById('failed').innerText")

@@ -27,10 +27,8 @@ Examples:
 
 
 @click.command("view", epilog=EPILOG)
-@click.argument("recording", metavar="FILE.npz", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument(
-    "other", metavar="[OTHER.npz]", required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path)
-)
+@click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
+@click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page there, to keep or to share.")
 @click.option("--no-open", is_flag=True, help="Open no browser.")
 @options.report

@@ -21,7 +21,8 @@ def title_of(recording: Recording) -> str:
     """The gait, its frequency and what the spine does, as far as the recording says."""
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait = setup.get("gait")
-    parts = [_GAITS.get(str(gait), str(gait))] if gait else ["Recording"]
+    # Those of the experiments have a case instead.
+    parts = [_GAITS.get(str(gait), str(gait)) if gait else str(recording.metadata.get("case", "Recording"))]
     if (frequency := _number(parameters.get("frequency"))) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")

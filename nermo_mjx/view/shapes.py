@@ -24,8 +24,9 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
     """Bodies, geoms and meshes of a model, as the page reads them.
 
     Returns:
-        `bodies`: names; `geoms`: of each `kind`, `body`, `size`, `pos`, `quat` in its body [m], `rgba`, `shine` in
-        [0, 1], `collides`, and for a mesh its index; `meshes`: entries of vertices and faces.
+        `bodies`: names; `eyes`: the camera of that name with body, pose and field of view, or None; `geoms`: of each
+        `kind`, `body`, `size`, `pos`, `quat` in its body [m], `rgba`, `shine` in [0, 1], `collides`, and for a mesh
+        its index; `meshes`: entries of vertices and faces.
     """
     meshes: dict[int, int] = {}
     geoms = []
@@ -45,9 +46,20 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
         geoms.append(geom)
     return {
         "bodies": [model.body(i).name for i in range(model.nbody)],
+        "eyes": _eyes(model),
         "geoms": geoms,
         "meshes": [_mesh(model, mesh, packer) for mesh in meshes],
     }
+
+
+def _eyes(model: mujoco.MjModel) -> dict[str, Any] | None:
+    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "eyes")
+    if camera < 0:
+        return None
+    return {
+        "body": int(model.cam_bodyid[camera]), "pos": _rounded(model.cam_pos[camera]),
+        "quat": _rounded(model.cam_quat[camera]), "fovy": float(model.cam_fovy[camera]),
+    }  # fmt: skip
 
 
 def _mesh(model: mujoco.MjModel, mesh: int, packer: Packer) -> dict[str, Any]:

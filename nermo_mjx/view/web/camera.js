@@ -1,4 +1,4 @@
-// Views of the robot: from where they look, how they follow, and the view out of the head.
+// Views of the robot: from where they look, how they follow, and what it sees itself.
 
 import { PerspectiveCamera, Quaternion, Vector3, OrbitControls } from "three";
 
@@ -9,14 +9,10 @@ export const VIEWS = {
   top: { label: "Top", azimuth: 0, elevation: -89.9 },
   front: { label: "Front", azimuth: 90, elevation: -12 },
   rear: { label: "Rear", azimuth: -90, elevation: -18 },
-  head: { label: "Out of the head" },
+  eyes: { label: "Its eyes" },
 };
 
 const FIELD = 32; // vertical [degrees]
-const HEAD_FIELD = 75;
-/** Where the eyes are in the head's frame [m]; the nose points to -y. The head itself is hidden from them. */
-const EYES = new Vector3(0, -0.03, 0.012);
-
 export class CameraMan {
   constructor(canvas, changed) {
     this.camera = new PerspectiveCamera(FIELD, 1, 0.005, 30);
@@ -33,9 +29,9 @@ export class CameraMan {
   /** Looks from one of `VIEWS`, as far away as a body of `radius` needs. */
   look(view) {
     this.view = view;
-    this.controls.enabled = view !== "head";
-    this.camera.fov = view === "head" ? HEAD_FIELD : FIELD;
-    if (view !== "head") {
+    this.controls.enabled = view !== "eyes";
+    this.camera.fov = FIELD;
+    if (view !== "eyes") {
       const turn = (VIEWS[view].azimuth * Math.PI) / 180;
       const rise = (-VIEWS[view].elevation * Math.PI) / 180;
       const away = new Vector3(-Math.cos(turn) * Math.cos(rise), -Math.sin(turn) * Math.cos(rise), Math.sin(rise));
@@ -53,23 +49,24 @@ export class CameraMan {
   moveTo(x, y, z) {
     const before = this.target.clone();
     this.target.set(x, y, z);
-    if (!this.follow || this.view === "head") return;
+    if (!this.follow || this.view === "eyes") return;
     const way = before.subVectors(this.target, before);
     this.camera.position.add(way);
     this.controls.target.add(way);
   }
 
-  /** Looks out of a head at this place. */
-  ride(position, quaternion) {
-    const turn = new Quaternion(quaternion[1], quaternion[2], quaternion[3], quaternion[0]);
-    this.camera.up.set(0, 0, 1);
-    this.camera.position.copy(EYES).applyQuaternion(turn).add(new Vector3(...position));
-    this.camera.lookAt(new Vector3(0, -1, -0.18).applyQuaternion(turn).add(this.camera.position));
+  /** Looks through the model's camera `eyes` on a body at this place; MuJoCo's cameras look along -z, as these do. */
+  ride(eyes, position, quaternion) {
+    const [w, x, y, z] = eyes.quat;
+    this.camera.position.set(...eyes.pos).applyQuaternion(quaternion).add(position);
+    this.camera.quaternion.copy(quaternion).multiply(new Quaternion(x, y, z, w));
+    this.camera.fov = eyes.fovy;
+    this.camera.updateProjectionMatrix();
   }
 
   setFollow(on) {
     this.follow = on;
-    if (!on || this.view === "head") return;
+    if (!on || this.view === "eyes") return;
     // Catches up with the robot, from the side that it looks from.
     this.camera.position.add(this.target).sub(this.controls.target);
     this.controls.target.copy(this.target);

@@ -32,10 +32,10 @@ export function wireTransport(player) {
   update();
 }
 
-/** Fills the list of views and calls back with the chosen one. */
-export function wireViews(choose) {
+/** Fills the list with some of `VIEWS` and calls back with the chosen one. */
+export function wireViews(names, choose) {
   const select = find("view");
-  for (const [name, view] of Object.entries(VIEWS)) select.append(new Option(view.label, name));
+  for (const name of names) select.append(new Option(VIEWS[name].label, name));
   select.addEventListener("change", () => choose(select.value));
   return (name) => {
     select.value = name;

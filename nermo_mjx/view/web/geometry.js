@@ -20,6 +20,7 @@ export function readModel(header, buffer) {
   const merged = (list) => (list.length ? mergeGeometries(list) : null);
   return {
     bodies: header.bodies,
+    eyes: header.eyes,
     shapes: parts.map((part) => ({ seen: merged(part.seen), collides: merged(part.collides) })),
     hasGround: header.geoms.some((geom) => geom.kind === "plane" && geom.size[0] === 0),
   };
@@ -29,7 +30,9 @@ function meshGeometry(vertices, faces) {
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(vertices, 3));
   geometry.setIndex(new BufferAttribute(faces, 1));
-  return toCreasedNormals(geometry, CREASE);
+  // It takes vertices nearer than 0.01 for one; the robot's are tenths of a millimetre apart.
+  const scale = 1e5;
+  return toCreasedNormals(geometry.scale(scale, scale, scale), CREASE).scale(1 / scale, 1 / scale, 1 / scale);
 }
 
 /** A geom in its body's frame; MuJoCo's cylinders and capsules stand along z, those of three.js along y. */

@@ -9,7 +9,7 @@ const SHORTCUTS = [
   [["End"], "last", "End", "to the end"],
   [["ArrowDown", "-"], "slower", "↓", "slower"],
   [["ArrowUp", "+"], "faster", "↑", "faster"],
-  [["1", "2", "3", "4", "5", "6"], "view", "1 – 6", "view: three-quarter, side, top, front, rear, out of the head"],
+  [["1", "2", "3", "4", "5", "6"], "view", "1 – 6", "view: three-quarter, side, top, front, rear, its eyes"],
   [["f"], "follow", "F", "follow the robot, or stay"],
   [["t"], "tendons", "T", "tendons"],
   [["c"], "forces", "C", "contact forces"],

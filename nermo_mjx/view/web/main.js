@@ -67,10 +67,11 @@ function makeStage(clips) {
 }
 
 function wireControls(player, stage, plots, clips) {
-  const setView = wireViews((view) => look(view));
+  const views = Object.keys(VIEWS).filter((view) => view !== "eyes" || clips[0].model.eyes);
+  const setView = wireViews(views, (view) => look(view));
   const look = (view) => {
+    if (!stage || !views.includes(view)) return;
     setView(view);
-    if (!stage) return;
     stage.turned = false;
     stage.look(view);
   };
@@ -113,7 +114,7 @@ function wireControls(player, stage, plots, clips) {
     last: () => player.seek(player.end),
     slower: () => player.shiftSpeed(-1),
     faster: () => player.shiftSpeed(1),
-    view: (key) => look(Object.keys(VIEWS)[Number(key) - 1]),
+    view: (key) => look(views[Number(key) - 1]),
     loop: () => player.setLoop(!player.loop),
     plots: toggle("plots-toggle"),
     compare: () => clips.length > 1 && nextComparison(),

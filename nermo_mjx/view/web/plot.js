@@ -1,5 +1,7 @@
 // One plot over time: axes with units, curves or bars, a cursor at the time, and values beside the names.
 
+import { LIMBS } from "viewer/colours.js";
+
 const LEFT = 40;
 const RIGHT = 14;
 const TOP = 6;
@@ -29,6 +31,12 @@ export class Plot {
     this.legend.className = "legend";
     this.readouts = new Map();
     for (const line of lines) if (!line.faint) this.legend.append(this.#chip(line));
+    const faint = lines.find((line) => line.faint);
+    if (faint && this.rows.length === 1) {
+      const note = document.createElement("small");
+      note.textContent = `faint: ${faint.name.split(", ").pop()}`;
+      this.legend.append(note);
+    }
     this.area = document.createElement("div");
     this.area.className = "area";
     this.area.style.height = `${this.height}px`;
@@ -51,7 +59,8 @@ export class Plot {
     const mark = document.createElement("i");
     mark.style.background = `var(--${line.colour})`;
     const value = document.createElement("output");
-    chip.append(mark, line.name, value);
+    // Where values are shown there is no room for more.
+    chip.append(mark, this.about.bars ? line.name : short(line), value);
     if (!this.about.bars) this.readouts.set(line.name, value);
     chip.addEventListener("click", () => {
       const hide = !this.hidden.delete(line.name);
@@ -169,8 +178,7 @@ export class Plot {
         const top = TOP + BAR * (limb * all + i);
         paper.textAlign = "right";
         paper.fillStyle = this.colours.muted;
-        const short = about.name.split(" ").map((word) => word[0].toUpperCase()).join("");
-        paper.fillText(all > 1 ? `${short} ${"AB"[i]}` : short, LEFT - 5, top + 11);
+        paper.fillText(all > 1 ? `${short(about)} ${"AB"[i]}` : short(about), LEFT - 5, top + 11);
         if (this.hidden.has(about.name)) return;
         paper.fillStyle = this.colours[about.colour];
         paper.globalAlpha = i ? 0.55 : 1;
@@ -217,6 +225,12 @@ export class Plot {
       output.textContent = values.join(" | ");
     }
   }
+}
+
+/** The name of a line, FL and so on for a limb's. */
+function short(line) {
+  if (!LIMBS.includes(line.colour)) return line.name;
+  return line.colour.split("_").map((word) => word[0].toUpperCase()).join("");
 }
 
 function shown(value) {

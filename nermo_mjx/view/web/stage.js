@@ -133,7 +133,7 @@ export class Stage {
       z += point[2] * share;
     }
     this.man.moveTo(x, y, z);
-    if (this.man.view === "head") this.#ride();
+    if (this.man.view === "eyes") this.#ride();
     this.ground.moveTo(x, y);
     this.sun.target.position.set(x, y, 0);
     this.sun.position.set(x, y, 0).addScaledVector(SUN, 1.1);
@@ -142,17 +142,11 @@ export class Stage {
     this.stale = true;
   }
 
-  /** The first robot's head; of a model without one, what the camera follows. */
-  get #head() {
-    const { clip, robot } = this.actors[0];
-    const head = clip.model.bodies.indexOf("head");
-    return robot.bodies[head < 0 ? clip.root : head];
-  }
-
   #ride() {
-    const place = this.#head.position.clone().add(this.actors[0].group.position);
-    const { x, y, z, w } = this.#head.quaternion;
-    this.man.ride(place.toArray(), [w, x, y, z]);
+    const { clip, robot, group } = this.actors[0];
+    const { eyes } = clip.model;
+    const body = robot.bodies[eyes.body];
+    this.man.ride(eyes, body.position.clone().add(group.position), body.quaternion);
   }
 
   /** Whether the camera goes with the robot; it catches up where it had stayed. */
@@ -163,8 +157,7 @@ export class Stage {
 
   look(view) {
     this.man.look(view);
-    this.#head.visible = view !== "head";
-    if (view === "head") this.#ride();
+    if (view === "eyes") this.#ride();
     this.stale = true;
   }
 
