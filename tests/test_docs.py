@@ -90,7 +90,9 @@ def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.Monke
     assert main.commands[name].make_context(name, words) is not None
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page != FILES and blocks(page, "yaml")], ids=lambda page: page.stem)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page != FILES and blocks(page, "yaml")], ids=lambda page: page.stem
+)
 def test_a_sweep_file_is_valid(page: Path) -> None:
     from nermo_mjx.sweep import Sweep
 

@@ -33,6 +33,8 @@ def test_three_parameters_give_a_heat_map_for_each_pair(grid):
             "over-frequency-and-spine.phase",
             "over-spine.amplitude-and-spine.phase",
             "gain-over-spine.amplitude-and-spine.phase",
+            "parallel",
+            "against-roll_std",
         )
         for form in ("png", "svg")
     }

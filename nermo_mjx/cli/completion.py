@@ -7,9 +7,11 @@ from click.shell_completion import get_completion_class
 
 EPILOG = """\b
 Examples:
-  nermo-mjx completion bash >> ~/.bashrc
-  nermo-mjx completion zsh >> ~/.zshrc
-  nermo-mjx completion fish > ~/.config/fish/completions/nermo-mjx.fish
+  nermo-mjx completion bash
+  nermo-mjx completion fish
+
+Append what it prints to ~/.bashrc or ~/.zshrc, or write it to
+~/.config/fish/completions/nermo-mjx.fish.
 """
 SHELLS = ("bash", "zsh", "fish")
 _PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"

@@ -31,7 +31,7 @@ _MARKS = {
 
 
 @click.command("plot", epilog=EPILOG)
-@click.argument("path", metavar="PATH", type=FileKind(".npz", exists=True))
+@click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Where the figures go; by default PATH/plots.")  # fmt: skip
 @click.option("--format", "form", type=click.Choice(FORMATS), help="By default both.")
@@ -94,6 +94,8 @@ _ARTICLES = {
 
 def _kind_of(path: Path) -> str:
     """What a path holds, by its content."""
+    if not path.exists():
+        raise WrongUse(f"{path}: there is no such file or directory.")
     if not path.is_dir():
         return "recording"
     for kind, marks in _MARKS.items():

@@ -1,0 +1,171 @@
+"""`nermo-mjx plot`: the figures of directories once more, from their tables alone."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner, Result
+from sweep_fake import SPEC, FakeSimulator
+from test_experiment_plots import walked
+from tune_fake import SPEC as TUNE_SPEC
+from tune_fake import FakeProblem, FakeWalker
+
+from nermo_mjx.cli import main
+from nermo_mjx.experiments.catalogue import EXPERIMENTS
+from nermo_mjx.experiments.directory import Directory
+from nermo_mjx.experiments.line import compare
+from nermo_mjx.experiments.plots.draw import draw
+from nermo_mjx.experiments.published import REASONS
+from nermo_mjx.sweep import run_sweep
+from nermo_mjx.tune import Tuning, run_tuning
+
+
+def plot(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, ["plot", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("sweep")
+    run_sweep(SPEC | {"plots": True}, out, chunk=8, simulator=FakeSimulator())
+    return out
+
+
+@pytest.fixture
+def sweep(swept: Path, tmp_path: Path) -> Path:
+    """A copy that may be changed."""
+    return Path(shutil.copytree(swept, tmp_path / "sweep"))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_sweeps_figures_are_remade_to_the_last_byte(sweep: Path, swept: Path) -> None:
+    shutil.rmtree(sweep / "plots")
+    result = plot(sweep)
+    assert result.exit_code == 0, result.stderr
+    assert content(sweep / "plots") == content(swept / "plots")
+    assert len(result.stdout.splitlines()) == len(content(swept / "plots"))
+    assert "speed-parallel.svg" in content(sweep / "plots")
+
+
+def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> None:
+    report = json.loads(plot(sweep, "--out", tmp_path / "new", "--format", "png", "--json").stdout)
+    assert report["kind"] == "sweep"
+    assert sorted(report["files"]) == sorted(map(str, (tmp_path / "new").iterdir()))
+    assert {Path(file).suffix for file in report["files"]} == {".png"}
+
+
+def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
+    chunk = sweep / "results" / "chunk-00001.parquet"
+    there = 36 - pq.read_metadata(chunk).num_rows
+    chunk.unlink()
+    result = plot(sweep)
+    assert result.exit_code == 0
+    assert f"{there} of 36 runs are in {sweep}; the figures show these." in result.stderr
+    svgs = [path.read_text() for path in (sweep / "plots").glob("*.svg")]
+    assert all(f"{there} of 36 runs so far" in svg for svg in svgs)
+
+
+def test_columns_of_choice(sweep: Path, tmp_path: Path) -> None:
+    result = plot(sweep, "--x", "frequency", "--y", "spine.phase", "--color", "roll_std", "--out", tmp_path / "a")
+    assert [path.name for path in sorted((tmp_path / "a").iterdir())] == [
+        f"roll_std-over-frequency-and-spine.phase.{form}" for form in ("png", "svg")
+    ]
+    assert result.exit_code == 0
+    plot(sweep, "--color", "roll_std", "--out", tmp_path / "b")
+    assert "roll_std-over-frequency-and-spine.phase.png" in content(tmp_path / "b")
+    assert all(name.startswith("roll_std") for name in content(tmp_path / "b"))
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--x", "frequncy"], "x is 'frequncy', no column of the table; did you mean 'frequency'?"),
+        (["--y", "speed"], "y is given without x"),
+        (["--color", "frequency"], "color is 'frequency', a parameter: name x and y, too."),
+        (["--color", "rol"], "color is 'rol', no column of the table"),
+        (["--format", "pdf"], "'png', 'svg'"),
+    ],
+)
+def test_wrong_columns_are_refused_in_a_sentence(sweep: Path, options: list[str], sentence: str) -> None:
+    result = plot(sweep, *options)
+    assert result.exit_code == 2
+    assert sentence in result.stderr
+
+
+def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    result = plot(tmp_path / "empty")
+    assert result.exit_code == 2
+    assert "is no directory of a sweep, a tuning, experiments or an identification" in result.stderr
+    assert plot(tmp_path / "missing").exit_code == 2
+    shutil.rmtree(sweep / "results")
+    result = plot(sweep)
+    assert result.exit_code == 1
+    assert "holds no results of its sweep yet: run nermo-mjx sweep" in result.stderr
+    for chunk in ("", "no parquet"):
+        (sweep / "results").mkdir(exist_ok=True)
+        (sweep / "results" / "chunk-00000.parquet").write_text(chunk)
+        result = plot(sweep)
+        assert result.exit_code == 1
+        assert "cannot be read" in result.stderr
+    fallen = tmp_path / "fallen"
+    run_sweep(SPEC, fallen, simulator=FakeSimulator(falls_above=0.0))
+    assert "no run went well" in plot(fallen).stderr
+    single = tmp_path / "single"
+    run_sweep({"vary": {"frequency": [0.5]}, "plots": False}, single, simulator=FakeSimulator())
+    assert "all its parameters have one value" in plot(single).stderr
+    (tmp_path / "walk.npz").write_text("nothing")
+    assert "--out DIR" in plot(tmp_path / "walk.npz").stderr
+    result = plot(tmp_path / "walk.npz", "--out", tmp_path / "plots")
+    assert result.exit_code == 1
+    assert "not a recording of nermo_mjx" in result.stderr
+    assert not (tmp_path / "plots").exists()
+    assert "choose columns of a sweep" in plot(tmp_path / "walk.npz", "--x", "speed", "--out", tmp_path / "a").stderr
+
+
+@pytest.mark.parametrize("walker", [FakeWalker(), None])
+def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(walker: FakeWalker | None, tmp_path: Path) -> None:
+    tuning = Tuning.from_dict(TUNE_SPEC | {"plots": True})
+    run_tuning(tuning, tmp_path / "tuned", problem=FakeProblem(tuning), simulator=walker)
+    result = plot(tmp_path / "tuned", "--out", tmp_path / "again")
+    assert result.exit_code == 0, result.stderr
+    made = content(tmp_path / "tuned" / "plots")
+    made.pop("landscape.parquet", None)
+    assert content(tmp_path / "again") == made
+
+
+def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
+    """From the stored tables and recordings: the pictures that the run itself would draw."""
+    outcome, out = walked(), tmp_path / "experiments"
+    Directory(out).save(outcome, {"settings": {}, "engine": "fake", "wall_seconds": 1.0})
+    result = plot(out)
+    assert result.exit_code == 0, result.stderr
+    lines = compare(outcome, EXPERIMENTS["straight-line"].figures, REASONS.get("straight-line", {}))
+    made = draw(outcome, lines, tmp_path / "drawn")
+    assert len(made) > 6
+    assert content(out / "plots") == content(tmp_path / "drawn")
+    (out / "results" / "straight-line.parquet").write_text("damaged")
+    result = plot(out)
+    assert result.exit_code == 1
+    assert "holds no experiment whose table and recordings can be read" in result.stderr
+
+
+def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
+    target = {"residual": 0.1, "start_residual": 0.5}
+    about = {"costs": [3.0, 2.0, 1.0, 0.5], "objective": {"start": 2.0, "end": 0.5}, "targets": {"speed": target},
+             "settings": {"generations": 1, "population": 2}}  # fmt: skip
+    (tmp_path / "identification.json").write_text(json.dumps(about))
+    assert plot(tmp_path, "--format", "svg").exit_code == 0
+    assert set(content(tmp_path / "plots")) == {"identification-search.svg", "identification-residuals.svg"}
+    (tmp_path / "identification.json").write_text("{")
+    assert "run the identification again" in plot(tmp_path).stderr

@@ -1,0 +1,183 @@
+"""Figures of a recording: each shows the recording's own numbers, in shown units, over the part that it says."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.image import imread
+
+from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.robot import LIMBS, load_robot
+from nermo_mjx.view import Recording, model_hash
+from nermo_mjx.view.plots.body import ground_path, orientation
+from nermo_mjx.view.plots.draw import draw_recording
+from nermo_mjx.view.plots.feet import commanded_feet, in_leg_frame, leg_paths, over_ground
+from nermo_mjx.view.plots.gait_diagram import gait_diagram
+from nermo_mjx.view.plots.servos import servo_angles
+from nermo_mjx.view.plots.walk import Walk, spans
+
+NAMES = ("gait-diagram", "orientation", "foot-paths", "foot-paths-over-ground", "servo-angles", "ground-path")
+#: A lateral walk of a cycle a second.
+OFFSETS = dict(zip(LIMBS, (0.63, 0.14, 0.0, 0.54), strict=True))
+VALUES = {"frequency": 1.0, "duty": 0.68, "tracking.clock_ratio": 1.0, "start.phase": 0.25}
+VALUES |= {f"offset.{limb}": offset for limb, offset in OFFSETS.items()}
+
+
+@pytest.fixture(autouse=True)
+def _style():
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """Six seconds that rolls by 5 degrees once a second and walks ahead with 0.1 m/s; feet touch late by 0.05 s."""
+    model = load_robot().model
+    time = 0.01 * np.arange(1, 601)
+    half = 0.5 * np.radians(5.0) * np.sin(2 * np.pi * time)
+    zero = np.zeros_like(time)
+    late = (VALUES["start.phase"] + time - 0.05)[:, None]
+    force = np.where((late - np.array(list(OFFSETS.values()))) % 1.0 < 0.68, 0.7, 0.0)
+    position = np.stack([zero, -0.1 * time, zero + 0.08], axis=-1)
+    feet = position[:, None] + np.array(
+        [[0.04, -0.06, -0.08], [-0.04, -0.06, -0.08], [0.04, 0.06, -0.08], [-0.04, 0.06, -0.08]]
+    )
+    ctrl = np.zeros((600, model.nu))
+    ctrl[:, :8] = 0.3 + 0.2 * np.sin(2 * np.pi * time)[:, None]
+    sensors = {
+        "orientation": np.stack([np.cos(half), zero, np.sin(half), zero], axis=-1), "position": position,
+        "foot_force": force, "foot_position": feet, "servo_angle": 0.9 * ctrl,
+    }  # fmt: skip
+    qpos = np.tile(model.qpos0, (600, 1))
+    metadata = {"setup": {"gait": "lat"}, "parameters": VALUES}
+    return Recording(time, qpos, np.zeros((600, model.nv)), ctrl, sensors, model_hash(model), metadata)
+
+
+def texts(figure: matplotlib.figure.Figure) -> str:
+    return " ".join(text.get_text() for text in figure.findobj(matplotlib.text.Text))
+
+
+def test_all_figures_are_written_with_units_and_are_no_blanks(recording: Recording, tmp_path: Path) -> None:
+    drawn = draw_recording(recording, tmp_path)
+    assert drawn.notes == []
+    assert [file.name for file in drawn.files] == [f"{name}.{form}" for name in NAMES for form in ("png", "svg")]
+    for file in drawn.files[::2]:
+        picture = imread(file)
+        assert min(picture.shape[:2]) > 400
+        assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 30
+    again = draw_recording(recording, tmp_path / "again")
+    assert [file.read_bytes() for file in again.files] == [file.read_bytes() for file in drawn.files]
+    only = draw_recording(recording, tmp_path / "png", formats=("png",))
+    assert [file.suffix for file in only.files] == [".png"] * len(NAMES)
+
+
+def bars(figure: matplotlib.figure.Figure) -> list[list[tuple[float, float]]]:
+    """(begin, end) of the bars of each row of the diagram: measured, planned, measured, ..."""
+    rows = [c for c in figure.axes[0].collections if isinstance(c, PolyCollection)]
+    return [[(p.vertices[:, 0].min(), p.vertices[:, 0].max()) for p in row.get_paths()] for row in rows]
+
+
+def test_the_gait_diagram_shows_planned_and_measured_contact(recording: Recording) -> None:
+    """Each planned stance begins where phase equals the limb's offset; each measured one 0.05 s later."""
+    figure = gait_diagram(Walk(recording))
+    assert figure is not None
+    rows = bars(figure)
+    for i, (limb, offset) in enumerate(OFFSETS.items()):
+        begin = (offset - VALUES["start.phase"]) % 1.0
+        for row, shift in ((rows[2 * i + 1], 0.0), (rows[2 * i], 0.05)):
+            whole = [(a, b) for a, b in row if a > 2.05 and b < 5.95]
+            assert len(whole) >= 3, limb
+            for a, b in whole:
+                assert (a - shift - begin + 0.5) % 1.0 - 0.5 == pytest.approx(0.0, abs=0.011)
+                assert b - a == pytest.approx(0.68, abs=0.011)
+    text = texts(figure)
+    words = ["lateral sequence walk at 1 Hz", "time [s]", "gait cycles [1]", "0.68 (0.68)"]
+    for word in [*words, "the last 4 whole gait cycles"]:
+        assert word in text
+
+
+def test_a_recording_that_does_not_say_its_gait_shows_what_was_measured(recording: Recording) -> None:
+    figure = gait_diagram(Walk(dataclasses.replace(recording, metadata={})))
+    assert figure is not None
+    assert len(bars(figure)) == 4
+    assert "the whole recording" in texts(figure)
+
+
+def test_stretches_of_contact() -> None:
+    time = 0.1 * np.arange(1, 7)
+    found = spans(np.array([True, True, False, False, True, True]), time)
+    np.testing.assert_allclose(found, [(0.0, 0.2), (0.4, 0.2)])
+    assert spans(np.zeros(6, bool), time) == []
+
+
+def test_orientation_is_in_degrees(recording: Recording) -> None:
+    figure = orientation(Walk(recording))
+    assert figure is not None
+    roll, pitch, yaw = (ax.lines[0].get_ydata() for ax in figure.axes)
+    np.testing.assert_allclose(roll, 5.0 * np.sin(2 * np.pi * recording.time), atol=1e-3)
+    assert np.abs(pitch).max() < 1e-3
+    assert np.abs(yaw).max() < 1e-3
+    assert [ax.get_ylabel() for ax in figure.axes] == ["roll [deg]", "pitch [deg]", "yaw [deg]"]
+
+
+def test_the_way_on_the_ground_and_its_mean(recording: Recording) -> None:
+    figure = ground_path(Walk(recording))
+    assert figure is not None
+    torso, mean = figure.axes[0].lines[:2]
+    np.testing.assert_allclose(torso.get_xdata(), 100.0 * (recording.time - recording.time[0]), atol=1e-6)
+    np.testing.assert_allclose(torso.get_ydata(), 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.diff(mean.get_xdata()), 1.0, atol=1e-6)
+    assert figure.axes[0].get_xlabel() == "ahead of the start [mm]"
+
+
+def test_feet_over_the_ground_are_thick_where_they_bear_a_load(recording: Recording) -> None:
+    figure = over_ground(Walk(recording))
+    assert figure is not None
+    for i, ax in enumerate(figure.axes):
+        way, loaded = ax.lines[:2]
+        shown = np.asarray(loaded.get_ydata())
+        bearing = recording.sensors["foot_force"][-len(shown) :, i] > 0
+        np.testing.assert_array_equal(np.isfinite(shown), bearing)
+        np.testing.assert_allclose(np.diff(way.get_xdata()), 1.0, atol=1e-6)
+
+
+def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> None:
+    """A model's leg at taut servo angles has its foot where the closed form has it, however the torso stands."""
+    robot = load_robot()
+    joints, servo = robot.joints, np.array([[0.5, 0.3], [0.2, 0.1], [-0.4, 0.2], [-0.8, 0.4]])
+    pose = forward(four_legs(), servo, "type3")
+    qpos = np.tile(robot.model.qpos0, (2, 1))
+    qpos[:, joints.hip], qpos[:, joints.pulley] = servo[:, 0], servo[:, 1]
+    qpos[:, joints.knee] = np.asarray(pose.knee_angle)
+    qpos[1, joints.root : joints.root + 7] = [0.1, -0.2, 0.3, *np.array([0.8, 0.2, -0.4, 0.4])]
+    for found in in_leg_frame(robot, qpos):
+        np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)
+    ctrl = np.concatenate([servo[:, 0], servo[:, 1], [0.0, 0.0]])[None]
+    np.testing.assert_allclose(commanded_feet(ctrl, "type3")[0], np.asarray(pose.foot), atol=1e-6)
+    figure = leg_paths(Walk(recording), robot)
+    assert figure is not None
+    assert "ahead of the axis [mm]" in texts(figure)
+
+
+def test_servo_angles_are_commanded_and_measured(recording: Recording) -> None:
+    """A servo that stands still is left out, unless it is a leg's."""
+    figure = servo_angles(Walk(recording))
+    assert figure is not None
+    assert len(figure.axes) == 4
+    measured, commanded = figure.axes[0].lines[:2]
+    np.testing.assert_allclose(commanded.get_ydata(), np.degrees(recording.ctrl[-len(commanded.get_ydata()) :, 0]))
+    np.testing.assert_allclose(measured.get_ydata(), 0.9 * np.asarray(commanded.get_ydata()))
+
+
+def test_what_a_recording_lacks_is_left_out_and_said(recording: Recording, tmp_path: Path) -> None:
+    poor = dataclasses.replace(recording, sensors={"orientation": recording.sensors["orientation"]}, model_hash="other")
+    drawn = draw_recording(poor, tmp_path, formats=("svg",))
+    assert [file.name for file in drawn.files] == ["orientation.svg"]
+    assert "There is no gait-diagram: the recording lacks its sensors." in drawn.notes
+    assert any("another version of the robot's model" in note for note in drawn.notes)
