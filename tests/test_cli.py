@@ -26,8 +26,8 @@ from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.version import __version__
 
 COMMANDS = (
-    "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot", "servos",
-    "model", "bench", "completion",
+    "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
+    "servos", "model", "bench", "completion",
 )  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
