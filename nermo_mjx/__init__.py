@@ -3,8 +3,8 @@
 The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
 `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`; `control_parameters` (a pytree
 of arrays); `Sweep`, `run_sweep` and `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
-`run_experiment` and `run_experiments`; `servo_table`; `Recording` and `render`; and the geometry in `kinematics`. Names
-are imported on first use.
+`run_experiment` and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a
+notebook); and the geometry in `kinematics`. Names are imported on first use.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
     from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
-    from nermo_mjx.view import Recording, render
+    from nermo_mjx.view import Page, Recording, render, show
 
 _HOMES = {
     "nermo_mjx.control": ("control_parameters",),
@@ -38,15 +38,15 @@ _HOMES = {
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
     "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
-    "nermo_mjx.view": ("Recording", "render"),
+    "nermo_mjx.view": ("Page", "Recording", "render", "show"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "LIMBS", "METRICS", "SERVOS", "ParameterError", "Recording", "Robot", "Rollout", "Run", "RunResult", "ServoTable",
-    "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters",
-    "control_parameters", "kinematics", "load_robot", "read_history", "read_table", "render", "run_experiment",
-    "run_experiments", "run_landscape", "run_sweep", "run_tuning", "servo_table",
+    "LIMBS", "METRICS", "SERVOS", "Page", "ParameterError", "Recording", "Robot", "Rollout", "Run", "RunResult",
+    "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__",
+    "all_parameters", "control_parameters", "kinematics", "load_robot", "read_history", "read_table", "render",
+    "run_experiment", "run_experiments", "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
 ]  # fmt: skip
 
 

@@ -98,3 +98,15 @@ def test_lanes_give_every_world_its_own_result(worlds: int) -> None:
     total, pair = Lanes(lambda a, b: (a + b["c"], {"twice": 2 * a}))(x, {"c": np.ones(worlds, np.float32)})
     np.testing.assert_array_equal(total, x + 1)
     np.testing.assert_array_equal(pair["twice"], 2 * x)
+
+
+def test_the_loop_is_one_function_that_runs_on_the_thread_of_its_block(simulator, walks) -> None:
+    """Else it is a hundred, which XLA's threads run on the cores that physics has; the engine is a tenth slower."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare(some(walks, np.arange(4)), RUN)
+    session = sim.engine.open(batch.params, batch.qpos, batch.fields)
+    program = session.loop.step.lower(*session.arguments).compile().as_text()
+    entry = program[program.index("ENTRY") :]
+    assert entry.count("xla_cpu_small_call") == 1
+    assert entry.count(" fusion(") < 8
+    assert jax.config.read("jax_cpu_enable_async_dispatch") is False

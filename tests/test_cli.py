@@ -26,8 +26,8 @@ from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.version import __version__
 
 COMMANDS = (
-    "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "play", "plot", "servos",
-    "model", "bench", "completion",
+    "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
+    "servos", "model", "bench", "completion",
 )  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
@@ -95,7 +95,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
             words = line.split()
             assert words[0] == name
             # FILE.npz need not exist for the check of names and values.
-            words = [word if word != "walk.npz" else os.fspath(Path(__file__)) for word in words]
+            words = [word if word not in ("walk.npz", "other.npz") else os.fspath(Path(__file__)) for word in words]
             command.make_context(name, words[1:])
 
 
@@ -107,7 +107,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.robot import GAITS
     from nermo_mjx.robot.assembly import ROBOTS, TAILS
     from nermo_mjx.sweep.sections import PILOT_OPTIONS
-    from nermo_mjx.view import CAMERAS
+    from nermo_mjx.view import CAMERAS, OVERLAYS
 
     assert set(choices.GAITS) == set(GAITS)
     assert set(choices.SPINE_MODES) == {"none", *MODES}
@@ -119,6 +119,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     # Way points are given in a sweep file or from Python, not as an option of `walk`.
     assert {*choices.PILOTS, "waypoints"} == set(PILOT_OPTIONS)
     assert set(choices.VIEWS) == set(CAMERAS)
+    assert set(choices.OVERLAYS) == set(OVERLAYS)
     assert tuple(EXPERIMENTS) == choices.EXPERIMENTS
 
 

@@ -16,7 +16,7 @@ from nermo_mjx.control.parameters import published_values
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import TRUNK
 from nermo_mjx.robot.presets import PRESETS
-from nermo_mjx.rollout import Run, Setup
+from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.setup import all_parameters
 from nermo_mjx.sweep.spec import Sweep
@@ -174,6 +174,8 @@ def test_contacts_too_stiff_for_the_step_are_refused():
     Sweep.from_dict(stiff)
     with pytest.raises(ParameterError, match=r"contact\.time_constant.*0\.005.*\[0\.00666667, 0\.1\] s"):
         Sweep.from_dict(stiff | {"physics": "fast"})
+    with pytest.raises(ParameterError, match=r"contact\.time_constant.*0\.005.*\[0\.00666667, 0\.1\] s"):
+        Simulator(Setup(physics="fast"), "c").parameters({"contact.time_constant": 0.005})
 
 
 def test_the_command_line_takes_the_preset():

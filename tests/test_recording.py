@@ -117,6 +117,7 @@ def test_arrays_of_different_lengths_are_refused() -> None:
 
 def test_the_hash_knows_structure_and_ignores_what_a_sweep_varies() -> None:
     assert model_hash(ball()) == model_hash(ball(mass=2.0))
+    assert model_hash(ball()) == model_hash(ball(more="<camera name='eye'/><light name='sun'/>")), "looks"
     assert model_hash(ball()) != model_hash(ball(more="<body pos='0 0 1'><joint/><geom size='.1'/></body>"))
     assert model_hash(ball(more="<body pos='0 0 1'/>")) != model_hash(ball(more="<body pos='0 0 1.001'/>"))
 

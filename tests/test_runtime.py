@@ -53,19 +53,22 @@ FLAGS = (
 @pytest.mark.parametrize(
     ("flags", "expected"),
     [
-        ("", runtime.COMPILER_FLAG),
+        ("", " ".join(runtime.COMPILER_FLAGS)),
         (
             "--xla_force_host_platform_device_count=2",
-            f"--xla_force_host_platform_device_count=2 {runtime.COMPILER_FLAG}",
+            " ".join(("--xla_force_host_platform_device_count=2", *runtime.COMPILER_FLAGS)),
         ),
-        ("--xla_cpu_use_fusion_emitters=true", "--xla_cpu_use_fusion_emitters=true"),
+        (
+            "--xla_cpu_use_fusion_emitters=true",
+            f"--xla_cpu_use_fusion_emitters=true {runtime.COMPILER_FLAGS[1]}",
+        ),
     ],
 )
-def test_the_compilers_flag_stands_beside_the_users_and_is_known_to_xla(flags: str, expected: str) -> None:
+def test_the_compilers_flags_stand_beside_the_users_and_are_known_to_xla(flags: str, expected: str) -> None:
     assert run(FLAGS.format(before=""), XLA_FLAGS=flags) == [expected, "2.0"]
 
 
-def test_the_compilers_flag_is_not_set_where_jax_started_before_us() -> None:
+def test_the_compilers_flags_are_not_set_where_jax_started_before_us() -> None:
     started = "os.environ.pop('XLA_FLAGS', 0); import jax; jax.devices()"
     assert run(FLAGS.format(before=started))[0] == "None"
 

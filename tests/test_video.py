@@ -14,9 +14,10 @@ import pytest
 
 from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view import Recording, RecordingError, VideoError, render
+from nermo_mjx.view import Recording, RecordingError, VideoError, render, strips
 from nermo_mjx.view.camera import smooth_path
 from nermo_mjx.view.side_by_side import Pane, render_side_by_side
+from nermo_mjx.view.support import INSIDE, OUTSIDE, draw_support, is_inside, support_polygon
 from nermo_mjx.view.video import frame_samples
 
 SCENE = """
@@ -160,6 +161,84 @@ def test_side_by_side_needs_a_recording_and_an_even_picture(model: mujoco.MjMode
         render_side_by_side([], model, tmp_path / "v.mp4")
     with pytest.raises(ParameterError, match="even width"):
         render_side_by_side([Pane(walk(model), "a")], model, tmp_path / "v.mp4", width=63)
+
+
+def trotting(model: mujoco.MjModel, seconds: float = 4.0) -> Recording:
+    """A box with the sensors of a robot: the diagonal pairs stand for half a second each, by turns."""
+    bare = walk(model, seconds, speed=0.1)
+    first = (bare.time % 1.0) < 0.5
+    force = np.stack([first, ~first, ~first, first], axis=1) * 0.7
+    feet = np.array([[0.04, -0.06, 0.0], [-0.04, -0.06, 0.0], [0.04, 0.06, 0.0], [-0.04, 0.06, 0.0]])
+    position = feet + np.pad(bare.qpos[:, None, 1:2], ((0, 0), (0, 3), (1, 1)), mode="constant")[:, :1]
+    angle = np.sin(2 * np.pi * bare.time)[:, None] * np.ones(9)
+    sensors = {"foot_force": force, "foot_position": position, "servo_angle": angle}
+    return Recording(bare.time, bare.qpos, bare.qvel, angle, sensors=sensors)
+
+
+@pytest.mark.usefixtures("drawing")
+def test_the_footfall_passes_below_the_picture_in_step_with_the_time(model: mujoco.MjModel, tmp_path: Path) -> None:
+    """Left of the cursor is what was: its width says when the feet last changed."""
+    recording = trotting(model)
+    path = render(recording, model, tmp_path / "w.mp4", fps=4, width=320, height=96, overlays=("gait", "support"))
+    frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
+    assert frames[0].shape[0] == 96 + strips.Strip(recording, strips.gait_panels(recording), 320).height
+    room = 320 - strips.MARGIN
+    for i, seconds in ((1, 0.25), (8, 2.0), (11, 2.75), (16, 4.0)):
+        strip = frames[i][96 + 11, strips.MARGIN :]  # the row of the front left foot
+        blue = strip[:, 2] - strip[:, 0] > 100
+        first = np.clip(seconds - strips.PAST, 0.0, 4.0 - strips.PAST - strips.AHEAD)
+        for share in (0.1, 0.3, 0.5, 0.65):
+            then = first + share * (strips.PAST + strips.AHEAD)
+            if then < seconds and 0.04 < then % 0.5 < 0.46:
+                assert blue[round(share * room)] == (then % 1.0 < 0.5), (seconds, then)
+
+
+def test_every_stretch_that_is_on_becomes_a_span() -> None:
+    time = np.arange(6) / 10
+    on = np.array([True, False, True, True, False, True])
+    np.testing.assert_allclose(strips.spans(time, on), [(0.0, 0.1), (0.2, 0.2), (0.5, 0.1)])
+    assert strips.spans(time, np.zeros(6, bool)) == []
+
+
+def test_the_support_polygon_is_that_of_the_feet_that_stand() -> None:
+    feet = np.array([[1.0, -1.0], [-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    centre, outside = np.zeros(2), np.array([0.5, -0.6])
+    four = support_polygon(feet, np.array([True] * 4))
+    assert len(four) == 4
+    assert is_inside(four, centre)
+    three = support_polygon(feet, np.array([False, True, True, True]))
+    assert is_inside(three, np.array([-0.3, 0.4]))
+    assert not is_inside(three, outside)
+    pair = support_polygon(feet, np.array([True, False, False, True]))
+    assert len(pair) == 2
+    assert not is_inside(pair, centre)
+    assert len(support_polygon(feet, np.zeros(4, bool))) == 0
+
+
+@pytest.mark.parametrize(
+    ("force", "colour", "parts"),
+    [(np.ones(4), INSIDE, 4 + 4 + 3), (np.array([1.0, 0.0, 0.0, 1.0]), OUTSIDE, 1 + 2 + 3), (np.zeros(4), OUTSIDE, 3)],
+)
+def test_the_scene_shows_polygon_and_centre_of_mass(
+    model: mujoco.MjModel, force: np.ndarray, colour: tuple[float, ...], parts: int
+) -> None:
+    """The box is above the middle of its feet; two of them make a line, which it is not inside of."""
+    recording = trotting(model, seconds=0.2)
+    recording.sensors["foot_force"][:] = force
+    scene = mujoco.MjvScene(model, 100)
+    draw_support(scene, recording, 3, np.array([0.0, recording.qpos[3, 1], 0.1]))
+    assert scene.ngeom == parts
+    np.testing.assert_allclose(scene.geoms[parts - 1].rgba, colour, atol=1e-6)
+    np.testing.assert_allclose(scene.geoms[parts - 1].pos, [0.0, recording.qpos[3, 1], 0.1], atol=1e-6)
+
+
+def test_an_overlay_needs_its_sensors_and_a_known_name(model: mujoco.MjModel, tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="overlay is 'tail': allowed is one of gait, servos, support"):
+        render(walk(model), model, tmp_path / "w.gif", overlays=("tail",))
+    with pytest.raises(RecordingError, match="needs the sensor 'foot_force'"):
+        render(walk(model), model, tmp_path / "w.gif", overlays=("gait",))
+    with pytest.raises(ParameterError, match="each name once"):
+        render(trotting(model), model, tmp_path / "w.gif", overlays=("gait", "gait"))
 
 
 def test_a_machine_without_gl_gets_the_remedy(

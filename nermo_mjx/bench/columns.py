@@ -34,6 +34,7 @@ COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
         Column("steps/s", "steps_per_second", "{:,.0f}"),
         Column("plain steps/s", "plain_steps_per_second", "{:,.0f}"),
         _RATIO,
+        Column("loop's cost", "loop_cost", "{:.1%}"),
         Column("simulated s/s", "seconds_simulated_per_second", "{:,.0f}"),
         _TRACE, _COMPILE,
         Column("plain [s]", "plain_compile_s", "{:.1f}"),

@@ -18,6 +18,7 @@ from nermo_mjx.cli import (
     servos,
     sweep,
     tune,
+    view,
     walk,
 )
 from nermo_mjx.cli.group import CommandGroup
@@ -51,6 +52,7 @@ for module in (
     identify,
     walk,
     render,
+    view,
     play,
     plot,
     servos,

@@ -67,8 +67,9 @@ def scene(function: F) -> F:
 
 def camera(function: F) -> F:
     """`--camera`."""
-    return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=f"{', '.join(VIEWS)}.",
-                        shell_complete=names(*VIEWS))(function)  # fmt: skip
+    known = f"{', '.join(VIEWS)}; eyes: the head's."
+    return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=known,
+                        shell_complete=names(*VIEWS, "eyes"))(function)  # fmt: skip
 
 
 def assigned(about: str) -> Callable[[F], F]:

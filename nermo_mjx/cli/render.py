@@ -1,4 +1,4 @@
-"""`nermo-mjx render`: a recording as a video."""
+"""`nermo-mjx render`: a recording as a video, or several side by side."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
@@ -18,39 +19,72 @@ EPILOG = """\b
 Examples:
   nermo-mjx render walk.npz --out walk.mp4
   nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
+  nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
 """
 
 
 @click.command("render", epilog=EPILOG)
-@click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
+@click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
 @options.file("--out", ".mp4", "MP4 (H.264) or GIF.", required=True)
 @options.camera
+@click.option(
+    "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",
+    help="gait: footfall; servos: their angles; support: polygon of the standing feet and centre of mass. Repeatable.",
+)  # fmt: skip
 @options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
-@options.number("--width", "Pixels.", click.IntRange(16, 7680), default=640)
-@options.number("--height", "Pixels.", click.IntRange(16, 4320), default=480)
+@options.number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
+@options.number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @options.report
 def command(
-    recording: Path, out: Path, camera: str, fps: int, width: int, height: int, speed: float, as_json: bool, quiet: bool
+    recordings: tuple[Path, ...],
+    out: Path,
+    camera: str,
+    overlays: tuple[str, ...],
+    fps: int,
+    width: int,
+    height: int,
+    speed: float,
+    as_json: bool,
+    quiet: bool,
 ) -> None:
-    """Render a recording of `walk --record` into a video."""
+    """Render a recording of `walk --record` into a video; several stand side by side, in step."""
     with stdout_reserved():
         from nermo_mjx.view import Recording
 
-        loaded = Recording.load(recording)
-        render_video(loaded, out, quiet, camera=camera, fps=fps, width=width, height=height, speed=speed)
+        loaded = [Recording.load(path) for path in recordings]
+        drawn: dict[str, Any] = {"camera": camera, "fps": fps, "width": width, "height": height, "speed": speed}
+        drawn["overlays"] = overlays
+        if len(loaded) == 1:
+            render_video(loaded[0], out, quiet, **drawn)
+        else:
+            _render_side_by_side([path.stem for path in recordings], loaded, out, quiet, **drawn)
     if as_json:
-        print_json(
-            {"video": str(out), "seconds": loaded.duration / speed, "width": width, "height": height, "fps": fps}
-        )
+        seconds = min(each.duration for each in loaded) / speed
+        print_json({"video": str(out), "seconds": seconds, "width": width, "height": height, "fps": fps})
     elif not quiet:
         click.echo(f"wrote {out}")
 
 
-def render_video(recording: Recording, path: Path, quiet: bool, **options: Any) -> None:
+def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) -> None:
     """Render with a progress bar; the robot is built from the recording's own setup."""
     from nermo_mjx.view import render, robot_of
 
     robot = robot_of(recording)
     with Progress("video", "frames", quiet=quiet) as progress:
-        render(recording, robot.model, path, progress=progress.count, **options)
+        render(recording, robot.model, path, progress=progress.count, **drawn)
+
+
+def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
+    """Render several recordings of one robot, each below the name of its file, its title and its figures."""
+    from nermo_mjx.view import robot_of
+    from nermo_mjx.view.caption import headline_of, title_of
+    from nermo_mjx.view.side_by_side import Pane, render_side_by_side
+
+    panes = []
+    for name, each in zip(names, recordings, strict=True):
+        figures = ", ".join(" ".join(row) for row in headline_of(each))
+        panes.append(Pane(each, name, [line for line in (title_of(each), figures) if line]))
+    robot = robot_of(recordings[0])
+    with Progress("video", "frames", quiet=quiet) as progress:
+        render_side_by_side(panes, robot.model, path, progress=progress.count, **drawn)

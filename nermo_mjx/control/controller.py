@@ -209,16 +209,18 @@ class Controller:
 
     def _command(self, params: ControlParameters, state: ControllerState, sensors: Sensors) -> _Command:
         """The pilot's output, new at a pilot tick and held between two of them."""
+        due = state.tick % self.ticks_per_pilot_tick == 0
         point = self.locate(params, sensors.position, state.path_point.progress)
         estimate, curvature = state.guidance, point.curvature
         if self.pilot in pilot.FOLLOWERS:
             estimate, curvature = self._guide(params, state, point)
+            # No Newton step is spent on a turn rate that nobody takes up.
+            curvature = jnp.where(due, curvature, 0.0)
         speed, turn_rate = self._given_command(params, state.time, curvature)
         if self.pilot in pilot.FOLLOWERS:
             published_ticks = pilot.PUBLISHED_PILOT_RATE / (self.pilot_rate * params.tracking.clock_ratio)
             change = (point.error - state.path_point.error) / published_ticks
             turn_rate = pilot.steer(params.pilot, point.error, change, turn_rate)
-        due = state.tick % self.ticks_per_pilot_tick == 0
         new, held = (
             _Command(speed, turn_rate, point, estimate),
             _Command(state.speed, state.turn_rate, state.path_point, state.guidance),

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.control.parameters import ControlParameters, Gait, Stance, Turning
@@ -145,13 +145,9 @@ def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"])
     Both add, which the simulated robot does within a tenth at any turn rate. It turns by 0.6 (legs) to 0.8 (spine) of
     this, which is the pilot's `grip`.
     """
-    straight = jnp.zeros_like(turn_rate)
     shares = stride_shares(params.turning, turn_rate)
-    feet = feet_positions(straight, neutral_feet(params.stance))[..., :2]
-    across = feet[..., 0, :] - feet[..., 3, :]
-    legs = (shares[..., 1] - shares[..., 0]) * across[..., 0] / jnp.sum(across**2, axis=-1) / jnp.mean(shares, axis=-1)
-    servo = params.spine.max_servo_angle * spine_share(params.turning, turn_rate)
-    return legs + spine_curvature(joint_angle(servo))
+    legs = (shares[..., 1] - shares[..., 0]) * _turn_per_share(params.stance) / jnp.mean(shares, axis=-1)
+    return legs + _spine_part(params, turn_rate)
 
 
 def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -161,14 +157,43 @@ def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) 
     """
     full = path_curvature(params, jnp.ones_like(curvature))
     wanted = jnp.clip(jnp.abs(curvature), 0.0, full)
-    rate = bracketed_root(lambda rate: path_curvature(params, rate) - wanted, 0.0, 1.0, slope_floor=1e-4)
+    # Legs or spine alone would need more than both together; where only one of them turns, that is the root.
+    start = jnp.minimum(
+        _turn_rate_of_legs(params, wanted), wanted / jnp.maximum(_spine_part(params, jnp.ones_like(wanted)), 1e-9)
+    )
+    rate = bracketed_root(
+        lambda rate: path_curvature(params, rate) - wanted, 0.0, 1.0, slope_floor=1e-4, start=jnp.minimum(start, 1.0)
+    )
     return jnp.where(wanted > STRAIGHT_BELOW, jnp.sign(curvature) * rate, 0.0)
+
+
+def _turn_per_share(stance: Stance) -> Float[Array, "*batch"]:
+    """How far the body turns for each metre of stride and unit of difference between the sides' shares [1/m]."""
+    feet = feet_positions(0.0, neutral_feet(stance))[..., :2]
+    across = feet[..., 0, :] - feet[..., 3, :]
+    return across[..., 0] / jnp.sum(across**2, axis=-1)
+
+
+def _spine_part(params: ControlParameters, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The spine's part of `path_curvature` [1/m]."""
+    return spine_curvature(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
+
+
+def _turn_rate_of_legs(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """Turn rate for a curvature >= 0 [1/m] without the spine, the turning curve not made linear near 0; at most 1.
+
+    With c = a^t the shares are 1 - c and 1, so that the curvature is k c / (1 - c / 2).
+    """
+    turning = params.turning
+    curve = jnp.minimum(curvature / (_turn_per_share(params.stance) + 0.5 * curvature), 1.0)
+    positive = (curve > 0.0) & (turning.exponent > 0.0)
+    power = jnp.where(positive, curve, 1.0) ** (1.0 / jnp.where(positive, turning.exponent, 1.0))
+    return jnp.where(curve > 0.0, power / jnp.maximum(turning.leg, 1e-9), 0.0)
 
 
 def spine_lengths() -> tuple[float, float]:
     """(l_sp1, l_sp2): shoulder axis to the first lateral joint, and from there to the hip axis, along y [m]."""
     base, link = SPINE.dh[SPINE.lateral_joints[0] - 1], SPINE.dh[SPINE.lateral_joints[0]]
     joint = base[1] + link[1] * math.cos(base[2])
-    with jax.ensure_compile_time_eval():
-        hip = float(transform(jnp.zeros(()))[1, 3]) + BODY.hip[1]
+    hip = float(np.asarray(transform(0.0))[1, 3]) + BODY.hip[1]
     return joint - BODY.shoulder[1], hip - joint

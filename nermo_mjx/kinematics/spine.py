@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -32,6 +33,9 @@ def transform(
             positive lifts the hip.
         spine: the spine's numbers (static).
     """
+    if isinstance(theta_v, float) and vertical is None:
+        with jax.ensure_compile_time_eval():  # a constant of the program, not a part of it
+            return transform(jnp.asarray(theta_v), spine=spine)
     theta_v = _floating(theta_v)
     dtype = theta_v.dtype
     angles = dict.fromkeys(spine.lateral_joints, -theta_v)

@@ -22,6 +22,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
+from nermo_mjx.physics.packed_loop import PackedLoop
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import cpu_count
 
@@ -52,12 +53,23 @@ class CEngine:
     def __init__(self, robot: Robot, loop: Loop, threads: int = 0) -> None:
         """`threads` 0 means all cores."""
         self.robot, self.loop, self.threads = robot, loop, threads or cpu_count()
-        self.init = jax.jit(jax.vmap(loop.init))
-        self.step = jax.jit(jax.vmap(loop.step))
+        self._packed: dict[Any, PackedLoop] = {}
 
     def open(self, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> CSession:
         """See `Engine.open`."""
         return CSession(self, params, qpos, fields)
+
+    def packed(self, params: Any, sensordata: np.ndarray) -> PackedLoop:
+        """The loop for parameters like these; compiled once."""
+        leaves, structure = jax.tree.flatten(params)
+        kind = (
+            structure,
+            *((leaf.shape[1:], leaf.dtype) for leaf in (*leaves, sensordata)),
+            jax.config.read("jax_enable_x64"),
+        )
+        if kind not in self._packed:
+            self._packed[kind] = PackedLoop(self.loop, params, sensordata)
+        return self._packed[kind]
 
     @functools.cached_property
     def pool(self) -> ThreadPoolExecutor:
@@ -78,7 +90,7 @@ class CSession:
             lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
             part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
             self._blocks.append(_Block(engine, part, qpos[span], {k: v[span] for k, v in fields.items()}, threads))
-        engine.step(*self.arguments)  # compiled before several threads want it at once
+        self.loop.step(*self.arguments)  # compiled before several threads want it at once
 
     @property
     def loop_state(self) -> Any:
@@ -87,8 +99,13 @@ class CSession:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     @property
-    def arguments(self) -> tuple[Any, Any, np.ndarray]:
-        """Of a call of the compiled loop: `LANES` worlds, whatever the batch."""
+    def loop(self) -> PackedLoop:
+        """The loop that all blocks share."""
+        return self._blocks[0].loop
+
+    @property
+    def arguments(self) -> tuple[jax.Array, jax.Array, jax.Array, np.ndarray]:
+        """Of a call of `loop.step`: `LANES` worlds, whatever the batch."""
         return self._blocks[0].arguments
 
     @property
@@ -134,7 +151,7 @@ class _Block:
     def __init__(
         self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
     ) -> None:
-        self.engine, self.params, self.worlds = engine, jax.device_put(params), len(qpos)
+        self.engine, self.worlds = engine, len(qpos)
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.robot.physical, self.worlds, nthread=threads)
         for name, values in fields.items():
@@ -146,19 +163,21 @@ class _Block:
         at_rest = self.batch.bind("sensordata")
         self.batch.forward()
         lanes = np.pad(at_rest, ((0, LANES - self.worlds), (0, 0)), mode="edge")
-        self._state = engine.init(self.params, lanes)
+        self.loop = engine.packed(params, lanes)
+        self.params = self.loop.pack(params)
+        self._state = self.loop.init(self.params, lanes)
         self._sensordata = np.repeat(lanes[:, None], self.steps, axis=1)
         self.moving = np.arange(self.worlds)
 
     @property
     def loop_state(self) -> Any:
         """State of the loop, leaves (n, ...)."""
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.worlds], self._state)
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.worlds], self.loop.unpack(self._state))
 
     @property
-    def arguments(self) -> tuple[Any, Any, np.ndarray]:
-        """Of the next call of the compiled loop."""
-        return self.params, self._state, self._sensordata
+    def arguments(self) -> tuple[jax.Array, jax.Array, jax.Array, np.ndarray]:
+        """Of the next call of `loop.step`."""
+        return self.loop.once, self.params, self._state, self._sensordata
 
     def advance(self, ticks: int) -> None:
         """See `Session.advance`."""
@@ -177,23 +196,24 @@ class _Block:
     def _tick(self) -> None:
         if not len(self.moving):
             return
-        self._state, ctrl = self.engine.step(*self.arguments)
+        self._state, ctrl = self.loop.step(*self.arguments)
         self.ctrl[...] = np.asarray(ctrl)[: self.worlds]
         ids = None if len(self.moving) == self.worlds else self.moving
         readings = self._sensordata[: self.worlds]
-        out, failed = readings if ids is None else readings[ids], []
+        out = readings if ids is None else readings[ids]
+        lost: Any = []
         try:
             self.batch.rollout(self.steps, record=("sensordata",), ids=ids, out={"sensordata": out})
         except SimulationError as error:
             # The worlds that failed kept their state; the loop sees them as diverged, the others are not touched.
-            failed = error.ids
+            lost = error.ids
         if ids is not None:
             readings[ids] = out
-        readings[failed] = np.nan
+        if len(lost):
+            readings[lost] = np.nan
         # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
-        stopped = self.batch.warning.reshape(self.worlds, -1).any(axis=1)
-        if stopped.any():
-            readings[stopped] = np.nan
+        if self.batch.warning.any():
+            readings[self.batch.warning.reshape(self.worlds, -1).any(axis=1)] = np.nan
 
 
 def _spans(worlds: int, threads: int) -> list[np.ndarray]:

@@ -23,6 +23,8 @@ from nermo_mjx.robot.quantity import ParameterError
 ROBOTS: Final = ("nermo_lite",)
 TAILS: Final = ("rigid", "articulated")
 CONES: Final = ("elliptic", "pyramidal")
+#: The torso's cameras that follow the robot without turning with it.
+FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
 
 #: Joint angles of the published stance, hip and knee [rad]. The model's zero pose (qpos0) stands in it, so that
 #: MuJoCo's reference inertias are those of the standing robot.
@@ -84,9 +86,9 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     config, parameters = config or RobotConfig(), parameters or ModelParameters()
     spec = load_file(f"scenes/{config.scene}")
     spec.modelname = f"{config.robot}_{config.scene}"
-    _attach(spec, spec.worldbody, "torso", plain=("torso", "root", "imu"))
+    _attach(spec, spec.worldbody, "torso", plain=("torso", "root", "imu", *FOLLOWING))
     _attach(spec, spec.frame("torso_spine_mount"), "spine")
-    _attach(spec, spec.frame("torso_neck_mount"), "head", plain=("head", "neck"))
+    _attach(spec, spec.frame("torso_neck_mount"), "head", plain=("head", "neck", "eyes"))
     _attach(spec, spec.frame("spine_end"), "hip")
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"

@@ -28,6 +28,8 @@ TENDON_SOLREF: Final = (0.004, 1.0)
 TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
+#: The group of what is only seen.
+VISUAL_GROUP: Final = 2
 #: Geoms of a scene whose names start so are obstacles: they touch the robot, and nothing else.
 OBSTACLE: Final = "obstacle"
 #: Geoms whose names end so touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
@@ -40,6 +42,9 @@ OBSTACLE_FRICTION: Final = 0.4
 
 def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
     """Give every moving body the mass, centre of mass and inertia of its part; geoms weigh nothing."""
+    for geom in spec.geoms:
+        if geom.group == VISUAL_GROUP:
+            geom.mass = 0.0
     default, mass = ModelParameters().mass, parameters.mass
     share = {True: float(mass.front / default.front), False: float(mass.rear / default.rear)}
     for body in spec.bodies[1:]:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import mujoco
 
+from nermo_mjx.robot.meshes.obj import read_obj
+
 
 def mjcf_directory() -> Path:
     """Where the MJCF files are: inside the installed package, or at the top of a checkout."""
@@ -20,5 +22,11 @@ def scenes() -> tuple[str, ...]:
 
 
 def load_file(name: str) -> mujoco.MjSpec:
-    """The specification in `mjcf/NAME.xml`, editable."""
-    return mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
+    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside."""
+    spec = mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
+    # Meshes become part of the specification: what is assembled and written needs no files, wherever it is compiled.
+    for mesh in spec.meshes:
+        vertices, faces = read_obj(mjcf_directory() / spec.meshdir / mesh.file)
+        mesh.uservert, mesh.userface, mesh.file = vertices.ravel(), faces.ravel(), ""
+    spec.meshdir = ""
+    return spec

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Mirror a model at its y-z plane (x -> -x), in place; returns it.
+    """Mirror a model at its y-z plane (x -> -x), with its meshes, in place; returns it.
 
     Joints keep their axes, which must lie along x: both sides then share one sign convention (positive swings
     backward), and a hinge along x is its own mirror image.
@@ -25,6 +25,8 @@ def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         euler = element.alt.euler
         if not np.isnan(euler[0]):
             element.alt.euler = np.array([euler[0], -euler[1], -euler[2]])
+    for mesh in spec.meshes:
+        mesh.scale = _point(mesh.scale)
     for geom in spec.geoms:
         if not np.isnan(geom.fromto[0]):
             geom.fromto = np.concatenate([_point(geom.fromto[:3]), _point(geom.fromto[3:])])

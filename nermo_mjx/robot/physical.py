@@ -1,6 +1,6 @@
 """The model that engines step: the robot's, without what is only drawn or marked.
 
-Both engines move every geom and every site in every step. Of this robot's 110 geoms 13 touch something or carry a
+Both engines move every geom and every site in every step. Of this robot's 117 geoms 13 touch something or carry a
 tendon, and of its 98 sites 46 are on a tendon or read by a sensor; the others matter to pictures, and to whoever looks
 into the model.
 """
@@ -20,7 +20,7 @@ _SITE_WRAP = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
 def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel:
-    """The compiled model without geoms, sites, cameras and lights that no force and no reading depends on.
+    """The compiled model without meshes, geoms, sites, cameras and lights that no force and no reading depends on.
 
     Bodies, joints, actuators, tendons, contact pairs and sensors keep their ids; so do trajectories their bits.
 
@@ -37,7 +37,7 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
     for site in list(lean.sites):
         if site.name not in sites:
             lean.delete(site)
-    for element in (*lean.cameras, *lean.lights):
+    for element in (*lean.cameras, *lean.lights, *lean.meshes):
         lean.delete(element)
     return lean.compile()
 

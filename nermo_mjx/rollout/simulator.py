@@ -19,7 +19,7 @@ from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.setup import Run, Setup, all_parameters
 from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.
@@ -125,6 +125,8 @@ class Simulator:
         """
         params = replace_quantities(self._defaults, {name: np.asarray(value, float) for name, value in values.items()})
         check_quantities(params)
+        contact = "contact.time_constant"  # its least depends on the time step, which declarations do not know
+        all_parameters(self.setup)[contact].check(contact, params.model.contact.time_constant)
         check(params.control, routing=self.setup.routing)
         return params
 

@@ -1,6 +1,8 @@
-"""What users see of a run: recordings and videos."""
+"""What users see of a run: recordings, videos, and a page for the browser."""
 
 from nermo_mjx.view.encoding import VideoError
+from nermo_mjx.view.overlays import OVERLAYS
+from nermo_mjx.view.page import Page, show
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded_robot import robot_of
 from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
@@ -8,6 +10,8 @@ from nermo_mjx.view.video import CAMERAS, check_video, render
 
 __all__ = [
     "CAMERAS",
+    "OVERLAYS",
+    "Page",
     "Recording",
     "RecordingError",
     "VideoError",
@@ -17,5 +21,6 @@ __all__ = [
     "recording_of",
     "render",
     "robot_of",
+    "show",
     "write_keyframes",
 ]

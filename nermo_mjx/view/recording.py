@@ -140,12 +140,16 @@ class Recording:
 def model_hash(model: mujoco.MjModel) -> str:
     """Names a model by its structure: bodies, joints, actuators and sensors, where they sit and in which order.
 
-    Masses, friction, gains and stiffnesses do not count, because a sweep varies them within one structure; colours
-    and light do not count, because they are looks.
+    Masses, friction, gains and stiffnesses do not count, because a sweep varies them within one structure; meshes,
+    cameras, colours and light do not count, because they are looks.
     """
     digest = hashlib.sha256()
     sizes = (model.nq, model.nv, model.nu, model.nbody, model.njnt, model.ntendon, model.nsensor)
-    digest.update(repr(sizes).encode() + bytes(model.names))
+    kinds = (mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_TENDON,
+             mujoco.mjtObj.mjOBJ_ACTUATOR, mujoco.mjtObj.mjOBJ_SENSOR)  # fmt: skip
+    counts = (model.nbody, model.njnt, model.ntendon, model.nu, model.nsensor)
+    names = [[mujoco.mj_id2name(model, kind, i) for i in range(n)] for kind, n in zip(kinds, counts, strict=True)]
+    digest.update(repr((sizes, names)).encode())
     for array in (model.body_parentid, model.jnt_type, model.jnt_bodyid, model.sensor_type, model.wrap_type):
         digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
     for array in (model.body_pos, model.body_quat, model.jnt_pos, model.jnt_axis):

@@ -7,25 +7,22 @@ import os
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 from jaxtyping import Float, UInt8
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.view import ink
 from nermo_mjx.view.camera import smooth_path
 from nermo_mjx.view.encoding import Progress, write_video
+from nermo_mjx.view.overlays import check_overlays
 from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.video import check_video, draw, frame_samples, root_path
 
 #: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
 _LINE, _FOOTER, _GAP = 18, 40, 4
-#: Pixels to an inch of matplotlib, and mean width of a character of a caption [pixels].
-_DPI, _CHARACTER = 100, 6.6
-_BAR, _TRACK, _INK, _PAPER = (35, 100, 143), (226, 226, 226), "#222222", 255
+_BAR, _TRACK = (35, 100, 143), (226, 226, 226)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +50,7 @@ def render_side_by_side(
     height: int = 360,
     camera: str = "three_quarter",
     speed: float = 1.0,
+    overlays: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Path:
     """Render recordings of one model into one video; it is as long as the shortest of them.
@@ -61,7 +59,7 @@ def render_side_by_side(
 
     Args:
         panes: from left to right.
-        model, path, fps, camera, speed, progress: as for `render`.
+        model, path, fps, camera, speed, overlays, progress: as for `render`.
         width, height: of one picture in pixels; the video has all of them and their captions.
 
     Raises:
@@ -72,23 +70,26 @@ def render_side_by_side(
     if not panes:
         raise ParameterError("A video side by side needs at least one recording.")
     path = Path(path)
-    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed)
+    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed, overlays=overlays)
     for pane in panes:
         pane.recording.check_model(model)
+        check_overlays(overlays, pane.recording)
     samples = [frame_samples(pane.recording, fps, speed) for pane in panes]
     count = min(map(len, samples))
     samples = [each[:count] for each in samples]
     header = _header(panes, width)
     ways = _ways(panes, model, samples, speed / fps)
-    pictures = zip(*(draw(pane.recording, model, each, width, height, camera, speed / fps)
-                     for pane, each in zip(panes, samples, strict=True)), strict=True)  # fmt: skip
+    drawn = [
+        draw(pane.recording, model, each, width, height, camera, speed / fps, overlays)
+        for pane, each in zip(panes, samples, strict=True)
+    ]
 
     def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-        for i, row in enumerate(pictures):
+        for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
             footer = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
             yield np.concatenate([header, _beside(list(row)), footer])
 
-    size = (header.shape[1], header.shape[0] + height + _FOOTER)
+    size = (header.shape[1], header.shape[0] + drawn[0][1] + _FOOTER)
     return write_video(path, frames(), count, fps=fps, width=size[0], height=size[1], progress=progress)
 
 
@@ -105,16 +106,16 @@ def _ways(
 
 def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
     """The captions, above one another's pictures; all have the height of the longest."""
-    most = int(width / _CHARACTER)
+    most = int(width / ink.CHARACTER)
     texts = [[part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes]
     height = _LINE * (1 + max(map(len, texts))) + 10
     strips = []
     for pane, lines in zip(panes, texts, strict=True):
-        figure = _strip(width, height + height % 2)
-        _write(figure, 8, 4, pane.title, fontsize=10.5, fontweight="bold")
+        figure = ink.strip(width, height + height % 2)
+        ink.write(figure, 8, 4, pane.title, fontsize=10.5, fontweight="bold")
         for i, line in enumerate(lines, start=1):
-            _write(figure, 8, 5 + i * _LINE, line, fontsize=8.5)
-        strips.append(_pixels(figure))
+            ink.write(figure, 8, 5 + i * _LINE, line, fontsize=8.5)
+        strips.append(ink.pixels(figure))
     return _beside(strips)
 
 
@@ -125,11 +126,11 @@ def _footer(
     strips = []
     room = width - 16
     for i, way in enumerate(ways):
-        figure = _strip(width, _FOOTER)
+        figure = ink.strip(width, _FOOTER)
         slowed = {1.0: "", 0.5: ", half speed"}.get(speed, f", speed {speed:g}")
         clock = f"{seconds:.2f} s{slowed}"
-        _write(figure, 8, 19, f"{1e3 * way:.0f} mm" + (f" in {clock}" if i == 0 else ""), fontsize=8.5)
-        strip = _pixels(figure)
+        ink.write(figure, 8, 19, f"{1e3 * way:.0f} mm" + (f" in {clock}" if i == 0 else ""), fontsize=8.5)
+        strip = ink.pixels(figure)
         strip[7:15, 8 : 8 + room] = _TRACK
         strip[7:15, 8 : 8 + round(room * way / max(furthest, 1e-6))] = _BAR
         strips.append(strip)
@@ -138,24 +139,6 @@ def _footer(
 
 def _beside(pictures: list[np.ndarray]) -> UInt8[np.ndarray, "height width 3"]:
     """Pictures of one height in a row, a little apart."""
-    gap = np.full((len(pictures[0]), _GAP, 3), _PAPER, np.uint8)
+    gap = np.full((len(pictures[0]), _GAP, 3), ink.PAPER, np.uint8)
     parts = [part for picture in pictures for part in (gap, picture)][1:]
     return np.concatenate(parts, axis=1)
-
-
-def _strip(width: int, height: int) -> Figure:
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _write(figure: Figure, x: float, y: float, text: str, **style: Any) -> None:
-    """Write a text whose upper left corner is so many pixels from that of the figure."""
-    width, height = figure.get_size_inches() * _DPI
-    figure.text(x / width, 1 - y / height, text, va="top", color=_INK, **style)
-
-
-def _pixels(figure: Figure) -> UInt8[np.ndarray, "height width 3"]:
-    canvas: Any = figure.canvas
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

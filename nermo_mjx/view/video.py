@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,11 +17,11 @@ from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
 from nermo_mjx.view.encoding import SUFFIXES, Progress, VideoError, require_encoder, write_video
+from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
 from nermo_mjx.view.recording import Recording, RecordingError
 
-#: Without a graphics card a frame takes as long as its samples, shadow map, mirror images and facets do: with these,
-#: a frame of 640 x 480 takes 0.08 s of one core, without them 0.3 s.
-SHADOW_MAP: Final = 1024
+#: Without a graphics card a frame takes as long as its samples, shadow map, mirror images and facets do.
+SHADOW_MAP: Final = 2048
 SAMPLES: Final = 4
 SLICES: Final = 14
 STACKS: Final = 8
@@ -37,6 +37,7 @@ def render(
     height: int = 480,
     camera: str = "three_quarter",
     speed: float = 1.0,
+    overlays: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> Path:
     """Render a recording into a video file; the suffix chooses the format, `.mp4` or `.gif`.
@@ -46,9 +47,10 @@ def render(
         model: the model that ran.
         path: the file; it appears only when it is whole.
         fps: frames per second of the video.
-        width, height: its size in pixels; even numbers for MP4.
+        width, height: size of the robot's picture in pixels, even numbers for MP4; strips of overlays stand below it.
         camera: a following view of `CAMERAS`, or the name of a camera of the model.
         speed: 1 is real time, 0.25 a quarter of it.
+        overlays: names of `OVERLAYS`.
         progress: called with (frames done, frames in all).
 
     Raises:
@@ -56,10 +58,11 @@ def render(
         RecordingError: the recording does not fit the model.
     """
     path = Path(path)
-    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed)
+    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed, overlays=overlays)
+    check_overlays(overlays, recording)
     recording.check_model(model)
     samples = frame_samples(recording, fps, speed)
-    frames = draw(recording, model, samples, width, height, camera, speed / fps)
+    frames, height = draw(recording, model, samples, width, height, camera, speed / fps, overlays)
     return write_video(path, frames, len(samples), fps=fps, width=width, height=height, progress=progress)
 
 
@@ -72,6 +75,7 @@ def check_video(
     height: int = 480,
     camera: str = "three_quarter",
     speed: float = 1.0,
+    overlays: Sequence[str] = (),
 ) -> None:
     """Refuse a video that cannot be made, before a long run is made for it; arguments as for `render`.
 
@@ -93,6 +97,7 @@ def check_video(
     own = [model.camera(i).name for i in range(model.ncam)]
     if camera not in CAMERAS and camera not in own:
         raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join([*CAMERAS, *filter(None, own)])}.")
+    check_overlays(overlays)
     if suffix == ".mp4":
         require_encoder()
     try:
@@ -122,24 +127,43 @@ def draw(
     height: int,
     camera: str,
     interval: float,
+    overlays: Sequence[str] = (),
+) -> tuple[Iterator[UInt8[np.ndarray, "rows width 3"]], int]:
+    """The picture of each sample, and their height; `interval` is the simulated time between two of them [s]."""
+    strips = strips_of(recording, overlays, width)
+    scenery = scenery_of(recording, overlays, root_body(model))
+    pictures = _robot(recording, model, samples, width, height, camera, interval, scenery)
+    frames = (beside(strips, picture, i * interval) for i, picture in enumerate(pictures))
+    return frames, height + sum(strip.height for strip in strips)
+
+
+def _robot(
+    recording: Recording,
+    model: mujoco.MjModel,
+    samples: Int[np.ndarray, " F"],
+    width: int,
+    height: int,
+    camera: str,
+    interval: float,
+    scenery: Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None,
 ) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
-    """Yield the picture of each sample; `interval` is the simulated time between two of them [s]."""
+    """Yield the robot's picture of each sample."""
     model = _dressed(model, width, height)
     data = mujoco.MjData(model)
-    view: Any = camera
-    path = np.zeros((len(samples), 3))
-    if camera in CAMERAS:
-        view, path = _track(recording, model, data, samples, width / height, camera, interval)
+    following, path = _track(recording, model, data, samples, width / height, camera, interval)
+    view: Any = camera if following is None else following
     with _renderer(model, width, height) as renderer:
         for sample, point in zip(samples, path, strict=True):
             _pose(model, data, recording.qpos[sample])
             mujoco.mj_camlight(model, data)
             mujoco.mj_tendon(model, data)
-            if camera in CAMERAS:
-                view.lookat[:] = point
-                # The sun travels along, or the robot walks out of its shadow map.
-                data.light_xpos[model.light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, :2] += point[:2]
+            if following is not None:
+                following.lookat[:] = point
+            # The sun travels along, or the robot walks out of its shadow map.
+            data.light_xpos[model.light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, :2] += point[:2]
             renderer.update_scene(data, view)
+            if scenery is not None:
+                scenery(renderer.scene, data, int(sample))
             yield renderer.render()
 
 
@@ -167,15 +191,16 @@ def _track(
     aspect: float,
     camera: str,
     interval: float,
-) -> tuple[mujoco.MjvCamera, Float[np.ndarray, "F 3"]]:
-    """The camera, and where it looks in each frame: at the middle of the body, as the torso carries it along."""
+) -> tuple[mujoco.MjvCamera | None, Float[np.ndarray, "F 3"]]:
+    """The camera, or None for one of the model, and the middle of the body in each frame, as the torso carries it."""
     root = root_body(model)
     _pose(model, data, recording.qpos[samples[0]])
     centre, radius = body_radius(model, data, root)
     offset = centre - data.xpos[root]
     positions = root_path(recording, model, data, samples)
     fovy = float(model.vis.global_.fovy)
-    return following_camera(camera, radius, fovy, aspect), smooth_path(positions, interval) + offset
+    view = following_camera(camera, radius, fovy, aspect) if camera in CAMERAS else None
+    return view, smooth_path(positions, interval) + offset
 
 
 def root_path(

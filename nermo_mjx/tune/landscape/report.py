@@ -154,7 +154,9 @@ def _sentence(name: str, about: Mapping[str, Any]) -> str:
         f"({_percent(width['sign_agreement'])} of one sign)"
         for width in widths
     )
-    verdict = "exact gradients can be followed" if about["follows"] else "exact gradients alone mislead; average them"
+    verdict = (
+        "exact gradients can be followed" if about["follows"] else "exact gradients alone may mislead; average them"
+    )
     return f"{name}: {verdict}. The slope differs by {found}."
 
 

@@ -1,0 +1,80 @@
+"""The documentation site: `sphinx-build docs build/site`. Its tables of names are made from the package itself."""
+
+import pathlib
+
+from sphinx.application import Sphinx
+
+import nermo_mjx
+from nermo_mjx import METRICS, all_parameters
+
+ROOT = pathlib.Path(__file__).parents[1]
+#: Where links to files that are no pages lead.
+SOURCE = "https://github.com/nermo-mjx/nermo_mjx/blob/main"
+
+project = "nermo_mjx"
+version = release = nermo_mjx.__version__
+author = "the nermo_mjx developers"
+project_copyright = author
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
+    "sphinx.ext.mathjax",
+    "sphinx_click",
+    "sphinx_copybutton",
+    "sphinx_design",
+]
+source_suffix = {".md": "markdown"}
+exclude_patterns: list[str] = []
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
+myst_heading_anchors = 3
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = True
+suppress_warnings = ["myst.header"]
+
+html_theme = "furo"
+html_title = "nermo_mjx"
+html_static_path: list[str] = []
+html_theme_options = {
+    "source_repository": "https://github.com/nermo-mjx/nermo_mjx/",
+    "source_branch": "main",
+    "source_directory": "docs/",
+    "light_css_variables": {"color-brand-primary": "#0072b2", "color-brand-content": "#0072b2"},
+    "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
+}
+
+
+def parameter_table() -> str:
+    """Every parameter that a sweep may name, as Markdown."""
+    rows = ["| name | default | unit | allowed | meaning |", "|---|--:|---|---|---|"]
+    for name, about in sorted(all_parameters().items()):
+        allowed = about.allowed().replace(about.unit, "").strip()
+        rows.append(f"| `{name}` | {float(about.default):.6g} | {about.unit} | {allowed} | {about.doc} |")
+    return "\n".join(rows).replace("|a|^t", "\\|a\\|^t") + "\n"
+
+
+def metric_table() -> str:
+    """Every metric of a run, as Markdown."""
+    rows = ["| name | unit | meaning |", "|---|---|---|"]
+    rows += [f"| `{name}` | {metric.unit} | {metric.doc} |" for name, metric in METRICS.items()]
+    return "\n".join(rows) + "\n"
+
+
+def fill(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Put tables where a page asks for them, and lead links to files that are no pages to the repository."""
+    for mark, table in (("{{parameters}}", parameter_table), ("{{metrics}}", metric_table)):
+        if mark in source[0]:
+            source[0] = source[0].replace(mark, table())
+    page = pathlib.Path(app.srcdir, docname)
+    for folder in ("sweeps", "notebooks", "nermo_mjx"):
+        up = "../" * (len(page.relative_to(ROOT).parts) - 1)
+        source[0] = source[0].replace(f"]({up}{folder}", f"]({SOURCE}/{folder}")
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.connect("source-read", fill)

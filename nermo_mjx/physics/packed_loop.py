@@ -1,0 +1,64 @@
+"""A loop for a batch of worlds, with its parameters and its state as one row of numbers a world.
+
+Each array that goes into a compiled program or comes out of it costs a microsecond or two. The loop has a hundred,
+which for a few worlds is half of a call.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from nermo_mjx.physics.engine import Loop
+
+
+class PackedLoop:
+    """`Loop.init` and `Loop.step` over rows, jitted.
+
+    Whole numbers and flags are held as floats, exactly up to 2^24: control ticks of 46 hours.
+    """
+
+    def __init__(self, loop: Loop, params: Any, sensordata: np.ndarray) -> None:
+        """
+        Args:
+            loop: of one world.
+            params: of a batch like those to come, leaves (n, ...).
+            sensordata: readings of that batch (n, n_sensordata).
+        """
+        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], params)
+        state = jax.eval_shape(loop.init, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
+        unpack_params = ravel_pytree(one)[1]
+        unpack_state = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), state))[1]
+
+        def init(params: Float[Array, " p"], sensordata: Float[Array, " n"]) -> Float[Array, " s"]:
+            return ravel_pytree(loop.init(unpack_params(params), sensordata))[0]
+
+        @jax.vmap
+        def step(
+            params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]
+        ) -> tuple[Float[Array, " s"], Float[Array, " n_servos"]]:
+            after, ctrl = loop.step(unpack_params(params), unpack_state(state), sensordata)
+            return ravel_pytree(after)[0], ctrl
+
+        def step_once(once: Any, params: Array, state: Array, sensordata: Array) -> tuple[Array, Array]:
+            """One step, as a loop of one round that XLA makes a single function of (`runtime.COMPILER_FLAGS`)."""
+
+            def body(round_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+                # Tied to the round, or else what depends on them alone would be moved out of the loop.
+                _, given, readings = jax.lax.optimization_barrier((round_, params, sensordata))
+                return step(given, carry[0], readings)
+
+            n_servos = jax.eval_shape(step, params, state, sensordata)[1]
+            blank = jnp.zeros(n_servos.shape, n_servos.dtype)
+            return jax.lax.fori_loop(0, once, body, (state, blank))
+
+        self.pack = jax.jit(jax.vmap(lambda params: ravel_pytree(params)[0]))
+        self.unpack = jax.jit(jax.vmap(unpack_state))
+        self.init, self.step = jax.jit(jax.vmap(init)), jax.jit(step_once)
+        #: First argument of `step`: not a constant, or XLA would see that the loop is none.
+        self.once = jax.device_put(np.int32(1))

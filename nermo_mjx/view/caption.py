@@ -1,0 +1,88 @@
+"""What a page says in words about a run: its title, its figures, and a table of everything that was chosen."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from nermo_mjx.view.recording import Recording
+
+_GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
+_DEGREES: Final = math.degrees(1.0)
+_SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
+#: Metrics in the page's head, and what they are called there.
+_HEADLINE: Final = {
+    "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip",
+    "cost_of_transport": "cost of transport",
+}  # fmt: skip
+
+
+def title_of(recording: Recording) -> str:
+    """The gait, its frequency and what the spine does, as far as the recording says."""
+    setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
+    gait = setup.get("gait")
+    # Those of the experiments have a case instead.
+    parts = [_GAITS.get(str(gait), str(gait)) if gait else str(recording.metadata.get("case", "Recording"))]
+    if (frequency := _number(parameters.get("frequency"))) is not None:
+        parts.append(f"{frequency:.3g} Hz")
+    spine = str(setup.get("spine", "none")).replace("_", " ")
+    if spine != "none":
+        parts.append(f"spine {spine}")
+    rate = _number(parameters.get("pilot.turn_rate"))
+    if setup.get("pilot") == "open_loop" and rate:
+        parts.append(f"turn rate {rate:g}")
+    return ", ".join(parts)
+
+
+def headline_of(recording: Recording) -> list[list[str]]:
+    """A few metrics as (label, value with unit), and the status if something went wrong."""
+    metrics = _part(recording, "metrics")
+    units = _units()
+    known = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
+    rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in known]
+    status = metrics.get("status", "ok")
+    return [row for row in rows if row[1] != "–"] + ([["status", str(status)]] if status != "ok" else [])
+
+
+def details_of(recording: Recording) -> list[dict[str, Any]]:
+    """Tables `{"title", "rows": [[name, value with unit], ...]}` of everything that the recording says about itself."""
+    tables = []
+    for key, title in (("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"), ("run", "Run"),
+                       ("versions", "Versions")):  # fmt: skip
+        units = _units() if key in ("metrics", "parameters") else {}
+        rows = [[name, _shown(value, units.get(name, ""))] for name, value in _part(recording, key).items()]
+        rows = [row for row in rows if row[1] not in ("–", "")]
+        if rows:
+            tables.append({"title": title, "rows": rows})
+    return tables
+
+
+def _part(recording: Recording, key: str) -> dict[str, Any]:
+    value = recording.metadata.get(key)
+    return dict(value) if isinstance(value, dict) else {}
+
+
+def _units() -> dict[str, str]:
+    """Units of metrics and parameters by name."""
+    from nermo_mjx.robot.quantity import quantities
+    from nermo_mjx.rollout import METRICS  # starts JAX
+    from nermo_mjx.rollout.parameters import WorldParameters
+
+    units = {name: about.unit for name, about in quantities(WorldParameters)}
+    return units | {name: metric.unit for name, metric in METRICS.items()}
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _shown(value: Any, unit: str, digits: int = 4) -> str:
+    """A value as people read it: degrees and millimetres."""
+    number = _number(value)
+    if number is None:
+        return "–" if value is None else ("no", "yes")[value] if isinstance(value, bool) else str(value)
+    if not math.isfinite(number):
+        return "–"
+    name, factor = _SHOWN.get(unit, ("" if unit == "1" else unit, 1.0))
+    shown = f"{number * factor:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
+    return f"{shown}{'' if name == '°' else ' '}{name}".rstrip()

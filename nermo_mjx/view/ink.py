@@ -1,0 +1,37 @@
+"""Text and pictures in strips of pixels, drawn by matplotlib: captions, bars and curves beside the robot's picture."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+#: Pixels to an inch of matplotlib, and mean width of a character of a caption [pixels].
+DPI: Final = 100
+CHARACTER: Final = 6.6
+#: Colours of text and of the paper.
+INK: Final = "#222222"
+PAPER: Final = 255
+
+
+def strip(width: int, height: int) -> Figure:
+    """An empty figure of so many pixels."""
+    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def write(figure: Figure, x: float, y: float, text: str, **style: Any) -> None:
+    """Write a text whose upper left corner is so many pixels from that of the figure."""
+    width, height = figure.get_size_inches() * DPI
+    figure.text(x / width, 1 - y / height, text, **({"va": "top", "color": INK} | style))
+
+
+def pixels(figure: Figure) -> UInt8[np.ndarray, "height width 3"]:
+    """What the figure shows."""
+    canvas: Any = figure.canvas
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

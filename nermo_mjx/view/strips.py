@@ -1,0 +1,167 @@
+"""Strips below a video's picture that pass with the time: the gait's footfall, and the servos' angles.
+
+A strip is drawn once for the whole run; each frame shows the part of it around its own time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from matplotlib.figure import Figure
+
+from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.view import ink
+from nermo_mjx.view.recording import Recording
+
+#: What a frame shows of a longer run [s]: the past, and paler what comes.
+PAST: Final = 2.0
+AHEAD: Final = 0.75
+#: Force from which on a foot counts as standing [N], as for the metric `duty_...`.
+STANDING: Final = 0.02
+#: Width of the column with names and scales, and height of the time's scale [pixels].
+MARGIN, SCALE = 44, 15
+#: Of Okabe and Ito, told apart by everybody: left darker than right, front blue, rear orange; the spine green.
+COLOURS: Final = dict(zip(LIMBS, ("#0072B2", "#56B4E9", "#D55E00", "#E69F00"), strict=True)) | {"spine": "#009E73"}
+#: Names of the limbs in a narrow column.
+SHORT: Final = {limb: "".join(word[0] for word in limb.split("_")).upper() for limb in LIMBS}
+#: Gap above each row [pixels].
+GAP: Final = 5
+#: Half a label of the time's scale [pixels].
+_HALF_LABEL: Final = 12
+#: Widest picture that is drawn at once [pixels].
+_WIDEST: Final = 4000
+
+
+@dataclasses.dataclass(frozen=True)
+class Panel:
+    """One row of a strip.
+
+    Attributes:
+        height: in pixels, without the gap above it.
+        low, high: ends of the vertical axis.
+        draw: draws onto matplotlib's axes over time [s].
+        notes: (value, text, colour) that stand in the column beside it.
+    """
+
+    height: int
+    low: float
+    high: float
+    draw: Callable[[Any], None]
+    notes: tuple[tuple[float, str, str], ...]
+
+
+class Strip:
+    """A strip of one recording, `width` pixels wide, for times of the recording [s]."""
+
+    def __init__(self, recording: Recording, panels: list[Panel], width: int) -> None:
+        self.begin, self.end = float(recording.time[0]), float(recording.time[-1])
+        self._panels, self._width = panels, width
+        shown = min(PAST + AHEAD, max(self.end - self.begin, 1e-3))
+        self._rate = (width - MARGIN) / shown  # pixels a second
+        self.height = sum(panel.height + GAP for panel in panels) + SCALE
+        self.height += self.height % 2
+        self._column = self._draw_column()
+        self._run = np.concatenate(list(self._draw_run()), axis=1)
+
+    def at(self, seconds: float) -> UInt8[np.ndarray, "height width 3"]:
+        """The strip around a time since the recording began [s]."""
+        room = self._width - MARGIN
+        at = round(self._rate * seconds)
+        first = int(np.clip(at - round(self._rate * PAST), 0, self._run.shape[1] - room))
+        window, now = self._run[:, first : first + room].copy(), min(at - first, room - 1)
+        window[:, now:] = ink.PAPER - (ink.PAPER - window[:, now:].astype(int)) * 2 // 5
+        window[: -SCALE + 3, now : now + 1] = 0x22
+        return np.concatenate([self._column, window], axis=1)
+
+    def _draw_run(self) -> Iterator[UInt8[np.ndarray, "height part 3"]]:
+        """The whole run, in parts."""
+        total = max(round(self._rate * (self.end - self.begin)), self._width - MARGIN)
+        for first in range(0, total, _WIDEST):
+            width = min(_WIDEST, total - first)
+            since = self.begin + first / self._rate
+            until = since + width / self._rate
+            figure = ink.strip(width, self.height)
+            for top, panel in self._rows():
+                axes = self._axes(figure, top, panel)
+                axes.set(xlim=(since, until), ylim=(panel.low, panel.high))
+                axes.axvspan(since, until, color="#f3f3f3", zorder=0, linewidth=0)
+                panel.draw(axes)
+            for half in range(int(np.floor(2 * since)), int(np.ceil(2 * until)) + 1):
+                place = (half / 2 - since) * self._rate
+                if not _HALF_LABEL < first + place < total - _HALF_LABEL:
+                    continue  # it would be cut
+                ink.write(figure, place, self.height - SCALE + 1, f"{half / 2:g} s", fontsize=7.5, ha="center")
+            yield ink.pixels(figure)
+
+    def _draw_column(self) -> UInt8[np.ndarray, "height margin 3"]:
+        figure = ink.strip(MARGIN, self.height)
+        for top, panel in self._rows():
+            for value, text, colour in panel.notes:
+                share = (panel.high - value) / (panel.high - panel.low)
+                style = {"fontsize": 7.5, "ha": "right", "va": "center", "color": colour}
+                ink.write(figure, MARGIN - 4, top + share * panel.height, text, **style)
+        return ink.pixels(figure)
+
+    def _rows(self) -> Iterator[tuple[int, Panel]]:
+        top = GAP
+        for panel in self._panels:
+            yield top, panel
+            top += panel.height + GAP
+
+    def _axes(self, figure: Figure, top: int, panel: Panel) -> Any:
+        axes = figure.add_axes((0.0, 1 - (top + panel.height) / self.height, 1.0, panel.height / self.height))
+        axes.axis("off")
+        return axes
+
+
+def gait_panels(recording: Recording) -> list[Panel]:
+    """A bar for each foot while it stands (a Hildebrand diagram)."""
+    standing = np.asarray(recording.sensors["foot_force"]) > STANDING
+
+    def draw(axes: Any) -> None:
+        for row, limb in enumerate(LIMBS):
+            axes.broken_barh(spans(recording.time, standing[:, row]), (3 - row + 0.12, 0.76), color=COLOURS[limb])
+
+    notes = tuple((3.5 - row, SHORT[limb], COLOURS[limb]) for row, limb in enumerate(LIMBS))
+    return [Panel(52, 0.0, 4.0, draw, notes)]
+
+
+def servo_panels(recording: Recording) -> list[Panel]:
+    """Angles of hips, knees and spine [degrees]: measured, and pale what was commanded."""
+    measured = np.degrees(np.asarray(recording.sensors["servo_angle"]))
+    commanded = np.degrees(np.asarray(recording.ctrl))
+    groups = {"hip": range(4), "knee": range(4, 8), "spine": range(8, 9)}
+    return [_curves(recording.time, name, measured, commanded, columns) for name, columns in groups.items()]
+
+
+def _curves(
+    time: Float[np.ndarray, " T"], name: str, measured: np.ndarray, commanded: np.ndarray, columns: range
+) -> Panel:
+    shown = np.concatenate([measured[:, columns], commanded[:, columns]])
+    low, high = float(np.nanmin(shown)), float(np.nanmax(shown))
+    middle, half = (low + high) / 2, max((high - low) / 2, 1.0)
+
+    def draw(axes: Any) -> None:
+        for column in columns:
+            colour = COLOURS["spine" if name == "spine" else LIMBS[column % 4]]
+            axes.plot(time, commanded[:, column], color=colour, linewidth=2.2, alpha=0.3)
+            axes.plot(time, measured[:, column], color=colour, linewidth=1.1)
+
+    notes = (
+        (middle + half, f"{middle + half:.0f}°", ink.INK),
+        (middle, name, ink.INK if name != "spine" else COLOURS["spine"]),
+        (middle - half, f"{middle - half:.0f}°", ink.INK),
+    )
+    return Panel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes)
+
+
+def spans(time: Float[np.ndarray, " T"], on: np.ndarray) -> list[tuple[float, float]]:
+    """(begin, length) [s] of each stretch of samples that are on; each sample stands for the time until the next."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    ends = np.append(time, time[-1] + step)
+    return [(float(ends[i]), float(ends[j] - ends[i])) for i, j in edges.reshape(-1, 2)]

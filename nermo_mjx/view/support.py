@@ -1,0 +1,93 @@
+"""The support polygon on the ground, and the centre of mass above it, drawn into MuJoCo's scene."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull, QhullError
+
+from nermo_mjx.view.recording import Recording
+from nermo_mjx.view.strips import STANDING
+
+#: Thickness of the lines, radius of the points, and their height above the ground [m].
+_LINE, _POINT, _ABOVE = 0.0006, 0.0024, 0.0008
+#: Where the centre of mass is inside, and where it is not (Okabe and Ito); of the polygon.
+INSIDE: Final = (0.0, 0.62, 0.45, 1.0)
+OUTSIDE: Final = (0.84, 0.37, 0.0, 1.0)
+_EDGE: Final = (0.0, 0.45, 0.70, 1.0)
+
+
+def support_polygon(feet: Float[np.ndarray, "4 2"], standing: Bool[np.ndarray, " 4"]) -> Float[np.ndarray, "corners 2"]:
+    """Corners of the convex hull of the feet that stand, in order [m]; fewer than three where fewer stand."""
+    points = feet[standing]
+    if len(points) < 3:
+        return points
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # all in one line
+        along = points @ (points[-1] - points[0])
+        return points[[int(along.argmin()), int(along.argmax())]]
+
+
+def is_inside(corners: Float[np.ndarray, "corners 2"], point: Float[np.ndarray, " 2"]) -> bool:
+    """Whether a point lies in a convex polygon; never in one of fewer than three corners."""
+    if len(corners) < 3:
+        return False
+    edges = np.roll(corners, -1, axis=0) - corners
+    to_point = point - corners
+    sides = edges[:, 0] * to_point[:, 1] - edges[:, 1] * to_point[:, 0]
+    return bool((sides >= 0).all() or (sides <= 0).all())
+
+
+def draw_support(scene: mujoco.MjvScene, recording: Recording, sample: int, com: Float[np.ndarray, " 3"]) -> None:
+    """Add the polygon of the feet that stand in a sample, and the centre of mass with its plumb line, to a scene.
+
+    Args:
+        scene: of the frame, updated already.
+        recording: with sensors `foot_position` and `foot_force`.
+        sample: of the recording.
+        com: centre of mass in the world [m].
+    """
+    feet = np.asarray(recording.sensors["foot_position"][sample]).reshape(4, 3)
+    standing = np.asarray(recording.sensors["foot_force"][sample]) > STANDING
+    corners = support_polygon(feet[:, :2], standing)
+    colour = INSIDE if is_inside(corners, com[:2]) else OUTSIDE
+    below = np.array([com[0], com[1], _ABOVE])
+    for i in range(len(corners) if len(corners) > 2 else len(corners) - 1):
+        begin, end = (np.append(corners[j % len(corners)], _ABOVE) for j in (i, i + 1))
+        _connect(scene, begin, end, _EDGE)
+    for corner in corners:
+        _ball(scene, np.append(corner, _ABOVE), 0.6 * _POINT, _EDGE)
+    _connect(scene, below, com, colour)
+    _ball(scene, below, _POINT, colour)
+    _ball(scene, com, _POINT, colour)
+
+
+def _ball(scene: mujoco.MjvScene, centre: np.ndarray, radius: float, colour: tuple[float, ...]) -> None:
+    geom = _new(scene)
+    if geom is not None:
+        size = np.full(3, radius)
+        mujoco.mjv_initGeom(
+            geom, mujoco.mjtGeom.mjGEOM_SPHERE, size, centre, np.eye(3).ravel(), np.asarray(colour, np.float32)
+        )
+        geom.emission = 0.5
+
+
+def _connect(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour: tuple[float, ...]) -> None:
+    geom = _new(scene)
+    if geom is not None:
+        blank = np.zeros(3), np.zeros(3), np.zeros(9)
+        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, *blank, np.asarray(colour, np.float32))
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE, _LINE, begin, end)
+        geom.emission = 0.5
+
+
+def _new(scene: mujoco.MjvScene) -> Any:
+    """The next geom of the scene, or None where there is no room for more."""
+    if scene.ngeom >= scene.maxgeom:
+        return None
+    scene.ngeom += 1
+    return scene.geoms[scene.ngeom - 1]

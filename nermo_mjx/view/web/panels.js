@@ -1,0 +1,91 @@
+// The head of the page, and the panels over the picture: help, details, the scales.
+
+import { tensionGradient } from "viewer/colours.js";
+import { METRES_PER_NEWTON } from "viewer/forces.js";
+import { shortcutRows } from "viewer/keys.js";
+
+const find = (id) => document.getElementById(id);
+
+function element(tag, text = "", className = "") {
+  const made = document.createElement(tag);
+  if (text) made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+/** Title and figures of each clip. */
+export function fillHead(clips) {
+  const head = find("runs");
+  clips.forEach((clip, i) => {
+    const run = element("div", "", "run");
+    const title = element("h1", clip.title);
+    if (clips.length > 1) {
+      const mark = element("b", "AB"[i], `mark mark-${i}`);
+      title.prepend(mark);
+      title.title = clip.name;
+    }
+    const figures = element("p", "", "figures");
+    for (const [name, value] of clip.headline) {
+      const figure = element("span", `${name} `);
+      figure.append(element("b", value));
+      figures.append(figure);
+    }
+    if (clip.cut) figures.append(element("span", "shown up to where the simulation lost its numbers", "warning"));
+    run.append(title, figures);
+    head.append(run);
+  });
+}
+
+/** Tables of everything the recordings say about themselves; with two, side by side, what differs marked. */
+export function fillDetails(clips) {
+  const body = find("details-body");
+  const titles = [...new Set(clips.flatMap((clip) => clip.details.map((table) => table.title)))];
+  for (const title of titles) {
+    const tables = clips.map((clip) => new Map(clip.details.find((table) => table.title === title)?.rows));
+    const names = [...new Set(tables.flatMap((table) => [...table.keys()]))];
+    body.append(element("h3", title));
+    const made = element("table");
+    if (clips.length > 1) made.append(tableRow(["", ...clips.map((clip, i) => `${"AB"[i]}: ${clip.name}`)], "th"));
+    for (const name of names) {
+      const values = tables.map((table) => table.get(name) ?? "–");
+      const row = tableRow([name.replaceAll("_", " "), ...values], "td");
+      if (title !== "Metrics" && values.some((value) => value !== values[0])) row.className = "differs";
+      made.append(row);
+    }
+    body.append(made);
+  }
+}
+
+function tableRow(cells, tag) {
+  const made = element("tr");
+  for (const cell of cells) made.append(element(tag, cell));
+  return made;
+}
+
+export function fillHelp(two) {
+  const table = find("keys");
+  for (const [key, meaning] of shortcutRows(two)) {
+    const row = element("tr");
+    const first = element("td");
+    first.append(element("kbd", key));
+    row.append(first, element("td", meaning));
+    table.append(row);
+  }
+}
+
+/** The scales in the picture's corner: what colours and arrows mean. */
+export function fillScales(greatestTension, hasTendons) {
+  find("tension-bar").style.background = tensionGradient();
+  find("tension-most").textContent = `${greatestTension.toPrecision(greatestTension < 10 ? 2 : 3)} N`;
+  find("tension-scale").hidden = !hasTendons;
+  find("force-scale-text").textContent = `1 N = ${(1000 * METRES_PER_NEWTON).toFixed(0)} mm`;
+}
+
+/** Opens or closes a panel. */
+export function togglePanel(id, open = find(id).hidden) {
+  for (const panel of document.querySelectorAll(".panel")) {
+    panel.hidden = !(open && panel.id === id);
+    document.querySelector(`[aria-controls="${panel.id}"]`)?.setAttribute("aria-expanded", String(!panel.hidden));
+  }
+  if (open) find(id).querySelector("button")?.focus();
+}

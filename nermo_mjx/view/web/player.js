@@ -1,0 +1,72 @@
+// The time that is shown, and how it goes on.
+
+export const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
+
+export class Player {
+  constructor(clips) {
+    this.begin = Math.min(...clips.map((clip) => clip.begin));
+    this.end = Math.max(...clips.map((clip) => clip.end));
+    const longest = clips.reduce((a, b) => (b.time.length > a.time.length ? b : a));
+    this.step = longest.time.length > 1 ? (longest.end - longest.begin) / (longest.time.length - 1) : 0.01;
+    this.time = this.begin;
+    this.speed = 1;
+    this.loop = true;
+    this.playing = false;
+    this.listeners = [];
+  }
+
+  /** Calls back when the time, or anything else, has changed. */
+  onChange(call) {
+    this.listeners.push(call);
+  }
+
+  #changed() {
+    for (const call of this.listeners) call(this);
+  }
+
+  seek(time) {
+    this.time = Math.min(Math.max(time, this.begin), this.end);
+    this.#changed();
+  }
+
+  /** Goes so many samples forward, or back, and stays there. */
+  nudge(samples) {
+    this.playing = false;
+    const row = Math.round((this.time - this.begin) / this.step) + samples;
+    this.seek(this.begin + row * this.step);
+  }
+
+  toggle(playing = !this.playing) {
+    if (playing && this.time >= this.end - 1e-9) this.time = this.begin;
+    this.playing = playing;
+    this.#changed();
+  }
+
+  setSpeed(speed) {
+    this.speed = speed;
+    this.#changed();
+  }
+
+  /** The next of `SPEEDS`, slower or faster. */
+  shiftSpeed(by) {
+    const nearest = SPEEDS.reduce((best, speed, i) => (Math.abs(speed - this.speed) < Math.abs(SPEEDS[best] - this.speed) ? i : best), 0);
+    this.setSpeed(SPEEDS[Math.min(Math.max(nearest + by, 0), SPEEDS.length - 1)]);
+  }
+
+  setLoop(loop) {
+    this.loop = loop;
+    this.#changed();
+  }
+
+  /** So many seconds have passed on the wall's clock. */
+  tick(seconds) {
+    if (!this.playing) return;
+    const time = this.time + seconds * this.speed;
+    if (time < this.end) this.seek(time);
+    else if (this.loop && this.end > this.begin) this.seek(this.begin + ((time - this.begin) % (this.end - this.begin)));
+    else {
+      this.playing = false;
+      this.seek(this.end);
+    }
+  }
+}

@@ -1,0 +1,195 @@
+// The scene: light, ground and the robots of all clips, drawn when something has changed.
+
+import { Color, DirectionalLight, Fog, HemisphereLight, PCFShadowMap, Scene, Vector3, WebGLRenderer } from "three";
+import { CameraMan } from "viewer/camera.js";
+import { ForceView } from "viewer/forces.js";
+import { Ground } from "viewer/ground.js";
+import { RobotView } from "viewer/robot.js";
+import { Sharpness } from "viewer/sharpness.js";
+import { TendonView } from "viewer/tendons.js";
+import { TrailView } from "viewer/trail.js";
+
+/** How far apart robots walk that are shown beside each other [m]. */
+const APART = 0.16;
+const SUN = new Vector3(0.24, 0.2, 1);
+
+export class Stage {
+  /** Throws if the browser has no WebGL. */
+  constructor(canvas, clips) {
+    this.canvas = canvas;
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = PCFShadowMap;
+    this.scene = new Scene();
+    this.scene.fog = new Fog("#ffffff", 1.6, 4.5);
+    this.#light();
+    this.ground = new Ground(this.renderer.capabilities.getMaxAnisotropy());
+    this.scene.add(this.ground.group);
+    this.stale = true;
+    this.frames = 0;
+    this.sharpness = new Sharpness();
+    this.shadows = true;
+    this.man = new CameraMan(canvas, () => (this.stale = true));
+    this.actors = clips.map((clip) => this.#actor(clip));
+    this.ground.group.visible = clips.some((clip) => clip.model.hasGround);
+    const tension = Math.max(...clips.map((clip) => clip.greatestTension));
+    for (const actor of this.actors) actor.tendons.greatest = tension || 1;
+    this.man.radius = clips[0].radius;
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+    this.resize();
+    this.arrange("ghost");
+  }
+
+  #light() {
+    this.sky = new HemisphereLight("#ffffff", "#b4b2ae", 1.4);
+    this.sky.position.set(0, 0, 1);
+    this.sun = new DirectionalLight("#fff8ee", 1.85);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(1024, 1024);
+    this.sun.shadow.radius = 2.5;
+    this.sun.shadow.normalBias = 0.0006;
+    this.sun.shadow.bias = -0.0004;
+    this.fill = new DirectionalLight("#e4edff", 1.1);
+    this.scene.add(this.sky, this.sun, this.sun.target, this.fill, this.fill.target);
+  }
+
+  #actor(clip) {
+    const actor = {
+      clip,
+      robot: new RobotView(clip),
+      tendons: new TendonView(clip),
+      forces: new ForceView(clip),
+      trail: new TrailView(clip),
+    };
+    actor.group = actor.robot.group;
+    actor.group.add(actor.tendons.mesh, actor.forces.group, actor.trail.group);
+    this.scene.add(actor.group);
+    return actor;
+  }
+
+  /** How a second robot is shown: a `ghost`, a ghost in the `same` place as the first, or a robot `beside` it. */
+  arrange(way) {
+    this.way = way;
+    const apart = way === "beside";
+    const middle = (this.actors.length - 1) / 2;
+    this.actors.forEach((actor, i) => {
+      // The first stands on the robot's right, which is the near side of the usual views.
+      actor.group.position.set(apart ? (i - middle) * APART : 0, 0, 0);
+      const ghost = !apart && i > 0;
+      actor.robot.ghost(ghost ? this.colours?.second ?? "#e69f00" : null);
+      actor.tendons.mesh.castShadow = !ghost;
+    });
+    const reach = 0.24 + (apart ? APART : 0);
+    const shadow = this.sun.shadow.camera;
+    Object.assign(shadow, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1, far: 2.5 });
+    shadow.updateProjectionMatrix();
+    this.man.radius = this.actors[0].clip.radius * (apart ? 1.35 : 1);
+    this.stale = true;
+  }
+
+  setColours(colours) {
+    this.colours = colours;
+    const many = this.actors.length > 1;
+    this.scene.background = new Color(colours.sky);
+    this.scene.fog.color = new Color(colours.sky);
+    this.ground.setColours(colours);
+    this.actors.forEach((actor, i) => {
+      actor.forces.setColours(colours);
+      actor.tendons.slack.set(colours.slack);
+      actor.trail.setColours(colours, many ? colours[i ? "second" : "first"] : null);
+    });
+    this.arrange(this.way);
+  }
+
+  /** Which things are drawn; keys `tendons`, `forces`, `trail`, `shadows`, `collisions`. */
+  show(what) {
+    for (const actor of this.actors) {
+      actor.tendons.mesh.visible = what.tendons;
+      actor.forces.group.visible = what.forces;
+      actor.trail.group.visible = what.trail;
+      actor.robot.showCollisions(what.collisions);
+    }
+    this.shadows = what.shadows;
+    this.resize();
+    this.stale = true;
+  }
+
+  setTime(time) {
+    let [x, y, z] = [0, 0, 0];
+    const share = 1 / (this.way === "same" ? 1 : this.actors.length);
+    for (const actor of this.actors) {
+      const moment = actor.clip.at(time);
+      actor.robot.setMoment(moment);
+      actor.tendons.setMoment(moment);
+      actor.forces.setMoment(moment);
+      actor.trail.setTime(time);
+      const point = actor.clip.mix(actor.clip.follow, moment);
+      if (this.way === "same" && actor !== this.actors[0]) {
+        actor.group.position.set(x - point[0], y - point[1], 0);
+        continue;
+      }
+      x += point[0] * share;
+      y += point[1] * share;
+      z += point[2] * share;
+    }
+    this.man.moveTo(x, y, z);
+    if (this.man.view === "eyes") this.#ride();
+    this.ground.moveTo(x, y);
+    this.sun.target.position.set(x, y, 0);
+    this.sun.position.set(x, y, 0).addScaledVector(SUN, 1.1);
+    this.fill.target.position.set(x, y, 0);
+    this.fill.position.set(x - 0.8, y + 0.6, 0.5);
+    this.stale = true;
+  }
+
+  #ride() {
+    const { clip, robot, group } = this.actors[0];
+    const { eyes } = clip.model;
+    const body = robot.bodies[eyes.body];
+    this.man.ride(eyes, body.position.clone().add(group.position), body.quaternion);
+  }
+
+  /** Whether the camera goes with the robot; it catches up where it had stayed. */
+  setFollow(on) {
+    this.man.setFollow(on);
+    this.stale = true;
+  }
+
+  look(view) {
+    this.man.look(view);
+    if (view === "eyes") this.#ride();
+    this.stale = true;
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    if (!width || !height) return;
+    const { share, shadows } = this.sharpness.take();
+    this.sun.castShadow = shadows && this.shadows;
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * share);
+    this.renderer.setSize(width, height, false);
+    const before = this.man.camera.aspect;
+    this.man.resize(width / height);
+    // Views are as wide as the picture was; one that nobody has turned fits itself anew.
+    if (before !== width / height && !this.turned) this.look(this.man.view);
+    this.stale = true;
+  }
+
+  /** Draws what has changed; `playing` is how long the last frame took while the time goes on [s], or null. */
+  draw(playing) {
+    this.sharpness.note(playing);
+    if (this.sharpness.changed) this.resize();
+    if (!this.stale) return;
+    this.stale = false;
+    this.frames++;
+    this.renderer.render(this.scene, this.man.camera);
+  }
+
+  /** Where a body of a clip is in the world [m]. */
+  bodyPosition(clip, name) {
+    const actor = this.actors[clip];
+    const body = actor.robot.bodies[actor.clip.model.bodies.indexOf(name)];
+    actor.group.updateMatrixWorld(true);
+    return body.getWorldPosition(new Vector3()).sub(actor.group.position).toArray();
+  }
+}

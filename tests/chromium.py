@@ -1,0 +1,197 @@
+"""A headless Chromium for tests: pages, keys, clicks and pictures over its debugging pipe, without a driver program."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import itertools
+import json
+import os
+import select
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+#: No sandbox, because tests run as root in containers; no look-ups, because there may be no network; WebGL in software.
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage", "--mute-audio", "--hide-scrollbars",
+    "--remote-debugging-pipe",
+)  # fmt: skip
+SOFTWARE = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+WITHOUT_WEBGL = ("--disable-gpu", "--disable-3d-apis")
+#: Longest wait for an answer [s]; a picture in software on a busy machine takes seconds.
+PATIENCE = 60.0
+
+
+def find() -> str | None:
+    """Path of a Chromium or Chrome, `$CHROMIUM` first."""
+    given = os.environ.get("CHROMIUM")
+    return given or next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+class Browser:
+    """One process of Chromium."""
+
+    def __init__(self, process: subprocess.Popen[bytes], to: int, back: int) -> None:
+        self._process, self._to, self._back = process, to, back
+        self._numbers, self._rest = itertools.count(1), b""
+        self._events: list[dict[str, Any]] = []
+
+    def call(self, method: str, session: str | None = None, **params: Any) -> dict[str, Any]:
+        """The result of one command of the DevTools protocol."""
+        number = next(self._numbers)
+        message = {"id": number, "method": method, "params": params} | ({"sessionId": session} if session else {})
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            answer = self._receive(deadline, method)
+            if answer.get("id") == number:
+                assert "error" not in answer, f"{method}: {answer['error']}"
+                return answer["result"]
+            self._events.append(answer)
+
+    @contextlib.contextmanager
+    def tab(self) -> Iterator[Tab]:
+        """A new page, closed with the context."""
+        page = Tab(self)
+        try:
+            yield page
+        finally:
+            page.close()
+
+    def events(self, session: str) -> list[dict[str, Any]]:
+        """What a page has told of itself so far."""
+        return [event for event in self._events if event.get("sessionId") == session]
+
+    def _receive(self, deadline: float, what: str) -> dict[str, Any]:
+        while b"\0" not in self._rest:
+            ready, _, _ = select.select([self._back], [], [], max(deadline - time.monotonic(), 0))
+            assert ready, f"no answer to {what} in {PATIENCE:g} s"
+            piece = os.read(self._back, 1 << 20)
+            assert piece, f"Chromium has ended (exit code {self._process.poll()})"
+            self._rest += piece
+        message, _, self._rest = self._rest.partition(b"\0")
+        return json.loads(message)
+
+
+class Tab:
+    """A page in it."""
+
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
+        self._target = browser.call("Target.createTarget", url="about:blank")["targetId"]
+        self._session = browser.call("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self._call(f"{domain}.enable")
+
+    def _call(self, method: str, **params: Any) -> dict[str, Any]:
+        return self._browser.call(method, self._session, **params)
+
+    def close(self) -> None:
+        self._browser.call("Target.closeTarget", targetId=self._target)
+
+    def open(self, path: Path, width: int = 1280, height: int = 720, dark: bool = False, scale: float = 1.0) -> None:
+        """Load a file in a window of so many pixels."""
+        self.resize(width, height, scale)
+        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self._call("Emulation.setEmulatedMedia", features=scheme)
+        self._call("Page.navigate", url=path.resolve().as_uri())
+
+    def resize(self, width: int, height: int, scale: float = 1.0) -> None:
+        self._call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False
+        )
+
+    def evaluate(self, script: str) -> Any:
+        """The JSON value of an expression; promises are awaited."""
+        answer = self._call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        return answer["result"].get("value")
+
+    def wait(self, condition: str, seconds: float = PATIENCE) -> None:
+        """Until an expression is true."""
+        deadline = time.monotonic() + seconds
+        while not self.evaluate(condition):
+            assert time.monotonic() < deadline, f"still not, after {seconds:g} s: {condition}; {self.complaints()}"
+            time.sleep(0.05)
+
+    def key(self, key: str, shift: bool = False) -> None:
+        """Press and release a key, named as in a KeyboardEvent."""
+        text = {"text": key} if len(key) == 1 else {}
+        code = {" ": "Space"}.get(key, key)
+        modifiers = 8 if shift else 0
+        self._call("Input.dispatchKeyEvent", type="keyDown", key=key, code=code, modifiers=modifiers, **text)
+        self._call("Input.dispatchKeyEvent", type="keyUp", key=key, code=code, modifiers=modifiers)
+
+    def click(self, selector: str, share: float = 0.5) -> None:
+        """Click an element, at a share of its width from the left."""
+        script = f"""(() => {{
+            const element = document.querySelector({json.dumps(selector)});
+            element.scrollIntoView({{block: "nearest"}});
+            const box = element.getBoundingClientRect();
+            return [box.left + {share} * box.width, box.top + box.height / 2];
+        }})()"""
+        x, y = self.evaluate(script)
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y)
+
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        buttons = 0 if kind == "mouseReleased" else 1
+        button = "none" if kind == "mouseMoved" else "left"
+        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons, clickCount=1)
+
+    def picture(self) -> bytes:
+        """A PNG of the window."""
+        return base64.b64decode(self._call("Page.captureScreenshot", format="png")["data"])
+
+    def complaints(self) -> list[str]:
+        """Errors and warnings of the page, and exceptions that nobody caught."""
+        found = []
+        for event in self._browser.events(self._session):
+            method, params = event["method"], event["params"]
+            if method == "Runtime.exceptionThrown":
+                found.append(json.dumps(params["exceptionDetails"])[:500])
+            elif method == "Runtime.consoleAPICalled" and params["type"] in ("error", "warning", "assert"):
+                found.append(" ".join(str(part.get("value", part.get("description"))) for part in params["args"]))
+            elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
+                found.append(params["entry"]["text"])
+        return found
+
+    def requests(self) -> list[str]:
+        """Addresses that the page has loaded anything from, data and blobs left out."""
+        sent = [e for e in self._browser.events(self._session) if e["method"] == "Network.requestWillBeSent"]
+        urls = [event["params"]["request"]["url"] for event in sent]
+        return [url for url in urls if not url.startswith(("data:", "blob:"))]
+
+
+@contextlib.contextmanager
+def browser(path: str, webgl: bool = True) -> Iterator[Browser]:
+    """A running Chromium, ended with the context."""
+    to_read, to_write = os.pipe()
+    back_read, back_write = os.pipe()
+    # Chromium reads from 3 and writes to 4; a shell puts them there, as Python has threads that no fork may copy.
+    connect = f'exec "$0" "$@" 3</dev/fd/{to_read} 4>/dev/fd/{back_write}'
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        flags = (*FLAGS, *(SOFTWARE if webgl else WITHOUT_WEBGL), f"--user-data-dir={profile}")
+        process = subprocess.Popen(
+            ["sh", "-c", connect, path, *flags], pass_fds=(to_read, back_write), stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        os.close(to_read)
+        os.close(back_write)
+        try:
+            yield Browser(process, to_write, back_read)
+        finally:
+            process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(10)
+            process.kill()
+            process.wait()
+            os.close(to_write)
+            os.close(back_read)

@@ -1,0 +1,102 @@
+"""The documentation: the site is built without a warning, its examples work, its commands are those that exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nermo_mjx.cli import main
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted((ROOT / "docs").rglob("*.md"))
+#: Its examples need a sweep, a recording and a servo table: tests/test_tables.py has them.
+FILES = ROOT / "docs" / "files.md"
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """The fenced blocks of a page that are plainly of a language; those marked `no-test` are not."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+EXAMPLES = [
+    pytest.param(text, id=f"{page.relative_to(ROOT / 'docs')}-{i}")
+    for page in PAGES
+    if page != FILES
+    for i, text in enumerate(blocks(page, "python"))
+]
+COMMANDS = [
+    pytest.param(line, id=f"{page.relative_to(ROOT / 'docs')}: {line}")
+    for page in PAGES
+    for block in blocks(page, "sh")
+    for line in block.splitlines()
+    if line.startswith("nermo-mjx ") and "$" not in line and not line.endswith("\\")
+]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site; a warning, such as a link that leads nowhere, fails its build."""
+    out = tmp_path_factory.mktemp("site")
+    words = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", str(ROOT / "docs"), str(out)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def test_the_site_has_every_name_that_a_user_may_write(site: Path) -> None:
+    import nermo_mjx
+
+    text = {page: (site / "reference" / f"{page}.html").read_text() for page in ("python", "parameters", "metrics")}
+    for name in nermo_mjx.__all__:
+        known = re.search(rf"nermo_mjx\.{name}\b", text["python"])
+        assert known or name in ("LIMBS", "METRICS", "SERVOS", "ParameterError", "__version__", "kinematics"), name
+    for name in nermo_mjx.all_parameters():
+        assert f">{name}<" in text["parameters"], name
+    for name in nermo_mjx.METRICS:
+        assert f">{name}<" in text["metrics"], name
+    commands = (site / "reference" / "commands.html").read_text()
+    for name in main.commands:
+        assert f'id="nermo-mjx-{name}"' in commands, name
+
+
+def test_examples_were_found() -> None:
+    assert len(EXAMPLES) >= 4
+    assert len(COMMANDS) >= 8
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_an_example_works(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(example, "example", "exec"), names)
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its options and their values; files that a reader would have by then are put in its place."""
+    name, *words = shlex.split(line, comments=True)[1:]
+    monkeypatch.chdir(tmp_path)
+    for word in words:
+        if re.fullmatch(r"[\w/.-]+\.(yaml|npz)", word):
+            Path(word).parent.mkdir(parents=True, exist_ok=True)
+            Path(word).touch()
+    words = ["maze" if (name, word) == ("experiment", "NAME") else word for word in words]
+    assert main.commands[name].make_context(name, words) is not None
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page != FILES and blocks(page, "yaml")], ids=lambda page: page.stem
+)
+def test_a_sweep_file_is_valid(page: Path) -> None:
+    from nermo_mjx.sweep import Sweep
+
+    for text in blocks(page, "yaml"):
+        if text.startswith(("apiVersion", "kind")):
+            continue  # for Kubernetes
+        assert Sweep.from_text(text).variants > 1
