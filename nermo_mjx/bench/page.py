@@ -13,8 +13,10 @@ from matplotlib.ticker import NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.registry import CASES
+from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.style import BEST, LINE, MUTED, STYLE, horizontal_grid
 from nermo_mjx.sweep.files import replace_file
-from nermo_mjx.sweep.style import BEST, LINE, MUTED, STYLE, horizontal_grid, lay_out, page, write_figure
 
 RESULTS: Final = "results.jsonl"
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
@@ -106,8 +108,8 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
         speed.plot(worlds, [line["steps_per_second"] for line in own], "o-", ms=3, color=colour, label=engine)
         speed.plot(worlds, [line["plain_steps_per_second"] for line in own], "--", lw=1, color=colour)
         memory.plot(worlds, [line["peak_bytes"] / 1e9 for line in own], "o-", ms=3, color=colour, label=engine)
-    for ax, label in ((speed, "physics steps/s"), (memory, "peak memory [GB]")):
-        ax.set(xscale="log", yscale="log", xlabel="worlds", ylabel=label)
+    for ax, label in ((speed, "throughput [physics steps/s]"), (memory, "peak memory [GB]")):
+        ax.set(xscale="log", yscale="log", xlabel="batch [worlds]", ylabel=label)
         sizes = sorted({line["worlds"] for line in walks})
         ax.set_xticks(sizes, [f"{size:,}" for size in sizes])
         ax.xaxis.set_minor_locator(NullLocator())
@@ -125,7 +127,7 @@ def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
     ax.barh(names, compiled, left=trace, color=LINE, label="compile")
     plain = [line["plain_trace_s"] + line["plain_compile_s"] for line in walks]
     ax.plot(plain, names, "|", ms=14, color=BEST, label="plain physics, both")
-    ax.set(xlabel="s")
+    ax.set(xlabel="time [s]")
     ax.margins(y=0.3)
     ax.invert_yaxis()
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
@@ -140,8 +142,8 @@ def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
         cycles = [line["cycles"] for line in own]
         ratio.plot(cycles, [line["ratio"] for line in own], "o-", ms=3, color=colour, label=mode)
         memory.plot(cycles, [line["temporary_bytes_per_world"] / 1e6 for line in own], "o-", ms=3, color=colour)
-    ratio.set(xlabel="gait cycles", ylabel="time over the walk's alone", ylim=(0, None))
-    memory.set(xlabel="gait cycles", ylabel="memory of a world [MB]", ylim=(0, None))
+    ratio.set(xlabel="length of the walk [gait cycles]", ylabel="time over the walk's alone [1]", ylim=(0, None))
+    memory.set(xlabel="length of the walk [gait cycles]", ylabel="memory of a world [MB]", ylim=(0, None))
     for ax in (ratio, memory):
         horizontal_grid(ax)
     ratio.legend()
