@@ -1,7 +1,10 @@
 """The documentation site: `sphinx-build docs build/site`. Its tables of names are made from the package itself."""
 
 import pathlib
+from typing import Any
 
+from docutils import nodes
+from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 
 import nermo_mjx
@@ -21,7 +24,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
-    "sphinx.ext.mathjax",
     "sphinx_click",
     "sphinx_copybutton",
     "sphinx_design",
@@ -30,12 +32,14 @@ source_suffix = {".md": "markdown"}
 exclude_patterns: list[str] = []
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "attrs_inline"]
 myst_heading_anchors = 3
+smartquotes = False  # they would spoil options
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 suppress_warnings = ["myst.header"]
 
+html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "nermo_mjx"
 html_static_path: list[str] = []
@@ -52,7 +56,7 @@ def parameter_table() -> str:
     """Every parameter that a sweep may name, as Markdown."""
     rows = ["| name | default | unit | allowed | meaning |", "|---|--:|---|---|---|"]
     for name, about in sorted(all_parameters().items()):
-        allowed = about.allowed().replace(about.unit, "").strip()
+        allowed = about.allowed().removesuffix(about.unit) if about.unit != "1" else about.allowed()
         rows.append(f"| `{name}` | {float(about.default):.6g} | {about.unit} | {allowed} | {about.doc} |")
     return "\n".join(rows).replace("|a|^t", "\\|a\\|^t") + "\n"
 
@@ -75,6 +79,14 @@ def fill(app: Sphinx, docname: str, source: list[str]) -> None:
         source[0] = source[0].replace(f"]({up}{folder}", f"]({SOURCE}/{folder}")
 
 
+def formula(translator: Any, node: nodes.Element) -> None:
+    """A formula as MathML, which browsers draw themselves, also without a network."""
+    block = isinstance(node, nodes.math_block)
+    translator.body.append(convert(node.astext(), display="block" if block else "inline"))
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("source-read", fill)
