@@ -77,15 +77,20 @@ def same(replayed: dict[str, float], stored: dict[str, Any]) -> None:
 
 def losing_its_numbers(monkeypatch: pytest.MonkeyPatch, frequency: float, after: int) -> None:
     """From now on every world that walks at this frequency loses its velocities after so many ticks."""
-    tick, done = _Block._tick, {}
+    begin, tick, done, walks = _Block.__init__, _Block._tick, {}, {}
+
+    def noted(self: _Block, engine: CEngine, params: Any, *rest: Any) -> None:
+        walks[id(self)], done[id(self)] = np.asarray(params.control.gait.frequency), 0
+        begin(self, engine, params, *rest)
 
     def broken(self: _Block) -> None:
-        done[id(self)] = done.get(id(self), 0) + 1
+        done[id(self)] += 1
         if done[id(self)] == after + 1:
-            walks = np.asarray(self.params.control.gait.frequency)[: self.worlds]
-            self.batch.bind("qvel")[np.isclose(walks, frequency)] = np.nan
+            lost = np.isclose(walks[id(self)][: self.worlds], frequency)
+            self.batch.bind("qvel")[lost] = np.nan
         tick(self)
 
+    monkeypatch.setattr(_Block, "__init__", noted)
     monkeypatch.setattr(_Block, "_tick", broken)
 
 
