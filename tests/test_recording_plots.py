@@ -20,7 +20,8 @@ from nermo_mjx.view.plots.draw import draw_recording
 from nermo_mjx.view.plots.feet import commanded_feet, in_leg_frame, leg_paths, over_ground
 from nermo_mjx.view.plots.gait_diagram import gait_diagram
 from nermo_mjx.view.plots.servos import servo_angles
-from nermo_mjx.view.plots.walk import Walk, spans
+from nermo_mjx.view.plots.walk import Walk
+from nermo_mjx.view.standing import spans
 
 NAMES = ("gait-diagram", "orientation", "foot-paths", "foot-paths-over-ground", "servo-angles", "ground-path")
 #: A lateral walk of a cycle a second.

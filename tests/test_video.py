@@ -193,13 +193,6 @@ def test_the_footfall_passes_below_the_picture_in_step_with_the_time(model: mujo
                 assert blue[round(share * room)] == (then % 1.0 < 0.5), (seconds, then)
 
 
-def test_every_stretch_that_is_on_becomes_a_span() -> None:
-    time = np.arange(6) / 10
-    on = np.array([True, False, True, True, False, True])
-    np.testing.assert_allclose(strips.spans(time, on), [(0.0, 0.1), (0.2, 0.2), (0.5, 0.1)])
-    assert strips.spans(time, np.zeros(6, bool)) == []
-
-
 def test_the_support_polygon_is_that_of_the_feet_that_stand() -> None:
     feet = np.array([[1.0, -1.0], [-1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     centre, outside = np.zeros(2), np.array([0.5, -0.6])

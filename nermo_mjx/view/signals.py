@@ -11,9 +11,8 @@ from jaxtyping import Float
 from nermo_mjx.robot import LIMBS, SERVOS
 from nermo_mjx.view.motion import Motion
 from nermo_mjx.view.recording import Recording
+from nermo_mjx.view.standing import STANDING
 
-#: Force above which a foot stands [N]; the metrics' threshold lies within it.
-LOADED: Final = 0.02
 _LIMB_TITLES: Final = tuple(limb.replace("_", " ") for limb in LIMBS)
 
 
@@ -52,7 +51,7 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     plots = []
     if "foot_force" in sensors:
         force = sensors["foot_force"]
-        stance = (force > LOADED).astype(float)
+        stance = (force > STANDING).astype(float)
         plots.append(Plot("stance", "Feet on the ground", "", _per_limb(stance), bars=True))
         plots.append(Plot("force", "Foot force", "N", _per_limb(force)))
     if {"position", "orientation"} <= sensors.keys():

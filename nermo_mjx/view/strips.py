@@ -13,19 +13,18 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 
+from nermo_mjx.plotting.style import FOOT, OKABE_ITO
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.view import ink
 from nermo_mjx.view.recording import Recording
+from nermo_mjx.view.standing import STANDING, spans
 
 #: What a frame shows of a longer run [s]: the past, and paler what comes.
 PAST: Final = 2.0
 AHEAD: Final = 0.75
-#: Force from which on a foot counts as standing [N], as for the metric `duty_...`.
-STANDING: Final = 0.02
 #: Width of the column with names and scales, and height of the time's scale [pixels].
 MARGIN, SCALE = 44, 15
-#: Of Okabe and Ito, told apart by everybody: left darker than right, front blue, rear orange; the spine green.
-COLOURS: Final = dict(zip(LIMBS, ("#0072B2", "#56B4E9", "#D55E00", "#E69F00"), strict=True)) | {"spine": "#009E73"}
+COLOURS: Final = FOOT | {"spine": OKABE_ITO["green"]}
 #: Names of the limbs in a narrow column.
 SHORT: Final = {limb: "".join(word[0] for word in limb.split("_")).upper() for limb in LIMBS}
 #: Gap above each row [pixels].
@@ -124,7 +123,7 @@ def gait_panels(recording: Recording) -> list[Panel]:
 
     def draw(axes: Any) -> None:
         for row, limb in enumerate(LIMBS):
-            axes.broken_barh(spans(recording.time, standing[:, row]), (3 - row + 0.12, 0.76), color=COLOURS[limb])
+            axes.broken_barh(spans(standing[:, row], recording.time), (3 - row + 0.12, 0.76), color=COLOURS[limb])
 
     notes = tuple((3.5 - row, SHORT[limb], COLOURS[limb]) for row, limb in enumerate(LIMBS))
     return [Panel(52, 0.0, 4.0, draw, notes)]
@@ -157,11 +156,3 @@ def _curves(
         (middle - half, f"{middle - half:.0f}°", ink.INK),
     )
     return Panel(46, middle - 1.15 * half, middle + 1.15 * half, draw, notes)
-
-
-def spans(time: Float[np.ndarray, " T"], on: np.ndarray) -> list[tuple[float, float]]:
-    """(begin, length) [s] of each stretch of samples that are on; each sample stands for the time until the next."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    ends = np.append(time, time[-1] + step)
-    return [(float(ends[i]), float(ends[j] - ends[i])) for i, j in edges.reshape(-1, 2)]

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
 
 from nermo_mjx.view.recording import Recording
-from nermo_mjx.view.strips import STANDING
+from nermo_mjx.view.standing import STANDING
 
 #: Thickness of the lines, radius of the points, and their height above the ground [m].
 _LINE, _POINT, _ABOVE = 0.0006, 0.0024, 0.0008

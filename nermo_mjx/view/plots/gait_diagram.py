@@ -10,7 +10,8 @@ from matplotlib.patches import Patch
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, INK, MISSING, MUTED
 from nermo_mjx.robot import LIMBS
-from nermo_mjx.view.plots.walk import CONTACT, Walk, name_of, spans
+from nermo_mjx.view.plots.walk import Walk, name_of
+from nermo_mjx.view.standing import STANDING, spans
 
 
 def gait_diagram(walk: Walk) -> Figure | None:
@@ -51,5 +52,5 @@ def gait_diagram(walk: Walk) -> Figure | None:
     handles: list[Artist] = [Patch(fc=MUTED, label="measured, in the foot's colour")]
     if planned is not None:
         handles.append(Patch(fc=INK, label="planned"))
-    note = f"{what}; measured: the sole bears more than {CONTACT:g} N; duty factor: share of the time on the ground"
+    note = f"{what}; measured: the sole bears more than {STANDING:g} N; duty factor: share of the time on the ground"
     return page.finish(handles, note + (", in brackets as planned" if planned is not None else ""))

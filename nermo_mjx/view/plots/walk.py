@@ -14,9 +14,8 @@ from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.robot import GAITS, LIMBS
 from nermo_mjx.rollout.attitude import attitude
 from nermo_mjx.view.recording import Recording
+from nermo_mjx.view.standing import STANDING
 
-#: A foot touches the ground if it bears more than this; the robot weighs 2.65 N [N].
-CONTACT: Final = 0.02
 #: Gait cycles that figures show of single steps: the last whole ones.
 SHOWN_CYCLES: Final = 4
 NAMES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
@@ -76,7 +75,7 @@ class Walk:
     def contact(self) -> np.ndarray | None:
         """Whether each foot bears a load, (T, 4); None without such a sensor."""
         force = self.recording.sensors.get("foot_force")
-        return None if force is None else np.asarray(force) > CONTACT
+        return None if force is None else np.asarray(force) > STANDING
 
     @cached_property
     def angles(self) -> np.ndarray | None:
@@ -87,19 +86,6 @@ class Walk:
         found = np.array(attitude(jnp.asarray(orientation)), float)
         found[:, 2] = np.unwrap(found[:, 2])
         return np.degrees(found)
-
-
-def spans(flags: np.ndarray, time: np.ndarray) -> list[tuple[float, float]]:
-    """(begin, length) of each stretch of samples that are true; a sample stands for the time since the one before.
-
-    Args:
-        flags: (T,) bool.
-        time: (T,) [s].
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-    begins = np.concatenate([time - step, [time[-1]]])
-    return [(float(begins[a]), float(begins[b] - begins[a])) for a, b in edges.reshape(-1, 2)]
 
 
 def name_of(limb: str) -> str:
