@@ -7,13 +7,12 @@ import dataclasses
 import html
 import json
 import os
-import tempfile
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 from nermo_mjx.view.packing import Packer
-from nermo_mjx.view.recording import Recording, RecordingError
+from nermo_mjx.view.recording import Recording, whole_file
 
 _WEB: Final = resources.files("nermo_mjx.view") / "web"
 _THREE: Final = "vendor/three/three.min.js"
@@ -40,19 +39,8 @@ class Page:
             RecordingError: it cannot be written.
         """
         path = Path(path)
-        temporary = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
-                temporary = Path(file.name)
-                file.write(self.html)
-            temporary.chmod(0o644)
-            temporary.replace(path)
-        except OSError as error:
-            raise RecordingError(f"{path}: the page cannot be written ({error.strerror or error}).") from None
-        finally:
-            if temporary is not None:
-                temporary.unlink(missing_ok=True)
+        with whole_file(path, "the page") as file:
+            file.write(self.html.encode())
         return path
 
     def _repr_html_(self) -> str:

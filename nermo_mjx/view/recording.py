@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
 import os
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import mujoco
 import numpy as np
@@ -81,19 +82,8 @@ class Recording:
         header = {"format": _MARK, "layout": LAYOUT, "model_hash": self.model_hash, "metadata": dict(self.metadata)}
         arrays = {"header": np.array(json.dumps(header)), "time": self.time, "qpos": self.qpos, "qvel": self.qvel}
         arrays |= {"ctrl": self.ctrl} | {f"sensor.{name}": values for name, values in self.sensors.items()}
-        temporary = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-                temporary = Path(file.name)
-                np.savez_compressed(file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()})
-            temporary.chmod(0o666 & ~_umask())
-            temporary.replace(path)
-        except OSError as error:
-            raise RecordingError(f"{path}: the recording cannot be written ({error.strerror or error}).") from None
-        finally:
-            if temporary is not None:
-                temporary.unlink(missing_ok=True)
+        with whole_file(path, "the recording") as file:
+            np.savez_compressed(file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()})
         return path
 
     @classmethod
@@ -135,6 +125,32 @@ class Recording:
             raise RecordingError(
                 "The recording was made with another version of the robot's model; record the run again."
             )
+
+
+@contextlib.contextmanager
+def whole_file(path: Path, what: str) -> Iterator[IO[bytes]]:
+    """A file to write into that appears under its name when it is whole; its folder is made if it is missing.
+
+    Args:
+        path: of the file.
+        what: it holds, for the message.
+
+    Raises:
+        RecordingError: it cannot be written; what was there is still there.
+    """
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
+            yield file
+        temporary.chmod(0o666 & ~_umask())
+        temporary.replace(path)
+    except OSError as error:
+        raise RecordingError(f"{path}: {what} cannot be written ({error.strerror or error}).") from None
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
 def model_hash(model: mujoco.MjModel) -> str:
