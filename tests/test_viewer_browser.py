@@ -23,6 +23,8 @@ from nermo_mjx.view.motion import motion_of
 #: What must be within reach in any window.
 CONTROLS = ["play", "scrub", "speed", "loop", "plots-toggle", "help-toggle", "canvas", "plot-list", "view"]
 READY = "document.documentElement?.dataset.ready === 'yes'"
+#: The last change has been drawn as well as stills are.
+RESTING = "!viewer.stage.stale && !viewer.stage.quality.unsettled"
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +88,8 @@ def opened(tab: chromium.Tab, path: Path, width: int = 560, height: int = 420, d
 
 def stage_picture(tab: chromium.Tab) -> np.ndarray:
     """What is drawn in 3D, without the tools over it."""
-    frames = tab.evaluate("viewer.stage.frames")
     tab.evaluate("viewer.stage.stale = true")
-    tab.wait(f"viewer.stage.frames > {frames}")
+    tab.wait(RESTING)
     box = tab.evaluate("(() => { const r = document.getElementById('stage').getBoundingClientRect();"
                        "return [r.left, r.top + 34, r.right, r.bottom - 30]; })()")  # fmt: skip
     return np.asarray(Image.open(io.BytesIO(tab.picture())).convert("RGB").crop(box)).astype(int)
@@ -361,25 +362,72 @@ def test_a_page_of_another_model_draws_its_shapes_and_meshes(
     picture = stage_picture(tab)
     red = (picture[..., 0] > 90) & (picture[..., 1] < 60) & (picture[..., 2] < 60)
     assert red.mean() > 0.005
-    assert tab.evaluate("viewer.clips[0].model.shapes[1].seen.attributes.position.count") == 12, "four triangles"
+    assert tab.evaluate("viewer.clips[0].model.fine[1].seen.attributes.position.count") == 12, "four triangles"
 
 
 def test_the_curved_skull_is_smooth(tab: chromium.Tab, one: Path) -> None:
     """Corners of a triangle on a curved mesh have normals of their own; on a faceted one they share the face's."""
     opened(tab, one)
     shares = tab.evaluate("""(() => {
-        const { bodies, shapes } = viewer.clips[0].model;
-        const normal = shapes[bodies.indexOf("head")].seen.attributes.normal;
+        const { bodies, fine } = viewer.clips[0].model;
+        const { attributes, index } = fine[bodies.indexOf("head")].seen;
+        const corner = (i) => [0, 1, 2].map((k) => attributes.normal.getComponent(index.getX(i), k));
         let flat = 0;
-        for (let i = 0; i < normal.count; i += 3) {
-            const at = (k) => [normal.getX(k), normal.getY(k), normal.getZ(k)];
-            const [a, b, c] = [at(i), at(i + 1), at(i + 2)];
+        for (let i = 0; i < index.count; i += 3) {
+            const [a, b, c] = [corner(i), corner(i + 1), corner(i + 2)];
             const same = (p, q) => p.every((value, k) => Math.abs(value - q[k]) < 1e-3);
             if (same(a, b) && same(b, c)) flat++;
         }
-        return flat / (normal.count / 3);
+        return flat / (index.count / 3);
     })()""")
     assert shares < 0.6
+
+
+def test_moving_pictures_are_coarse_and_stills_are_fine(tab: chromium.Tab, one: Path) -> None:
+    """Where there is no graphics card, as here."""
+    opened(tab, one)
+    tab.wait(RESTING)
+    triangles, pixels = "viewer.stage.renderer.info.render.triangles", "viewer.stage.canvas.width"
+    still = tab.evaluate(f"[{triangles}, {pixels}]")
+    tab.key(" ")
+    tab.wait("viewer.player.time > 0.3")
+    moving = tab.evaluate(f"[{triangles}, {pixels}]")
+    assert moving[0] < still[0] / 2
+    assert moving[1] < still[1]
+    tab.key(" ")
+    tab.wait(RESTING)
+    assert tab.evaluate(f"[{triangles}, {pixels}]") == still
+    orbit = "viewer.stage.look('top')"
+    assert (
+        tab.evaluate(f"new Promise((done) => {{ {orbit}; requestAnimationFrame(() => done({triangles})); }})")
+        < still[0] / 2
+    )
+
+
+def test_a_coarse_robot_is_as_large_as_the_fine_one(tab: chromium.Tab, one: Path) -> None:
+    opened(tab, one)
+    boxes = tab.evaluate("""["fine", "coarse"].map((detail) => viewer.clips[0].model[detail].map(({ seen }) => {
+        if (!seen) return null;
+        seen.computeBoundingBox();
+        return [...seen.boundingBox.min.toArray(), ...seen.boundingBox.max.toArray()];
+    }))""")
+    drawn = [(fine, coarse) for fine, coarse in zip(*boxes, strict=True) if fine]
+    assert len(drawn) > 20
+    for fine, coarse in drawn:
+        np.testing.assert_allclose(coarse, fine, atol=1.5e-3)
+
+
+def test_the_ground_is_as_light_without_lamps_as_with_them(tab: chromium.Tab, one: Path) -> None:
+    """Half of what is seen must not change its shade when the time begins to go on."""
+    opened(tab, one)
+    tab.evaluate("viewer.player.seek(1.0)")
+    plain = stage_picture(tab)
+    tab.evaluate("viewer.stage.quality.still = { share: 1, plain: false, coarse: false }; viewer.player.seek(1.0)")
+    glossy = stage_picture(tab)
+    assert np.median(np.abs(plain - glossy).max(axis=2)) <= 2
+    # The shadows lie in the same places, and are as dark.
+    dark = [(picture.max(axis=2) < 200) & (picture.min(axis=2) > 120) for picture in (plain, glossy)]
+    assert (dark[0] & dark[1]).sum() / (dark[0] | dark[1]).sum() > 0.6
 
 
 def test_without_webgl_a_sentence_stands_for_the_picture_and_plots_work(program: str, one: Path) -> None:

@@ -15,7 +15,7 @@ from nermo_mjx.view.packing import Packer
 from nermo_mjx.view.recording import Recording, whole_file
 
 _WEB: Final = resources.files("nermo_mjx.view") / "web"
-_THREE: Final = "vendor/three/three.min.js"
+_LIBRARIES: Final = {"three": "vendor/three/three.min.js", "meshoptimizer": "vendor/meshoptimizer/simplifier.min.js"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,10 +106,11 @@ def _document(header: dict[str, Any], data: str) -> str:
 
 
 def _modules() -> dict[str, str]:
-    """An import map: `three`, and each of our modules as `viewer/NAME.js`, as data URLs."""
+    """An import map: the libraries, and each of our modules as `viewer/NAME.js`, as data URLs."""
     ours = sorted(each.name for each in _WEB.iterdir() if each.name.endswith(".js"))
-    sources = {f"viewer/{name}": f"{_text(name)}\n//# sourceURL=viewer/{name}\n" for name in ours}
-    return {name: _data_url(source) for name, source in ({"three": _text(_THREE)} | sources).items()}
+    sources = {name: _text(path) for name, path in _LIBRARIES.items()}
+    sources |= {f"viewer/{name}": f"{_text(name)}\n//# sourceURL=viewer/{name}\n" for name in ours}
+    return {name: _data_url(source) for name, source in sources.items()}
 
 
 def _data_url(source: str) -> str:

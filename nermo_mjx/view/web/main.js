@@ -4,7 +4,7 @@ import { Clip } from "viewer/clip.js";
 import { onThemeChange, theme } from "viewer/colours.js";
 import { wireComparison, wireToggles, wireTransport, wireViews } from "viewer/controls.js";
 import { unpack } from "viewer/data.js";
-import { readModel } from "viewer/geometry.js";
+import { Model, prepare } from "viewer/geometry.js";
 import { wireKeys } from "viewer/keys.js";
 import { fillDetails, fillHead, fillHelp, fillScales, togglePanel } from "viewer/panels.js";
 import { Player } from "viewer/player.js";
@@ -17,7 +17,8 @@ const find = (id) => document.getElementById(id);
 async function start() {
   const header = JSON.parse(find("header").textContent);
   const buffer = await unpack(find("data").textContent);
-  const models = header.models.map((model) => readModel(model, buffer));
+  await prepare();
+  const models = header.models.map((model) => new Model(model, buffer));
   const clips = header.clips.map((clip) => new Clip(clip, models[clip.model], buffer));
   const player = new Player(clips);
   fillHead(clips);
@@ -132,7 +133,7 @@ function run(player, stage) {
     const passed = (now - before) / 1000;
     before = now;
     player.tick(Math.min(passed, 0.25));
-    stage?.draw(player.playing ? passed : null);
+    stage?.draw(passed);
     requestAnimationFrame(frame);
   };
   requestAnimationFrame(frame);

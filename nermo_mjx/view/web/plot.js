@@ -101,7 +101,8 @@ export class Plot {
       this.canvas.width = Math.round(width * ratio);
       this.canvas.height = Math.round(this.height * ratio);
     }
-    const paper = this.canvas.getContext("2d");
+    // Drawn by the processor: long curves take seconds where WebGL is emulated, and hardly less on a graphics card.
+    const paper = this.canvas.getContext("2d", { willReadFrequently: true });
     paper.setTransform(ratio, 0, 0, ratio, 0, 0);
     paper.clearRect(0, 0, width, this.height);
     paper.font = "10px system-ui, sans-serif";

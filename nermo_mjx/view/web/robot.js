@@ -1,6 +1,7 @@
 // The bodies of one clip in the scene.
 
-import { Color, Group, Mesh, MeshStandardMaterial } from "three";
+import { Color, Group, Mesh, MeshLambertMaterial, MeshStandardMaterial } from "three";
+import { FlatShadow } from "viewer/shadow.js";
 
 export class RobotView {
   constructor(clip) {
@@ -8,30 +9,46 @@ export class RobotView {
     this.group = new Group();
     this.colour = null;
     this.collisions = false;
-    this.material = new MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0.05 });
-    this.hull = new MeshStandardMaterial({ color: "#56b4e9", roughness: 0.8 });
-    this.bodies = clip.model.shapes.map((shape) => {
+    this.shadows = true;
+    this.plain = false;
+    this.glossy = new MeshStandardMaterial({ roughness: 0.62, metalness: 0.05 });
+    this.matt = new MeshLambertMaterial();
+    this.hull = new MeshLambertMaterial({ color: "#56b4e9" });
+    this.shadow = new FlatShadow();
+    this.group.add(this.shadow.group);
+    this.seen = [];
+    this.collides = [];
+    this.bodies = clip.model.bodies.map(() => {
       const body = new Group();
-      if (shape.seen) {
-        const mesh = new Mesh(shape.seen, this.material);
-        mesh.castShadow = mesh.receiveShadow = true;
-        body.add(mesh);
-      }
-      if (shape.collides) {
-        const mesh = new Mesh(shape.collides, this.hull);
-        mesh.visible = false;
-        mesh.name = "collides";
-        body.add(mesh);
-      }
+      this.seen.push(new Mesh());
+      this.collides.push(new Mesh(undefined, this.hull));
+      body.add(this.seen.at(-1), this.collides.at(-1));
       this.group.add(body);
       return body;
     });
   }
 
+  /** Draws it `plain`, matt and with a flat shadow, and `coarse`, with fewer triangles, or neither. */
+  setQuality({ plain, coarse }) {
+    const { model } = this.clip;
+    const shapes = coarse ? model.coarse : model.fine;
+    shapes.forEach((shape, i) => {
+      if (shape.seen) this.seen[i].geometry = shape.seen;
+      if (shape.collides) this.collides[i].geometry = shape.collides;
+    });
+    if (plain) this.shadow.cast(coarse ? model.outline : shapes.map((shape) => shape.seen));
+    this.plain = plain;
+    this.#dress();
+  }
+
   /** Shows what collides, through what is seen. */
   showCollisions(on) {
     this.collisions = on;
-    for (const body of this.bodies) for (const mesh of body.children) if (mesh.name === "collides") mesh.visible = on;
+    this.#dress();
+  }
+
+  showShadows(on) {
+    this.shadows = on;
     this.#dress();
   }
 
@@ -39,31 +56,38 @@ export class RobotView {
   ghost(colour) {
     this.colour = colour;
     this.#dress();
-    for (const body of this.bodies) {
-      for (const mesh of body.children) if (mesh.name !== "collides") mesh.castShadow = colour === null;
-    }
-    // The scene stands once, in the first robot's group.
-    this.clip.still.position.forEach((_, body) => {
-      if (!this.clip.moving.includes(body)) this.bodies[body].visible = colour === null;
-    });
   }
 
   #dress() {
     const ghost = this.colour !== null;
-    Object.assign(this.material, {
-      vertexColors: !ghost,
-      color: new Color(this.colour ?? "#ffffff"),
-      transparent: ghost || this.collisions,
-      opacity: this.collisions ? 0.32 : ghost ? 0.5 : 1,
-      depthWrite: !this.collisions,
-      needsUpdate: true,
-    });
+    for (const material of [this.glossy, this.matt]) {
+      Object.assign(material, {
+        vertexColors: !ghost,
+        color: new Color(this.colour ?? "#ffffff"),
+        transparent: ghost || this.collisions,
+        opacity: this.collisions ? 0.32 : ghost ? 0.5 : 1,
+        depthWrite: !this.collisions,
+        needsUpdate: true,
+      });
+    }
+    this.shadow.group.visible = this.plain && this.shadows && !ghost && this.clip.model.hasGround;
+    for (const mesh of this.seen) {
+      mesh.material = this.plain ? this.matt : this.glossy;
+      mesh.castShadow = !ghost;
+      mesh.receiveShadow = !this.plain;
+    }
+    for (const mesh of this.collides) mesh.visible = this.collisions;
+    // The scene stands once, in the first robot's group.
+    const moving = new Set(this.clip.moving);
+    this.bodies.forEach((body, i) => (body.visible = !ghost || moving.has(i)));
   }
 
   setMoment(moment) {
     this.clip.pose(moment, (body, position, quaternion) => {
-      this.bodies[body].position.set(...position);
-      this.bodies[body].quaternion.set(quaternion[1], quaternion[2], quaternion[3], quaternion[0]);
+      for (const each of [this.bodies[body], this.shadow.bodies[body]]) {
+        each?.position.set(...position);
+        each?.quaternion.set(quaternion[1], quaternion[2], quaternion[3], quaternion[0]);
+      }
     });
   }
 }

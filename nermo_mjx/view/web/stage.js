@@ -4,30 +4,30 @@ import { Color, DirectionalLight, Fog, HemisphereLight, PCFShadowMap, Scene, Vec
 import { CameraMan } from "viewer/camera.js";
 import { ForceView } from "viewer/forces.js";
 import { Ground } from "viewer/ground.js";
+import { Quality, isSoftware } from "viewer/quality.js";
 import { RobotView } from "viewer/robot.js";
-import { Sharpness } from "viewer/sharpness.js";
+import { SUN } from "viewer/shadow.js";
 import { TendonView } from "viewer/tendons.js";
 import { TrailView } from "viewer/trail.js";
 
 /** How far apart robots walk that are shown beside each other [m]. */
 const APART = 0.16;
-const SUN = new Vector3(0.24, 0.2, 1);
 
 export class Stage {
   /** Throws if the browser has no WebGL. */
   constructor(canvas, clips) {
     this.canvas = canvas;
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, stencil: true, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.scene = new Scene();
     this.scene.fog = new Fog("#ffffff", 1.6, 4.5);
     this.#light();
-    this.ground = new Ground(this.renderer.capabilities.getMaxAnisotropy());
+    this.ground = new Ground(this.renderer.capabilities.getMaxAnisotropy(), this.scene.fog);
     this.scene.add(this.ground.group);
     this.stale = true;
     this.frames = 0;
-    this.sharpness = new Sharpness();
+    this.quality = new Quality(isSoftware(this.renderer.getContext()));
     this.shadows = true;
     this.man = new CameraMan(canvas, () => (this.stale = true));
     this.actors = clips.map((clip) => this.#actor(clip));
@@ -108,13 +108,15 @@ export class Stage {
       actor.forces.group.visible = what.forces;
       actor.trail.group.visible = what.trail;
       actor.robot.showCollisions(what.collisions);
+      actor.robot.showShadows(what.shadows);
     }
     this.shadows = what.shadows;
-    this.resize();
+    this.sun.castShadow = what.shadows && !this.quality.shown?.plain;
     this.stale = true;
   }
 
   setTime(time) {
+    this.time = time;
     let [x, y, z] = [0, 0, 0];
     const share = 1 / (this.way === "same" ? 1 : this.actors.length);
     for (const actor of this.actors) {
@@ -136,7 +138,7 @@ export class Stage {
     if (this.man.view === "eyes") this.#ride();
     this.ground.moveTo(x, y);
     this.sun.target.position.set(x, y, 0);
-    this.sun.position.set(x, y, 0).addScaledVector(SUN, 1.1);
+    this.sun.position.set(x, y, 0).addScaledVector(new Vector3(SUN.x, SUN.y, SUN.z), 1.1);
     this.fill.target.position.set(x, y, 0);
     this.fill.position.set(x - 0.8, y + 0.6, 0.5);
     this.stale = true;
@@ -164,9 +166,7 @@ export class Stage {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
-    const { share, shadows } = this.sharpness.take();
-    this.sun.castShadow = shadows && this.shadows;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * share);
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * (this.quality.shown?.share ?? 1));
     this.renderer.setSize(width, height, false);
     const before = this.man.camera.aspect;
     this.man.resize(width / height);
@@ -175,14 +175,38 @@ export class Stage {
     this.stale = true;
   }
 
-  /** Draws what has changed; `playing` is how long the last frame took while the time goes on [s], or null. */
-  draw(playing) {
-    this.sharpness.note(playing);
-    if (this.sharpness.changed) this.resize();
+  /** Draws what has changed, better once it has come to rest; `seconds` have passed since the last call. */
+  draw(seconds) {
+    this.quality.note(seconds, this.stale);
+    const { wanted } = this.quality;
+    if (wanted !== this.quality.shown && (this.stale || wanted === this.quality.still)) this.#setQuality(wanted);
     if (!this.stale) return;
     this.stale = false;
     this.frames++;
     this.renderer.render(this.scene, this.man.camera);
+  }
+
+  #setQuality(quality) {
+    this.quality.shown = quality;
+    this.sun.castShadow = this.shadows && !quality.plain;
+    const { light, shade } = this.#lightOnGround();
+    this.ground.setQuality(quality, light);
+    for (const { robot } of this.actors) {
+      robot.setQuality(quality);
+      robot.shadow.material.opacity = shade;
+    }
+    this.setTime(this.time);
+    this.resize();
+  }
+
+  /** The light that the ground sends back, as a share of a white one's, and how much a shadow darkens its pixels. */
+  #lightOnGround() {
+    const up = (lamp) => lamp.position.clone().sub(lamp.target.position).normalize().z;
+    const shine = (lamp) => lamp.color.clone().multiplyScalar(lamp.intensity * up(lamp) / Math.PI);
+    const sun = shine(this.sun);
+    const light = this.sky.color.clone().multiplyScalar(this.sky.intensity / Math.PI).add(sun).add(shine(this.fill));
+    // Shadows are blended into encoded pixels, for which a gamma of 2.2 is near enough.
+    return { light, shade: 1 - (1 - sun.g / light.g) ** (1 / 2.2) };
   }
 
   /** Where a body of a clip is in the world [m]. */

@@ -15,7 +15,7 @@ export class TendonView {
     const segments = clip.tendons.reduce((sum, tendon) => sum + tendon.points - 1, 0);
     // Without shading, so that the colours are those of the scale.
     const material = new MeshBasicMaterial();
-    this.mesh = new InstancedMesh(new CylinderGeometry(1, 1, 1, 8, 1, true), material, Math.max(segments, 1));
+    this.mesh = new InstancedMesh(new CylinderGeometry(1, 1, 1, 6, 1, true), material, Math.max(segments, 1));
     this.mesh.count = segments;
     this.mesh.frustumCulled = false;
     this.mesh.instanceMatrix.setUsage(DynamicDrawUsage);

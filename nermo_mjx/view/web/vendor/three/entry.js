@@ -23,16 +23,19 @@ export {
   MeshBasicMaterial,
   MeshLambertMaterial,
   MeshStandardMaterial,
+  NotEqualStencilFunc,
   PCFShadowMap,
   PerspectiveCamera,
   PlaneGeometry,
   Quaternion,
   RepeatWrapping,
+  ReplaceStencilOp,
   SRGBColorSpace,
   Scene,
+  ShaderMaterial,
   SphereGeometry,
   Vector3,
   WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/addons/controls/OrbitControls.js";
-export { mergeGeometries, toCreasedNormals } from "three/addons/utils/BufferGeometryUtils.js";
+export { mergeGeometries, mergeVertices, toCreasedNormals } from "three/addons/utils/BufferGeometryUtils.js";
