@@ -11,8 +11,10 @@ const LEVELS = [
   { share: 0.5, plain: true, coarse: true },
   { share: 0.4, plain: true, coarse: true },
 ];
-/** Compiling gloss and shadows takes seconds on a processor, and drawing them a quarter of one. */
-const STILL_IN_SOFTWARE = { share: 1, plain: true, coarse: false };
+/** On a processor gloss and shadows take seconds to compile; twice the pixels smooth edges that its WebGL leaves jagged. */
+const STILL_IN_SOFTWARE = { share: 2, plain: true, coarse: false };
+/** Pixels for each of the page's in one direction, at most. */
+const MOST = 2;
 /** Slower than this is slow [s]: 30 frames a second, with room for a clock that ticks in milliseconds. */
 const SLOW = 0.0345;
 /** Share of the newest frame in the running mean of their times, and how many of them a level is given. */
@@ -53,15 +55,23 @@ export class Quality {
     return this.quiet < REST ? LEVELS[this.level] : this.still;
   }
 
+  /** How many pixels are drawn for each of the page's, in one direction. */
+  get pixelRatio() {
+    return Math.min(Math.min(devicePixelRatio, MOST) * (this.shown?.share ?? 1), MOST);
+  }
+
   /** Whether another picture of the same is wanted. */
   get unsettled() {
     return this.shown !== this.still;
   }
 }
 
-/** Whether a WebGL context draws on the processor. */
-export function isSoftware(context) {
-  const names = context.getExtension("WEBGL_debug_renderer_info");
-  const name = context.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : context.RENDERER);
+/** Whether WebGL runs on the processor. */
+export function isSoftware() {
+  const probe = document.createElement("canvas").getContext("webgl2");
+  if (!probe) return false;
+  const names = probe.getExtension("WEBGL_debug_renderer_info");
+  const name = probe.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : probe.RENDERER);
+  probe.getExtension("WEBGL_lose_context")?.loseContext();
   return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(name);
 }

@@ -17,7 +17,9 @@ export class Stage {
   /** Throws if the browser has no WebGL. */
   constructor(canvas, clips) {
     this.canvas = canvas;
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, stencil: true, powerPreference: "high-performance" });
+    const software = isSoftware();
+    this.quality = new Quality(software);
+    this.renderer = new WebGLRenderer({ canvas, antialias: !software, stencil: true, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
     this.scene = new Scene();
@@ -27,7 +29,6 @@ export class Stage {
     this.scene.add(this.ground.group);
     this.stale = true;
     this.frames = 0;
-    this.quality = new Quality(isSoftware(this.renderer.getContext()));
     this.shadows = true;
     this.man = new CameraMan(canvas, () => (this.stale = true));
     this.actors = clips.map((clip) => this.#actor(clip));
@@ -166,7 +167,7 @@ export class Stage {
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * (this.quality.shown?.share ?? 1));
+    this.renderer.setPixelRatio(this.quality.pixelRatio);
     this.renderer.setSize(width, height, false);
     const before = this.man.camera.aspect;
     this.man.resize(width / height);
