@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import math
@@ -20,6 +21,7 @@ import pytest
 from click.testing import CliRunner, Result
 from experiment_fake import Fake
 
+from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main, options
 from nermo_mjx.cli.output import plain
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
@@ -185,16 +187,42 @@ def test_a_wrong_sweep_is_refused_with_file_line_and_nearest_name(tmp_path: Path
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["render", "--out", "walk.mp4"], ["view", "--no-open", "--out", "walk.html"], ["plot", "--out", "plots"],
+     ["play", "--xml", "walk.xml"]],
+    ids=lambda command: command[0],
+)  # fmt: skip
+def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: list[str], tmp_path: Path) -> None:
+    name, *options = command
+    time, states = np.arange(1, 4) * 0.01, np.zeros((3, load_robot().model.nq))
+    old = Recording(time, states, np.zeros((3, 3)), np.zeros((3, 11)), model_hash="0123456789abcdef")
+    (tmp_path / "text.npz").write_text("no recording")
+    np.savez(tmp_path / "other.npz", speed=np.zeros(3))
+    cases = {
+        tmp_path
+        / "text.npz": "not a recording of nermo_mjx, or a damaged one; nermo-mjx walk --record FILE.npz writes",
+        tmp_path / "other.npz": "not a recording of nermo_mjx; nermo-mjx walk --record FILE.npz writes one.",
+        old.save(tmp_path / "old.npz"): "made with another version of the robot's model; record the run again.",
+    }
+    there = sorted(tmp_path.iterdir())
+    with contextlib.chdir(tmp_path):
+        for path, sentence in cases.items():
+            result = call(name, path, *options)
+            assert result.exit_code == 2, path
+            assert result.stderr.startswith(f"nermo-mjx: {path}: ")
+            assert sentence in result.stderr
+            assert len(result.stderr.splitlines()) == 1
+    assert sorted(tmp_path.iterdir()) == there
+
+
 # --- failed, stopped
 
 
 def test_a_failure_is_exit_code_1_and_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "walk.npz").write_text("no recording")
-    result = call("render", tmp_path / "walk.npz", "--out", tmp_path / "walk.mp4")
-    assert result.exit_code == 1
-    assert result.stderr == f"nermo-mjx: {tmp_path}/walk.npz: not a recording of nermo_mjx, or a damaged one.\n"
     result = call("model", "--xml", tmp_path / "missing" / "robot.xml")
     assert result.exit_code == 1
+    assert len(result.stderr.splitlines()) == 1
     assert "cannot be written" in result.stderr
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from nermo_mjx.experiments.plots.draw import draw
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
+from nermo_mjx.tune.landscape import run_landscape
 
 
 def plot(*arguments: str | Path) -> Result:
@@ -106,7 +108,10 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     result = plot(tmp_path / "empty")
     assert result.exit_code == 2
-    assert "is no directory of a sweep, a tuning, experiments or an identification" in result.stderr
+    assert (
+        "has none of sweep.yaml, tuning.yaml, report.json, identification.json, landscape.yaml and results.jsonl"
+        in (result.stderr)
+    )
     assert plot(tmp_path / "missing").exit_code == 2
     shutil.rmtree(sweep / "results")
     result = plot(sweep)
@@ -127,7 +132,7 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     (tmp_path / "walk.npz").write_text("nothing")
     assert "--out DIR" in plot(tmp_path / "walk.npz").stderr
     result = plot(tmp_path / "walk.npz", "--out", tmp_path / "plots")
-    assert result.exit_code == 1
+    assert result.exit_code == 2
     assert "not a recording of nermo_mjx" in result.stderr
     assert not (tmp_path / "plots").exists()
     assert "choose columns of a sweep" in plot(tmp_path / "walk.npz", "--x", "speed", "--out", tmp_path / "a").stderr
@@ -169,3 +174,29 @@ def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
     assert set(content(tmp_path / "plots")) == {"identification-search.svg", "identification-residuals.svg"}
     (tmp_path / "identification.json").write_text("{")
     assert "run the identification again" in plot(tmp_path).stderr
+
+
+def test_a_landscapes_figures_are_remade(tmp_path: Path) -> None:
+    tuning = Tuning.from_dict(TUNE_SPEC)
+    run_landscape(tuning, tmp_path / "there", problem=FakeProblem(tuning), points=9)
+    made = content(tmp_path / "there" / "plots")
+    result = plot(tmp_path / "there", "--out", tmp_path / "again")
+    assert result.exit_code == 0, result.stderr
+    assert content(tmp_path / "again") == made
+    assert set(made) == {f"line-{name}.{form}" for name in tuning.names for form in ("png", "svg")}
+    (tmp_path / "there" / "landscape.parquet").unlink()
+    assert "landscape.parquet is missing" in plot(tmp_path / "there").stderr
+
+
+def test_a_directory_of_benchmarks_is_drawn_again(tmp_path: Path) -> None:
+    shutil.copytree(Path(__file__).parents[1] / "docs" / "benchmarks", tmp_path / "benchmarks")
+    shutil.rmtree(tmp_path / "benchmarks" / "plots")
+    page = (tmp_path / "benchmarks" / "results.md").read_text()
+    result = plot(tmp_path / "benchmarks")
+    assert result.exit_code == 0, result.stderr
+    drawn = content(tmp_path / "benchmarks" / "plots")
+    assert {f"plots/{name}" for name in drawn if name.endswith(".png")} == set(re.findall(r"\((plots/.*?)\)", page))
+    (tmp_path / "benchmarks" / "results.jsonl").write_text("{}\n")
+    result = plot(tmp_path / "benchmarks")
+    assert result.exit_code == 1
+    assert "results.jsonl cannot be read" in result.stderr

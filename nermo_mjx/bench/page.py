@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,10 +15,10 @@ from matplotlib.ticker import NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.registry import CASES
-from nermo_mjx.plotting.files import lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, LINE, MUTED, STYLE, horizontal_grid
-from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, replace_file
 
 RESULTS: Final = "results.jsonl"
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
@@ -33,16 +35,52 @@ def add_run(folder: Path, run: Mapping[str, Any]) -> None:
 
 def draw_page(folder: Path) -> None:
     """Remake FOLDER/results.md and FOLDER/plots from FOLDER/results.jsonl."""
-    machines = _by_machine([json.loads(line) for line in (folder / RESULTS).read_text().splitlines()])
+    machines = _by_machine(_runs(folder))
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
     for number, (machine, lines) in enumerate(machines.items(), 1):
         text += [f"## {machine}", "", *_tables(lines)]
-        with rc_context(STYLE):
-            for name, figure in _figures(machine, lines):
-                lay_out(figure)
-                write_figure(figure, folder / "plots", f"{name}_{number}", replace_file)
-                text += [f"![{name}](plots/{name}_{number}.png)", ""]
+        for name in _draw(machine, lines, number, folder / "plots", FORMATS):
+            text += [f"![{name}](plots/{name}_{number}.png)", ""]
     replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
+
+
+def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Draw the plots of a directory of benchmarks once more; nothing is measured.
+
+    Args:
+        out: the directory.
+        folder: where the files go; by default its `plots/`.
+        formats: of `png` and `svg`.
+
+    Raises:
+        StoreError: results.jsonl cannot be read, or the folder cannot be written.
+    """
+    out = Path(out)
+    folder = out / "plots" if folder is None else folder
+    try:
+        machines = _by_machine(_runs(out))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StoreError(f"{out / RESULTS} cannot be read: {error}. Measure again with nermo-mjx bench.") from None
+    make_writable(folder)
+    with clear_errors(folder):
+        drawn = [_draw(*each, number, folder, formats) for number, each in enumerate(machines.items(), 1)]
+    return [path for files in drawn for path in itertools.chain.from_iterable(files.values())]
+
+
+def _runs(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / RESULTS).read_text().splitlines()]
+
+
+def _draw(
+    machine: str, lines: Sequence[Mapping[str, Any]], number: int, folder: Path, formats: Sequence[str]
+) -> dict[str, list[Path]]:
+    """The files of each figure of a machine, by the figure's name."""
+    files = {}
+    with rc_context(STYLE):
+        for name, figure in _figures(machine, lines):
+            lay_out(figure)
+            files[name] = write_figure(figure, folder, f"{name}_{number}", replace_file, formats)
+    return files
 
 
 def _by_machine(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[dict[str, Any]]]:

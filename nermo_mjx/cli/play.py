@@ -8,6 +8,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.output import print_json, stdout_reserved
+from nermo_mjx.cli.recordings import load_recording
 
 EPILOG = """\b
 Examples:
@@ -34,9 +35,9 @@ def command(
     `python -m mujoco.viewer --mjcf=FILE.xml` and its slider over keyframes.
     """
     with stdout_reserved():
-        from nermo_mjx.view import Recording, play, write_keyframes
+        from nermo_mjx.view import play, write_keyframes
 
-        loaded = Recording.load(recording)
+        loaded = load_recording(recording)
         if xml is None:
             play(loaded, speed=speed, loop=not once)
             keys = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from nermo_mjx.cli.choices import EXPERIMENTS, FORMATS
 from nermo_mjx.cli.completing import FileKind
 from nermo_mjx.cli.group import Failure, WrongUse
 from nermo_mjx.cli.output import print_json, stdout_reserved
+from nermo_mjx.cli.recordings import load_recording
 
 EPILOG = """\b
 Examples:
@@ -27,6 +29,8 @@ _MARKS = {
     "tuning": ("tuning.yaml",),
     "experiments": ("report.json", *(f"results/{name}.parquet" for name in EXPERIMENTS)),
     "identification": ("identification.json",),
+    "landscape": ("landscape.yaml",),
+    "benchmarks": ("results.jsonl",),
 }
 
 
@@ -51,10 +55,10 @@ def command(
 ) -> None:
     """Make the figures of PATH from what it holds; nothing is simulated.
 
-    PATH is the directory of a sweep, a tuning, experiments or an
-    identification, whose figures are made from their tables, or a recording
-    FILE.npz: gait diagram, orientation, foot paths, servo angles, way on the
-    ground.
+    PATH is the directory of a sweep, a tuning, a landscape, experiments, an
+    identification or benchmarks, whose figures are made from their tables, or
+    a recording FILE.npz: gait diagram, orientation, foot paths, servo angles,
+    way on the ground.
 
     --x, --y and --color choose columns of a sweep: two parameters of a grid
     give a heat map, two metrics with a better side a Pareto front, all else a
@@ -88,7 +92,8 @@ def command(
 
 _ARTICLES = {
     "recording": "a recording", "tuning": "a tuning's directory", "experiments": "a directory of experiments",
-    "identification": "an identification's directory",
+    "identification": "an identification's directory", "landscape": "a landscape's directory",
+    "benchmarks": "a directory of benchmarks",
 }  # fmt: skip
 
 
@@ -102,30 +107,30 @@ def _kind_of(path: Path) -> str:
         if any((path / mark).exists() for mark in marks):
             return kind
     if (path / "landscape.parquet").exists():
-        raise WrongUse(f"{path} holds a landscape: its own command makes the figures again, from the points it keeps.")
+        raise WrongUse(f"{path} holds a landscape of an earlier version: nermo-mjx landscape draws it again.")
+    marks = [mark for each in _MARKS.values() for mark in each[:1]]
     raise WrongUse(
-        f"{path} is no directory of a sweep, a tuning, experiments or an identification: it has no sweep.yaml, "
-        "tuning.yaml, report.json or identification.json."
+        f"{path} is no directory that figures can be made of: it has none of {', '.join(marks[:-1])} and {marks[-1]}."
     )
 
 
 def _redraw(kind: str) -> Callable[..., list[Path]]:
-    if kind == "tuning":
-        from nermo_mjx.tune.redraw import redraw as redraw_tuning
-
-        return redraw_tuning
-    from nermo_mjx.experiments.redraw import redraw as redraw_experiments
-    from nermo_mjx.experiments.redraw import redraw_identification
-
-    return redraw_experiments if kind == "experiments" else redraw_identification
+    module, name = {
+        "tuning": ("nermo_mjx.tune.redraw", "redraw"),
+        "landscape": ("nermo_mjx.tune.landscape.run", "redraw"),
+        "experiments": ("nermo_mjx.experiments.redraw", "redraw"),
+        "identification": ("nermo_mjx.experiments.redraw", "redraw_identification"),
+        "benchmarks": ("nermo_mjx.bench.page", "redraw"),
+    }[kind]
+    draw: Callable[..., list[Path]] = getattr(importlib.import_module(module), name)
+    return draw
 
 
 def _plot_recording(path: Path, out: Path, formats: Any, notes: list[str]) -> list[Path]:
     from nermo_mjx.sweep.files import clear_errors, make_writable, replace_file
-    from nermo_mjx.view import Recording
     from nermo_mjx.view.plots.draw import draw_recording
 
-    recording = Recording.load(path)
+    recording = load_recording(path)
     make_writable(out)
     with clear_errors(out):
         drawn = draw_recording(recording, out, write=replace_file, formats=formats)

@@ -11,6 +11,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import OVERLAYS
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
+from nermo_mjx.cli.recordings import load_recording
 
 if TYPE_CHECKING:
     from nermo_mjx.view import Recording
@@ -50,9 +51,7 @@ def command(
 ) -> None:
     """Render a recording of `walk --record` into a video; several stand side by side, in step."""
     with stdout_reserved():
-        from nermo_mjx.view import Recording
-
-        loaded = [Recording.load(path) for path in recordings]
+        loaded = [load_recording(path) for path in recordings]
         drawn: dict[str, Any] = {"camera": camera, "fps": fps, "width": width, "height": height, "speed": speed}
         drawn["overlays"] = overlays
         if len(loaded) == 1:

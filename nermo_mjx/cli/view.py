@@ -7,16 +7,13 @@ import sys
 import tempfile
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.group import WrongUse
 from nermo_mjx.cli.output import print_json, stdout_reserved
-
-if TYPE_CHECKING:
-    from nermo_mjx.view import Page
+from nermo_mjx.cli.recordings import load_recording
 
 EPILOG = """\b
 Examples:
@@ -42,37 +39,17 @@ def command(recording: Path, other: Path | None, out: Path | None, no_open: bool
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
     with stdout_reserved():
-        page = _page(recording, other)
+        from nermo_mjx.view import show
+
+        for each in (recording, *([] if other is None else [other])):
+            load_recording(each)  # refuses what cannot be shown, and says which file that is
+        page = show(recording, other)
         path = page.save(out or Path(tempfile.mkdtemp(prefix="nermo-mjx-")) / f"{recording.stem}.html")
         opened = not no_open and _has_browser() and webbrowser.open(path.resolve().as_uri())
     if as_json:
         print_json({"page": str(path), "bytes": path.stat().st_size, "samples": page.samples, "opened": opened})
     elif not quiet or (out is None and not opened):
         click.echo(f"wrote {path}" + ("" if opened or no_open else "; no browser was found, open it in one"))
-
-
-def _page(recording: Path, other: Path | None) -> Page:
-    from nermo_mjx.view import show
-
-    for path in (recording, other):
-        if path is not None:
-            _check(path)
-    return show(recording, other)
-
-
-def _check(path: Path) -> None:
-    """Refuse what is no recording, or not one of this version's robot."""
-    from nermo_mjx.view import Recording, RecordingError
-    from nermo_mjx.view.motion import finite_samples
-    from nermo_mjx.view.recorded_robot import robot_of
-
-    try:
-        recording = Recording.load(path)
-        robot_of(recording)
-        finite_samples(recording)
-    except RecordingError as error:
-        text = str(error)
-        raise WrongUse(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
 
 
 def _has_browser() -> bool:

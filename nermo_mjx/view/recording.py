@@ -20,6 +20,7 @@ from jaxtyping import Float
 #: Version of the file's layout; a reader refuses any other.
 LAYOUT: Final = 1
 _MARK: Final = "nermo_mjx recording"
+_REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one"
 
 
 class RecordingError(ValueError):
@@ -96,10 +97,10 @@ class Recording:
         try:
             with np.load(path, allow_pickle=False) as file:
                 if not hasattr(file, "files") or "header" not in file.files:
-                    raise RecordingError(f"{path}: not a recording of nermo_mjx.")
+                    raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
                 header = json.loads(str(file["header"]))
                 if not isinstance(header, dict) or header.get("format") != _MARK:
-                    raise RecordingError(f"{path}: not a recording of nermo_mjx.")
+                    raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
                 if header.get("layout") != LAYOUT:
                     raise RecordingError(
                         f"{path}: a recording of layout {header.get('layout')}, but this version reads layout "
@@ -115,7 +116,7 @@ class Recording:
         except RecordingError:
             raise
         except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile):
-            raise RecordingError(f"{path}: not a recording of nermo_mjx, or a damaged one.") from None
+            raise RecordingError(f"{path}: not a recording of nermo_mjx, or a damaged one; {_REMEDY}.") from None
 
     def check_model(self, model: mujoco.MjModel) -> None:
         """Raise `RecordingError` unless the recording was made with a model of the same structure."""

@@ -1,5 +1,6 @@
 """Measure a landscape into a directory: the table first, then everything that is made of it.
 
+DIR/landscape.yaml      the resolved tuning whose objective it is
 DIR/landscape.parquet   one row a point: parameters, objective, exact gradient, metrics
 DIR/landscape.json      how well slopes and secants agree, by parameter and width; versions, machine, command
 DIR/report.md           the same to read, with its figures
@@ -11,14 +12,15 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from nermo_mjx.plotting.files import FORMATS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.files import clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, parquet_bytes, replace_file
 from nermo_mjx.sweep.lock import hold
 from nermo_mjx.sweep.provenance import session
 from nermo_mjx.sweep.summary import to_json
@@ -33,6 +35,7 @@ from nermo_mjx.tune.spec import Tuning
 #: Points of a line: with the secants about nine of them, 131 walks a parameter.
 POINTS = 41
 _TABLE = "landscape.parquet"
+_TUNING = "landscape.yaml"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +112,7 @@ def _publish(folder: Path, tuning: Tuning, table: pa.Table, evaluated: int) -> L
     """Make everything else from the table."""
     from nermo_mjx.tune.landscape.plots import draw_plots
 
+    replace_file(folder / _TUNING, tuning.to_yaml().encode())
     lines = lines_of(tuning, table)
     content = content_of(tuning, table, lines)
     replace_file(folder / "landscape.json", to_json(content))
@@ -117,3 +121,28 @@ def _publish(folder: Path, tuning: Tuning, table: pa.Table, evaluated: int) -> L
     replace_file(folder / "landscape.json", to_json(content))
     replace_file(folder / "report.md", page(content).encode())
     return LandscapeResult(folder, tuning, table, content, tuple(plots), evaluated)
+
+
+def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Draw the figures of a landscape's directory from its table; nothing is simulated.
+
+    Args:
+        out: the directory.
+        folder: where the files go; by default its `plots/`.
+        formats: of `png` and `svg`.
+
+    Raises:
+        SpecError: its landscape.yaml cannot be read.
+        StoreError: there is nothing to draw, or it cannot be read or written.
+    """
+    from nermo_mjx.tune.landscape.plots import draw_plots
+
+    out = Path(out)
+    tuning = Tuning.from_file(out / _TUNING)
+    table = read(out / _TABLE)
+    if table is None or not set(tuning.names) <= set(table.column_names):
+        raise StoreError(f"{out / _TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")
+    folder = out / "plots" if folder is None else folder
+    make_writable(folder)
+    with clear_errors(folder):
+        return draw_plots(tuning, lines_of(tuning, table), folder, write=replace_file, formats=formats)

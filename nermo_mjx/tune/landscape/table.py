@@ -68,11 +68,11 @@ def evaluate(
     return _table(tuning, plan, np.concatenate(places), columns, about)
 
 
-def read(path: Path, wanted: str) -> pa.Table | None:
+def read(path: Path, wanted: str | None = None) -> pa.Table | None:
     """The table of a file; None if there is none.
 
     Args:
-        wanted: its key.
+        wanted: its key; any if it is None.
 
     Raises:
         StoreError: it is another one's, or damaged.
@@ -83,7 +83,7 @@ def read(path: Path, wanted: str) -> pa.Table | None:
         table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException, ValueError):
         raise StoreError(f"{path} is damaged: remove it, or choose another directory.") from None
-    if (table.schema.metadata or {}).get(KEY) != wanted.encode():
+    if wanted is not None and (table.schema.metadata or {}).get(KEY) != wanted.encode():
         raise StoreError(f"{path.parent} holds another landscape; choose another directory.")
     return table
 
