@@ -43,6 +43,10 @@ _gl_problem: str | None = None
 _late_backend: str | None = None
 
 
+class BackendUnavailable(RuntimeError):
+    """JAX cannot compute where the user wants it to; the message says what to do."""
+
+
 class RenderingUnavailable(RuntimeError):
     """Nothing on this machine can draw; the message says what to install."""
 
@@ -119,6 +123,29 @@ def configure_dispatch() -> None:
     """
     jax: Any = importlib.import_module("jax")
     jax.config.update("jax_cpu_enable_async_dispatch", False)
+
+
+# --- backend
+
+
+def require_backend() -> None:
+    """Start JAX on its platform, a GPU where there is one.
+
+    Raises:
+        BackendUnavailable: `JAX_PLATFORMS` asks for one that this machine does not have, with the remedy.
+    """
+    jax: Any = importlib.import_module("jax")
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError) as error:  # the latter from JAX 0.10 where no plugin knows the platform
+        chosen = jax.config.jax_platforms
+        if not chosen:
+            raise
+        reason = str(error).partition("\n")[0]
+        raise BackendUnavailable(
+            f"JAX_PLATFORMS is {chosen!r}, and JAX cannot compute there{f' ({reason})' if reason else ''}: unset it to "
+            "compute on the CPU; a GPU needs NVIDIA's driver and nermo-mjx[cuda]."
+        ) from None
 
 
 # --- cache

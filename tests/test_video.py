@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import imageio.v2 as imageio
@@ -16,6 +17,7 @@ from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, render, strips
 from nermo_mjx.view.camera import smooth_path
+from nermo_mjx.view.encoding import require_encoder, write_video
 from nermo_mjx.view.side_by_side import Pane, render_side_by_side
 from nermo_mjx.view.support import INSIDE, OUTSIDE, draw_support, is_inside, support_polygon
 from nermo_mjx.view.video import frame_samples
@@ -249,6 +251,29 @@ def test_a_machine_without_ffmpeg_gets_the_remedy(
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(VideoError, match=r"pip install imageio-ffmpeg"):
         render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
+
+
+def test_an_ffmpeg_that_is_not_there_is_refused_by_its_variable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", "/nowhere/ffmpeg")
+    with pytest.raises(VideoError, match=r"IMAGEIO_FFMPEG_EXE is '/nowhere/ffmpeg', .* or write a \.gif"):
+        require_encoder()
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_what_cannot_be_written_is_refused_in_a_line_before_anything_is_drawn(
+    tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def frames() -> Iterator[np.ndarray]:
+        raise AssertionError("drawn")
+        yield
+
+    (tmp_path / "file").write_text("")
+    with pytest.raises(VideoError, match=r"cannot be written \([^\n]*\)\.$"):
+        write_video(tmp_path / "file" / f"a{suffix}", frames(), 1, fps=10, width=64, height=48)
+    with pytest.raises(VideoError, match=r"cannot be written \(No such file or directory\)\.$"):
+        write_video(Path("/proc") / f"a{suffix}", frames(), 1, fps=10, width=64, height=48)
+    assert capfd.readouterr() == ("", "")
+    assert [file.name for file in tmp_path.iterdir()] == ["file"]
 
 
 def test_the_order_of_imports_does_not_matter_without_a_display() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -56,6 +57,10 @@ class CommandGroup(click.Group):
 
 def _translate(error: Exception) -> NoReturn:
     """Raise the user's view of an error of ours; anything else is a bug and keeps its traceback."""
+    if isinstance(error, RuntimeError) and "MUJOCO_GL" in str(error):  # MuJoCo raises it whenever it is imported
+        given = os.environ.get("MUJOCO_GL")
+        sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it to have one chosen."
+        raise Failure(sentence) from None
     from nermo_mjx.robot.quantity import ParameterError
 
     if isinstance(error, ParameterError):
@@ -66,7 +71,19 @@ def _translate(error: Exception) -> NoReturn:
         raise Failure(str(error)) from None
     if isinstance(error, OSError) and error.filename is not None:
         raise Failure(f"{error.filename}: {error.strerror}.") from None
+    if "jax" in sys.modules and os.environ.get("JAX_PLATFORMS"):
+        _blame_platform()
     raise error
+
+
+def _blame_platform() -> None:
+    """Raise a sentence if JAX cannot compute where the user wants it to."""
+    from nermo_mjx.runtime import BackendUnavailable, require_backend
+
+    try:
+        require_backend()
+    except BackendUnavailable as unavailable:
+        raise Failure(str(unavailable)) from None
 
 
 @contextmanager

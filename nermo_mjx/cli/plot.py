@@ -108,9 +108,9 @@ def _kind_of(path: Path) -> str:
             return kind
     if (path / "landscape.parquet").exists():
         raise WrongUse(f"{path} holds a landscape of an earlier version: nermo-mjx landscape draws it again.")
-    marks = [mark for each in _MARKS.values() for mark in each[:1]]
+    names = [mark for each in _MARKS.values() for mark in each[:1]]
     raise WrongUse(
-        f"{path} is no directory that figures can be made of: it has none of {', '.join(marks[:-1])} and {marks[-1]}."
+        f"{path} is no directory that figures can be made of: it has none of {', '.join(names[:-1])} and {names[-1]}."
     )
 
 

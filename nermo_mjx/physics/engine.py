@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import jax
 import numpy as np
 
+from nermo_mjx import runtime
 from nermo_mjx.robot import ParameterError, Robot
 
 ENGINES = ("auto", "c", "mjx", "warp")
@@ -95,9 +96,11 @@ def resolve_engine(name: str) -> str:
 
     Raises:
         ParameterError: an unknown name, or an engine that cannot run here; the message has the remedy.
+        BackendUnavailable: JAX cannot compute where `JAX_PLATFORMS` wants it to.
     """
     if name not in ENGINES:
         raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
+    runtime.require_backend()
     if name == "auto" and jax.default_backend() == "cpu":
         return "c"
     if name not in ("auto", "warp"):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
+import shutil
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -43,16 +45,21 @@ def write_video(
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        partial.touch()  # what cannot be written is refused before ffmpeg starts, and before the first frame is drawn
+        drawn = iter(frames)
+        first = next(drawn)  # and what cannot be drawn before ffmpeg waits for it
         with _writer(partial, fps, width, height) as write:
-            for done, frame in enumerate(frames, start=1):
+            for done, frame in enumerate(itertools.chain([first], drawn), start=1):
                 write(frame)
                 if progress is not None:
                     progress(done, count)
         partial.replace(path)
     except OSError as error:
-        raise VideoError(f"{path}: the video cannot be written ({error.strerror or error}).") from None
+        reason = error.strerror or str(error).partition("\n")[0]  # imageio quotes all that ffmpeg printed
+        raise VideoError(f"{path}: the video cannot be written ({reason}).") from None
     finally:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
     return path
 
 
@@ -84,7 +91,9 @@ def require_encoder() -> Any:
     try:
         import imageio_ffmpeg
 
-        imageio_ffmpeg.get_ffmpeg_exe()
+        program = imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
         raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
+    if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not look at
+        raise VideoError(f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif.")
     return imageio_ffmpeg

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import os
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -224,7 +225,9 @@ def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " 
 @contextlib.contextmanager
 def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
     try:
-        renderer = mujoco.Renderer(model, height, width)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what GLFW warns of is in its error, too
+            renderer = mujoco.Renderer(model, height, width)
     except Exception as error:  # every GL library fails in its own way
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise VideoError(
