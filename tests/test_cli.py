@@ -221,17 +221,19 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     [
         ("JAX_PLATFORMS", "cuda", ("walk", "--engine", "mjx"), "unset it to compute on the CPU"),
         ("JAX_PLATFORMS", "moon", ("servos", "--out", "a.csv"), "unset it to compute on the CPU"),
-        ("MUJOCO_GL", "moon", (*SHORT, "--video", "a.mp4"), "allowed is egl, osmesa or glfw"),
+        ("MUJOCO_GL", "glfw", (*SHORT, "--quiet", "--video", "a.mp4"), "set MUJOCO_GL=osmesa"),
+        ("MUJOCO_GL", "moon", (*SHORT, "--quiet", "--video", "a.mp4"), "allowed is egl, osmesa or glfw"),
     ],
 )
 def test_what_the_environment_wants_and_the_machine_has_not_is_a_sentence(
     variable: str, value: str, command: tuple[str, ...], remedy: str, tmp_path: Path
 ) -> None:
-    environment = os.environ | {variable: value}
+    environment = os.environ | {variable: value, "DISPLAY": ""}
     program = [sys.executable, "-m", "nermo_mjx", *command]
     done = subprocess.run(program, env=environment, cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 1
-    assert done.stderr.startswith(f"nermo-mjx: {variable} is {value!r}")
+    assert done.stderr.startswith("nermo-mjx: ")
+    assert variable in done.stderr
     assert remedy in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []

@@ -57,7 +57,8 @@ class CommandGroup(click.Group):
 
 def _translate(error: Exception) -> NoReturn:
     """Raise the user's view of an error of ours; anything else is a bug and keeps its traceback."""
-    if isinstance(error, RuntimeError) and "MUJOCO_GL" in str(error):  # MuJoCo raises it whenever it is imported
+    if isinstance(error, RuntimeError) and "invalid value for environment variable MUJOCO_GL" in str(error):
+        # MuJoCo raises it whenever it is imported.
         given = os.environ.get("MUJOCO_GL")
         sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it to have one chosen."
         raise Failure(sentence) from None
