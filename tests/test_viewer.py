@@ -17,6 +17,7 @@ from click.testing import CliRunner, Result
 
 from nermo_mjx import Recording, load_robot, show
 from nermo_mjx.cli import main
+from nermo_mjx.plotting.style import FOOT
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import Run
 from nermo_mjx.view import RecordingError, model_hash, recording_of, robot_of
@@ -289,6 +290,11 @@ def test_the_library_exports_what_the_modules_import() -> None:
     for module in WEB.glob("*.js"):
         for names in re.findall(r"import \{([^}]*)\} from \"three\"", module.read_text()):
             assert set(re.findall(r"\w+", names)) <= exported, module.name
+
+
+def test_limbs_have_the_colours_of_all_figures() -> None:
+    style = (WEB / "style.css").read_text().partition("@media")[0]
+    assert {limb: re.search(rf"--{limb}: (#\w+);", style)[1] for limb in FOOT} == FOOT
 
 
 # --- the command
