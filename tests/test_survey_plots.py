@@ -9,12 +9,15 @@ import matplotlib
 import numpy as np
 import pyarrow as pa
 import pytest
-from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 
+from nermo_mjx.plotting.cloud import CROWD
+from nermo_mjx.plotting.quantity import Quantity
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results, draw_plots
 from nermo_mjx.sweep.chosen import draw_chosen
+from nermo_mjx.sweep.figures import scatters
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_LINES, chosen_lines
 from nermo_mjx.sweep.points import points_of
 from nermo_mjx.sweep.survey import survey_figures
@@ -232,3 +235,18 @@ def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypa
     svg = next(file for file in draw_plots(data, tmp_path) if file.name == "speed-over-pairs.svg").read_text()
     assert f"star: best, {1e3 * data.column('speed').to_numpy()[well].max():.4g} mm/s" in svg
     assert "20 of 941 runs" in svg
+
+
+@pytest.mark.parametrize(("count", "crowd"), [(CROWD - 1, False), (CROWD, True)])
+def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(count: int, crowd: bool) -> None:
+    """Tens of thousands of dots would be one solid block."""
+    values = np.random.default_rng(0)
+    x = Quantity("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
+    z = Quantity("speed", "mm/s", values.normal(80.0, 10.0, count))
+    figure = scatters([x], z, [""], "Speed", "some runs")
+    drawn = figure.axes[0].collections[0]
+    assert isinstance(drawn, PolyCollection) is crowd
+    notes = [text.get_text() for text in figure.texts]
+    assert any("darker: more runs" in note for note in notes) is crowd
+    if crowd:
+        assert drawn.get_array().sum() == count, "each point is in one hexagon"

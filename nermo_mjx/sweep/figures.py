@@ -13,8 +13,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
+from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter
 
+from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.page import around, blank
 from nermo_mjx.plotting.quantity import Quantity
 from nermo_mjx.plotting.style import (
@@ -101,18 +103,18 @@ def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
 
 
 def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: str, note: str) -> Figure:
-    """The metric against each parameter: every run a point, the line a running mean over runs of alike value."""
+    """The metric against each parameter: every run, or how many there are; a running mean over runs of alike value."""
     figure, axes = _panels(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
-        ax.scatter(x.values, z.values, s=7, color=BAND, alpha=0.55, lw=0, rasterized=len(z.values) > 2000)
+        cloud(ax, x, z, size=7)
         centres, mean, _ = _binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
-        ax.plot(centres, mean, color=LINE, lw=2)
+        ax.plot(centres, mean, color=LINE, lw=2, path_effects=[Stroke(linewidth=4, foreground="white"), Normal()])
         set_scales(ax, x)
         horizontal_grid(ax)
         ax.set_title(name)
         ax.set_xlabel(x.label)
     figure.supylabel(z.label, fontsize=9.5)
-    return around(figure, title, note)
+    return around(figure, title, note + remark(len(z.values)))
 
 
 def pair_scatters(

@@ -9,9 +9,10 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure
 
+from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.page import around, blank, note_lines
 from nermo_mjx.plotting.quantity import Quantity
-from nermo_mjx.plotting.style import BAND, BEST, GRID, INK, set_scales
+from nermo_mjx.plotting.style import BEST, GRID, INK, set_scales
 
 #: Points of the front that are named.
 NAMED: Final = 5
@@ -64,11 +65,10 @@ def trade_off(
     lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, named, strict=False)]
     words = {"max": "more", "min": "less", "nearest zero": "nearer to zero"}
     lines.append(f"{note}orange: nothing is better in both ({x.name}: {words[sides[0]]}, {y.name}: {words[sides[1]]})")
-    text = "\n".join(lines)
+    text = "\n".join(lines) + remark(len(x.values))
     figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))
     ax = figure.subplots()
-    many = len(x.values) > 2000
-    ax.scatter(x.values, y.values, s=5 if many else 12, color=BAND, lw=0, rasterized=many, zorder=2)
+    cloud(ax, x, y, size=5 if len(x.values) > 2000 else 12)
     if "nearest zero" not in sides:
         ax.plot(*_stairs(x.values[best], y.values[best], sides), color=BEST, lw=1.4, zorder=3)
     ax.scatter(x.values[best], y.values[best], s=26, color=BEST, ec="white", lw=0.6, zorder=4)

@@ -1,0 +1,31 @@
+"""Many points in one panel: dots as long as they can be told apart, their density beyond."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+
+from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.style import BAND, light
+
+#: Points of a panel from which on dots would run into each other.
+CROWD: Final = 5000
+_CELLS: Final = 44
+#: Not as dark as lines that are drawn over it.
+_DENSITY: Final = LinearSegmentedColormap.from_list("density", [light(BAND), BAND, "#5aa5d6"])
+
+
+def remark(count: int) -> str:
+    """What a figure's note says of so many points."""
+    return "; darker: more runs" if count >= CROWD else ""
+
+
+def cloud(ax: Axes, x: Quantity, y: Quantity, *, size: float) -> None:
+    """Draw points as dots of a size [pt^2], or a crowd of them as hexagons, darker (logarithmically) where more lie."""
+    if len(x.values) < CROWD:
+        ax.scatter(x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2)
+        return
+    ax.hexbin(x.values, y.values, gridsize=_CELLS, bins="log", mincnt=1, cmap=_DENSITY, linewidths=0.2, zorder=2,
+              xscale="log" if x.log else "linear", yscale="log" if y.log else "linear")  # fmt: skip
