@@ -75,8 +75,9 @@ class Window:
 
     def __init__(self, frames: int) -> None:
         self.frames, self.shown, self.closed = frames, list[float](), False
+        self.cam, self.sun = mujoco.MjvCamera(), list[np.ndarray]()
 
-    def launch_passive(self, model: mujoco.MjModel, data: mujoco.MjData) -> Window:
+    def launch_passive(self, model: mujoco.MjModel, data: mujoco.MjData, **_: bool) -> Window:
         self.model, self.data = model, data
         return self
 
@@ -94,6 +95,7 @@ class Window:
 
     def sync(self) -> None:
         self.shown.append(self.data.time)
+        self.sun.append(self.data.light_xpos[0] - self.data.body("torso").xpos)
 
 
 def test_a_recording_plays_in_real_time_or_faster_and_again(recording: Recording) -> None:
@@ -107,6 +109,12 @@ def test_a_recording_plays_in_real_time_or_faster_and_again(recording: Recording
     assert (np.diff(shown) < 0).any(), "it begins again"
     window = Window(10**6)
     play(recording, speed=20.0, loop=False, viewer=window)
+    assert (window.cam.type, window.cam.trackbodyid) == (
+        mujoco.mjtCamera.mjCAMERA_TRACKING,
+        window.model.body("torso").id,
+    )
+    assert window.model.light_castshadow[0]
+    np.testing.assert_allclose(np.array(window.sun)[:, :2], 0.0, atol=1e-9, err_msg="the sun stands above the robot")
     assert (np.diff(window.shown) >= 0).all()
     assert window.closed
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import importlib
 import os
 import time
@@ -13,6 +14,8 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.view import sun
+from nermo_mjx.view.camera import body_radius, following_camera, root_body
 from nermo_mjx.view.recorded_robot import robot_of
 from nermo_mjx.view.recording import Recording, RecordingError
 
@@ -31,7 +34,7 @@ def set_sample(data: mujoco.MjData, recording: Recording, sample: int) -> None:
 def play(
     recording: Recording, robot: Robot | None = None, *, speed: float = 1.0, loop: bool = True, viewer: Any = None
 ) -> None:
-    """Play a recording in MuJoCo's viewer, until its window is closed.
+    """Play a recording in MuJoCo's viewer, until its window is closed; Tab and Shift-Tab show its panels.
 
     On macOS, run Python as `mjpython`.
 
@@ -50,15 +53,27 @@ def play(
         raise ParameterError(f"speed is {speed:g}: allowed is (0, inf).")
     model = (robot or robot_of(recording)).model
     recording.check_model(model)
+    model = copy.copy(model)
+    sun.put_overhead(model)
     data = mujoco.MjData(model)
     set_sample(data, recording, 0)
     mujoco.mj_forward(model, data)
     try:
-        window = (viewer or _viewer()).launch_passive(model, data)
+        window = (viewer or _viewer()).launch_passive(model, data, show_left_ui=False, show_right_ui=False)
     except (RuntimeError, mujoco.FatalError) as error:
         raise RecordingError(f"MuJoCo's viewer cannot open a window here ({error}).") from None
     with window:
+        _aim(window.cam, model, data)
         follow(window, recording, model, data, speed, loop)
+
+
+def _aim(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Have the viewer's camera follow the robot, from three quarters; the mouse turns it as always."""
+    root = root_body(model)
+    _, radius = body_radius(model, data, root)
+    view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
+    camera.type, camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, root
+    camera.distance, camera.azimuth, camera.elevation = view.distance, view.azimuth, view.elevation
 
 
 def _viewer() -> Any:
@@ -79,6 +94,7 @@ def follow(
     window: Any, recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, speed: float, loop: bool
 ) -> None:
     """Show the sample of each moment in an open viewer until it is closed, or until the end."""
+    root = root_body(model)
     began, first = time.perf_counter(), float(recording.time[0])
     while window.is_running():
         passed = speed * (time.perf_counter() - began)
@@ -90,6 +106,7 @@ def follow(
         with window.lock():
             set_sample(data, recording, max(sample, 0))
             mujoco.mj_forward(model, data)
+            sun.move_above(model, data, data.xpos[root])
         window.sync()
         time.sleep(1.0 / _REFRESH)
 

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int, UInt8
 
 from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.view import sun
 from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
 from nermo_mjx.view.encoding import SUFFIXES, Progress, VideoError, require_encoder, write_video
 from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
@@ -160,8 +161,7 @@ def _robot(
             mujoco.mj_tendon(model, data)
             if following is not None:
                 following.lookat[:] = point
-            # The sun travels along, or the robot walks out of its shadow map.
-            data.light_xpos[model.light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, :2] += point[:2]
+            sun.move_above(model, data, point)
             renderer.update_scene(data, view)
             if scenery is not None:
                 scenery(renderer.scene, data, int(sample))
@@ -177,10 +177,7 @@ def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     quality.shadowsize, quality.offsamples = min(quality.shadowsize, SHADOW_MAP), min(quality.offsamples, SAMPLES)
     quality.numslices, quality.numstacks = min(quality.numslices, SLICES), min(quality.numstacks, STACKS)
     model.mat_reflectance[:] = 0.0
-    # A slanting sun speckles the floor at the edge of the shadow map; one overhead also shows where the feet stand.
-    overhead = (model.light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL) & (model.light_castshadow != 0)
-    model.light_dir[overhead] = (0.0, 0.0, -1.0)
-    model.light_pos[overhead, :2] = 0.0
+    sun.put_overhead(model)
     return model
 
 
