@@ -203,7 +203,7 @@ def test_parameters_are_in_shown_units_with_their_bounds():
     assert np.abs(np.diff(walked)).max() < 90
     shown = np.degrees(traces.column("spine.phase")[:, 0])
     np.testing.assert_allclose(np.cos(np.radians(walked)), np.cos(np.radians(shown)), atol=1e-5)
-    assert "spine.phase [deg]" in texts(figure)
+    assert "spine.phase\n[deg]" in texts(figure)
     assert "-180 to 180, periodic" in texts(figure)
 
 

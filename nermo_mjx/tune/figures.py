@@ -74,7 +74,7 @@ def parameters_figure(traces: Traces) -> Figure:
         _draw_starts(ax, traces, values)
         _draw_bounds(ax, traces, each, values)
         _star(ax, traces, values)
-        ax.set_ylabel(traces.quantity(each.name).label)
+        ax.set_ylabel(traces.quantity(each.name).label.replace(" [", "\n["))  # long names are longer than a panel
     for ax in axes[max(0, len(tuned) - columns) : len(tuned)]:
         ax.tick_params(labelbottom=True)
     _finish(axes[: len(tuned)], traces, columns)
