@@ -123,6 +123,21 @@ def test_the_table_holds_every_point_with_units_and_roles(smooth):
     assert {"line", "centre", "width", "side", "ok", "roll_std"} <= set(about)
 
 
+def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
+    """Stopped in its fourth batch of five, it evaluates the last two again, and has the same table."""
+    with pytest.raises(KeyboardInterrupt, match=r"stopped; 159 of 262 walks are kept in .*run the same command again"):
+        measure(tmp_path, stop_at=3)
+    assert len(list((tmp_path / "batches").iterdir())) == 3
+    (tmp_path / "batches" / "other-53-000000.npz").write_text("another one's")
+    sorted((tmp_path / "batches").glob("*-000053.npz"))[0].write_text("damaged")
+    result, problem = measure(tmp_path)
+    assert [size for size, _ in problem.batches] == [53, 53, 53]
+    assert result.evaluated == 262 - 106
+    assert result.table.equals(smooth[0].table)
+    assert [path.name for path in (tmp_path / "batches").iterdir()] == ["other-53-000000.npz"]
+    assert not (smooth[0].out / "batches").exists()
+
+
 def test_points_once_found_are_kept(tmp_path, monkeypatch):
     """Drawing fails: the table is there, and the same call goes on from it, evaluating nothing."""
     monkeypatch.setattr("nermo_mjx.tune.landscape.plots.line_figure", lambda *_: 1 / 0)
@@ -274,12 +289,12 @@ def test_figures_have_a_tangent_at_each_point_and_a_bar_for_each_secant(smooth):
     assert below.get_ylabel() == "slope [1/deg]"
 
 
-def test_batches_are_as_even_as_they_can_be(monkeypatch):
+def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     """Whatever the most is, all batches have one size, and no more is walked than that needs."""
     monkeypatch.setattr(table, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    found = table.evaluate(TUNING, problem, wanted, lambda *_: None, {})
+    found = table.evaluate(TUNING, problem, wanted, lambda *_: None, {table.KEY.decode(): "a"}, tmp_path)
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)
-    assert found.num_rows == len(wanted)
+    assert found.table.num_rows == found.count == len(wanted)

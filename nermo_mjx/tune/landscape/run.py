@@ -2,6 +2,7 @@
 
 DIR/landscape.yaml      the resolved tuning whose objective it is
 DIR/landscape.parquet   one row a point: parameters, objective, exact gradient, metrics
+DIR/batches/            until the table is whole: what was evaluated so far
 DIR/landscape.json      how well slopes and secants agree, by parameter and width; versions, machine, command
 DIR/report.md           the same to read, with its figures
 DIR/plots/              a figure for each parameter
@@ -72,7 +73,7 @@ def run_landscape(
 
     Objective and exact slope are found at `points` points of each line, and about nine of them secants of five widths.
     Where the slope equals narrow secants, the derivative is right; where it equals wide ones, it leads somewhere. A
-    directory that holds the points already is not evaluated again.
+    directory that holds the points already is not evaluated again; one that holds some of them is gone on with.
 
     Args:
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer, estimator and
@@ -102,9 +103,23 @@ def run_landscape(
         if table is None:
             chosen = plan(tuning, points, span)
             about = {KEY.decode(): wanted, "session": to_json(session(points=points, span=span)).decode()}
-            table = evaluate(tuning, problem or simulation_of(tuning), chosen, progress or (lambda *_: None), about)
-            evaluated = len(chosen)
+            done = 0
+
+            def count(so_far: int, of_all: int) -> None:
+                nonlocal done
+                done = so_far
+                if progress is not None:
+                    progress(so_far, of_all)
+
+            try:
+                found = evaluate(tuning, problem or simulation_of(tuning), chosen, count, about, folder)
+            except KeyboardInterrupt:
+                raise KeyboardInterrupt(
+                    f"stopped; {done} of {len(chosen)} walks are kept in {folder}: run the same command again to go on."
+                ) from None
+            table, evaluated = found.table, found.count
             replace_file(folder / _TABLE, parquet_bytes(table))  # before anything that can still fail
+            found.batches.clear()
         return _publish(folder, tuning, table, evaluated)
 
 

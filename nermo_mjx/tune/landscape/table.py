@@ -21,6 +21,7 @@ from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep.files import StoreError
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, Plan
 from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.optimizer import Optimizer
@@ -32,9 +33,23 @@ CPU_BATCH, DEVICE_BATCH = 64, 1024
 KEY: Final = b"landscape"
 
 
+@dataclasses.dataclass(frozen=True)
+class Evaluated:
+    """A landscape's table, how many of its points were evaluated now, and the batches that it was made of."""
+
+    table: pa.Table
+    count: int
+    batches: Batches
+
+
 def evaluate(
-    tuning: Tuning, problem: Problem, plan: Plan, progress: Callable[[int, int], None], about: dict[str, str]
-) -> pa.Table:
+    tuning: Tuning,
+    problem: Problem,
+    plan: Plan,
+    progress: Callable[[int, int], None],
+    about: dict[str, str],
+    folder: Path,
+) -> Evaluated:
     """Value and gradient at all points; one row a point, see `landscape_table`.
 
     All batches have one size, the last one is filled up with its last point: one program is compiled.
@@ -42,30 +57,41 @@ def evaluate(
     Args:
         progress: called with the points done, and all of them.
         about: what to note in the schema's metadata.
+        folder: where each batch is kept as soon as it is evaluated, and found again.
     """
     most = CPU_BATCH if jax.default_backend() == "cpu" else DEVICE_BATCH
     batches = math.ceil(len(plan) / most)
     size = math.ceil(len(plan) / batches)
-    began = time.perf_counter()
+    store = Batches(folder, about[KEY.decode()], size)
+    began, evaluated = time.perf_counter(), 0
     progress(0, len(plan))
-    places, found = [], []
+    found = []
     for first in range(0, len(plan), size):
-        wanted = np.minimum(np.arange(first, first + size), len(plan) - 1)
-        points = jnp.asarray(plan.points[wanted], float)
-        batch = problem.evaluate(points, True)
-        assert batch.gradient is not None
-        # In double precision, but at the very points that were evaluated: a secant divides by their distance.
-        numbers = {"value": batch.value, "ok": batch.ok, **{f"metric.{n}": v for n, v in batch.metrics.items()}}
-        rows = {name: np.asarray(column) for name, column in numbers.items()}
-        rows |= {f"gradient.{name}": np.asarray(batch.gradient)[:, i] for i, name in enumerate(tuning.names)}
         count = min(size, len(plan) - first)
-        places.append(np.asarray(points, float)[:count])
-        found.append({name: column[:count] for name, column in rows.items()})
+        rows = store.read(first)
+        if rows is None:
+            wanted = np.minimum(np.arange(first, first + size), len(plan) - 1)
+            rows = {name: column[:count] for name, column in _batch(tuning, problem, plan.points[wanted]).items()}
+            store.write(first, rows)
+            evaluated += count
+        found.append(rows)
         progress(first + count, len(plan))
     columns = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     about = about | {"wall_seconds": f"{time.perf_counter() - began:.3f}", "batch": str(size),
                      "batches": str(batches), "precision": str(columns["value"].dtype)}  # fmt: skip
-    return _table(tuning, plan, np.concatenate(places), columns, about)
+    return Evaluated(_table(tuning, plan, columns.pop("point"), columns, about), evaluated, store)
+
+
+def _batch(tuning: Tuning, problem: Problem, wanted: np.ndarray) -> dict[str, np.ndarray]:
+    """The numbers of a batch of points (n, p), and in `point` those at which they were found."""
+    points = jnp.asarray(wanted, float)
+    batch = problem.evaluate(points, True)
+    assert batch.gradient is not None
+    # In double precision, but at the very points that were evaluated: a secant divides by their distance.
+    numbers = {"value": batch.value, "ok": batch.ok, **{f"metric.{n}": v for n, v in batch.metrics.items()}}
+    rows = {name: np.asarray(column) for name, column in numbers.items()}
+    rows |= {f"gradient.{name}": np.asarray(batch.gradient)[:, i] for i, name in enumerate(tuning.names)}
+    return rows | {"point": np.asarray(points, float)}
 
 
 def read(path: Path, wanted: str | None = None) -> pa.Table | None:
