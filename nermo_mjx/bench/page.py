@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.registry import CASES
@@ -22,6 +22,8 @@ from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, repla
 
 RESULTS: Final = "results.jsonl"
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
+#: Where logarithmic axes may begin and end.
+_STEPS = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 _VERSIONS = ("mujoco", "jax", "python")
 
 
@@ -151,6 +153,11 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
         sizes = sorted({line["worlds"] for line in walks})
         ax.set_xticks(sizes, [f"{size:,}" for size in sizes])
         ax.xaxis.set_minor_locator(NullLocator())
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+        ax.yaxis.set_minor_locator(NullLocator())
+        low, high = ax.get_ylim()
+        ax.set_ylim(max(step for step in _STEPS if step <= low), min(step for step in _STEPS if step >= high))
         horizontal_grid(ax)
     speed.legend()
     return figure
