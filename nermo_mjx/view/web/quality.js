@@ -19,9 +19,10 @@ const MOST = 2;
 const SLOW = 0.0345;
 /** Share of the newest frame in the running mean of their times, and how many of them a level is given. */
 const NEWEST = 0.15;
-const PATIENCE = 12;
-/** The first frames of a level compile and load. */
+const PATIENCE = 16;
+/** The first frames of a level compile and load; a later one counts for no more than this, so that one hitch is none [s]. */
 const WARM_UP = 4;
+const HITCH = 0.1;
 /** A pause beyond this was no drawing, but a hidden page [s]. */
 const HIDDEN = 3;
 /** What has not changed for so long is a still [s]. */
@@ -44,11 +45,12 @@ export class Quality {
     this.quiet = changed ? 0 : this.quiet + seconds;
     if (!moving || seconds > HIDDEN) return;
     this.frames++;
-    if (this.frames <= WARM_UP) this.mean = seconds;
-    else this.mean += NEWEST * (seconds - this.mean);
+    if (this.frames <= WARM_UP) return;
+    const time = Math.min(seconds, HITCH);
+    this.mean = this.frames === WARM_UP + 1 ? time : this.mean + NEWEST * (time - this.mean);
     if (this.frames < PATIENCE || this.mean < SLOW) return;
     this.frames = 0;
-    this.level = Math.min(this.level + 1, LEVELS.length - 1);
+    this.level = Math.min(this.level + (this.mean > 2 * SLOW ? 2 : 1), LEVELS.length - 1);
   }
 
   get wanted() {
