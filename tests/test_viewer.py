@@ -21,6 +21,7 @@ from nermo_mjx.plotting.style import FOOT
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import Run
 from nermo_mjx.view import RecordingError, model_hash, recording_of, robot_of
+from nermo_mjx.view.caption import details_of, headline_of, title_of
 from nermo_mjx.view.motion import Motion, finite_samples, motion_of
 from nermo_mjx.view.packing import MISSING, Packer
 from nermo_mjx.view.page import Page
@@ -290,6 +291,15 @@ def test_the_library_exports_what_the_modules_import() -> None:
     for module in WEB.glob("*.js"):
         for names in re.findall(r"import \{([^}]*)\} from \"three\"", module.read_text()):
             assert set(re.findall(r"\w+", names)) <= exported, module.name
+
+
+def test_an_experiments_recording_has_its_cases_name_and_figures(walk: Recording) -> None:
+    about = {"case": "trt, 0.67 Hz, with spine", "labels": {"profile": "exact", "spine": True},
+             "metrics": {"speed": 0.0791, "status": "ok"}, "parameters": {"frequency": 0.67}}  # fmt: skip
+    recording = dataclasses.replace(walk, metadata=about)
+    assert title_of(recording) == "trt, 0.67 Hz, with spine"
+    assert headline_of(recording) == [["speed", "79.1 mm/s"]]
+    assert details_of(recording)[0] == {"title": "Case", "rows": [["profile", "exact"], ["spine", "yes"]]}
 
 
 def test_limbs_have_the_colours_of_all_figures() -> None:

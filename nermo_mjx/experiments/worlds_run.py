@@ -42,6 +42,8 @@ def recordings_of(
             "setup": {"scene": simulator.setup.scene, "spine": simulator.setup.spine},
             "labels": {key: column[world].item() for key, column in batch.labels.items()},
             "parameters": {key: float(column[world]) for key, column in batch.values.items()},
+            "metrics": {key: float(column[world]) for key, column in result.metrics.items()}
+            | {"status": str(result.status[world])},
             "engine": result.engine,
         }
         recordings[name] = recording_of(result.trace, simulator.robot.model, world=world, metadata=metadata)

@@ -18,11 +18,12 @@ _HEADLINE: Final = {
 
 
 def title_of(recording: Recording) -> str:
-    """The gait, its frequency and what the spine does, as far as the recording says."""
+    """The gait, its frequency and what the spine does, as far as it is known; or the name of an experiment's case."""
+    if "case" in recording.metadata:
+        return str(recording.metadata["case"])
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait = setup.get("gait")
-    # Those of the experiments have a case instead.
-    parts = [_GAITS.get(str(gait), str(gait)) if gait else str(recording.metadata.get("case", "Recording"))]
+    parts = [_GAITS.get(str(gait), str(gait)) if gait else "Recording"]
     if (frequency := _number(parameters.get("frequency"))) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")
@@ -47,8 +48,8 @@ def headline_of(recording: Recording) -> list[list[str]]:
 def details_of(recording: Recording) -> list[dict[str, Any]]:
     """Tables `{"title", "rows": [[name, value with unit], ...]}` of everything that the recording says about itself."""
     tables = []
-    for key, title in (("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"), ("run", "Run"),
-                       ("versions", "Versions")):  # fmt: skip
+    for key, title in (("labels", "Case"), ("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"),
+                       ("run", "Run"), ("versions", "Versions")):  # fmt: skip
         units = _units() if key in ("metrics", "parameters") else {}
         rows = [[name, _shown(value, units.get(name, ""))] for name, value in _part(recording, key).items()]
         rows = [row for row in rows if row[1] not in ("–", "")]

@@ -232,6 +232,7 @@ def _evaluate(case: Case, world: History, robot: Robot, model: mujoco.MjModel) -
     ratio = case.clock_ratio
     metadata = {
         "experiment": "balance",
+        "case": case.name,
         "setup": dataclasses.asdict(robot.config),
         "metrics": {name: value if isinstance(value, str) else float(value) for name, value in row.items()},
         "phases": {name: [phase.begin * ratio, phase.end * ratio] for name, phase in PHASES.items()},
