@@ -25,7 +25,7 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
 
     Returns:
         `bodies`: names; `eyes`: the camera of that name with body, pose and field of view, or None; `geoms`: of each
-        `kind`, `body`, `size`, `pos`, `quat` in its body [m], `rgba`, `shine` in [0, 1], `collides`, and for a mesh
+        `kind`, `body`, `size`, `pos`, `quat` in its body [m], `rgba`, `collides`, and for a mesh
         its index; `meshes`: entries of vertices and faces.
     """
     meshes: dict[int, int] = {}
@@ -34,12 +34,10 @@ def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
         kind = KINDS.get(int(model.geom_type[i]))
         if kind is None:
             continue
-        material = int(model.geom_matid[i])
         geom: dict[str, Any] = {
             "kind": kind, "body": int(model.geom_bodyid[i]), "size": _rounded(model.geom_size[i]),
             "pos": _rounded(model.geom_pos[i]), "quat": _rounded(model.geom_quat[i]),
             "rgba": _rounded(_colour(model, i)), "collides": bool(model.geom_group[i] >= HIDDEN_GROUP),
-            "shine": round(float(model.mat_shininess[material]) if material >= 0 else 0.3, 3),
         }  # fmt: skip
         if kind == "mesh":
             geom["mesh"] = meshes.setdefault(int(model.geom_dataid[i]), len(meshes))

@@ -50,7 +50,7 @@ def evaluate(
     about: dict[str, str],
     folder: Path,
 ) -> Evaluated:
-    """Value and gradient at all points; one row a point, see `landscape_table`.
+    """Value and gradient at all points; one row a point.
 
     All batches have one size, the last one is filled up with its last point: one program is compiled.
 

@@ -10,7 +10,6 @@ export {
   ConeGeometry,
   CylinderGeometry,
   DirectionalLight,
-  DoubleSide,
   DynamicDrawUsage,
   Fog,
   Group,
