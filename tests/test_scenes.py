@@ -83,14 +83,14 @@ def test_a_scene_stands_alone_as_one_file(name):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_only_obstacles_add_contact_pairs_and_the_walk_in_the_open_is_the_same_to_the_bit(name):
-    """300 steps from the stance; an open scene has the flat one's seven pairs and none of the geoms for obstacles."""
+    """300 steps from the stance; an open scene has the flat one's eight pairs and none of the geoms for obstacles."""
     robot, flat = scene(name), scene("flat")
     names = [robot.model.geom(i).name for i in range(robot.model.ngeom)]
     if name == "maze":
         assert len(robot.obstacles) == 40
     else:
         assert robot.obstacles == ()
-        assert robot.model.npair == 7
+        assert robot.model.npair == 8
         assert not any(geom.endswith("bumper") for geom in names)
     ends = []
     for model in (robot.model, flat.model):
@@ -163,19 +163,22 @@ def test_the_mazes_dots_lie_on_its_course():
 
 
 def test_along_the_course_the_standing_robot_touches_no_box():
-    """Every 5 cm of the path, headed along it; its outline keeps 8 cm from every box."""
+    """Every 5 cm of the path, headed along it; its outline keeps 8 cm from every box, the tip of its tail 4 cm."""
     robot, course = scene("maze"), maze_course()
     model = robot.model
     outline = {int(g) for both in zip(model.pair_geom1, model.pair_geom2, strict=True) for g in both}
-    outline -= {*robot.obstacles, model.geom("floor").id}
-    gaps = []
+    tail = model.geom("tail_tip").id
+    outline -= {*robot.obstacles, model.geom("floor").id, tail}
+    gaps, behind = [], []
     for node in range(0, len(course.x), 5):
         # A heading of -pi/2, along -y, is yaw 0.
         data = standing(model, course.x[node], course.y[node], course.heading[node] + np.pi / 2)
         assert not touched(robot, data)
         close = [box for box in robot.obstacles if np.linalg.norm(data.geom_xpos[box] - data.qpos[:3]) < 0.4]
         gaps += [mujoco.mj_geomDistance(model, data, box, part, 1.0, None) for box in close for part in outline]
+        behind += [mujoco.mj_geomDistance(model, data, box, tail, 1.0, None) for box in close]
     assert min(gaps) > 0.08
+    assert min(behind) > 0.04
 
 
 #: A visible extremity, in the standing robot's frame: the body it belongs to and the way it points.

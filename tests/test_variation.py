@@ -92,18 +92,20 @@ def test_which_fields_vary_depends_on_names_alone():
     assert set(varied(robot, {"mass.front": np.array([0.2])}, 1)) == {"body_mass", "body_inertia"}
 
 
-def test_contact_parameters_reach_the_soles_only():
-    """Friction, solref and solimp of the four soles change world by world; those of the trunk stay."""
+def test_contact_parameters_reach_soles_and_tail_only():
+    """Friction, solref and solimp of soles and tail change world by world, the tail's friction by its own parameter."""
     robot, worlds = load_robot(), np.array([0.5, 1.5])
     values = {
         "contact.friction": worlds, "contact.time_constant": np.array([0.008, 0.02]), "contact.damping_ratio": worlds,
         "contact.impedance": np.array([0.9, 0.99]), "contact.width": np.array([0.002, 0.003]),
+        "contact.tail_friction": np.array([0.2, 0.7]),
     }  # fmt: skip
     fields = varied(robot, values, 2)
     for i in range(robot.model.npair):
         pair = robot.model.pair(i).name
-        if pair.removesuffix("_contact") in LIMBS:
-            np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([worlds, worlds], 1))
+        if pair.removesuffix("_contact") in (*LIMBS, "tail_tip"):
+            friction = worlds if pair != "tail_tip_contact" else np.array([0.2, 0.7])
+            np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([friction, friction], 1))
             np.testing.assert_allclose(fields["pair_solref"][:, i], [(0.008, 0.5), (0.02, 1.5)])
             np.testing.assert_allclose(fields["pair_solimp"][:, i, :3], [(0, 0.9, 0.002), (0, 0.99, 0.003)])
         else:

@@ -59,9 +59,9 @@ class Variation:
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
-        self._soles = np.array(
-            [i for i in range(model.npair) if model.pair(i).name.endswith(("left_contact", "right_contact"))]
-        )
+        pairs = [model.pair(i).name for i in range(model.npair)]
+        self._soles = np.array([i for i, name in enumerate(pairs) if name.endswith(("left_contact", "right_contact"))])
+        self._tail = np.array([i for i, name in enumerate(pairs) if name.startswith("tail_")])
         self._front = np.array([i > 0 and is_front(model.body(i).name) for i in range(model.nbody)])
 
     def fields(self, parameters: ModelParameters) -> dict[str, Float[Array, ...]]:
@@ -77,8 +77,9 @@ class Variation:
         limit = jnp.asarray(p.servo.torque_limit)
         force = jnp.broadcast_to(jnp.stack([-limit, limit]), model.actuator_forcerange.shape)
 
-        soles, contact = self._soles, p.contact
-        friction = jnp.asarray(model.pair_friction, float).at[soles, :2].set(contact.friction)
+        soles, contact = np.concatenate([self._soles, self._tail]), p.contact
+        friction = jnp.asarray(model.pair_friction, float).at[self._soles, :2].set(contact.friction)
+        friction = friction.at[self._tail, :2].set(contact.tail_friction)
         solref = (
             jnp.asarray(model.pair_solref, float)
             .at[soles]

@@ -12,7 +12,15 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.robot.equipment import add_contacts, add_sensors, add_servos, set_joints, set_masses, set_tendons
+from nermo_mjx.robot.equipment import (
+    TAIL_SEGMENTS,
+    add_contacts,
+    add_sensors,
+    add_servos,
+    set_joints,
+    set_masses,
+    set_tendons,
+)
 from nermo_mjx.robot.files import load_file, scenes
 from nermo_mjx.robot.mirror import mirror
 from nermo_mjx.robot.model_parameters import ModelParameters
@@ -157,7 +165,13 @@ def _attach_leg(spec: mujoco.MjSpec, place: Any, limb: str, routing: str) -> Non
 
 
 def _stiffen_tail(spec: mujoco.MjSpec) -> None:
-    """Freeze the tail's joints: the compiler then fuses its segments into the hip, with their mass where it was."""
+    """Freeze the tail's joints: the compiler then fuses its segments into the hip, with their mass where it was.
+
+    Of what touches the ground the tip stays, which touches first.
+    """
+    for geom, site in TAIL_SEGMENTS:
+        spec.delete(spec.geom(geom))
+        spec.delete(spec.site(site))
     for element in (*spec.tendons, *spec.joints):
         if element.name.startswith("tail_"):
             spec.delete(element)

@@ -30,6 +30,11 @@ TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
 #: The group of what is only seen.
 VISUAL_GROUP: Final = 2
+#: What of the tail touches the ground, and where its force is felt (geom, site): the tip, and with the articulated tail
+#: its three segments before it. Up and down the tail is rigid, so that the tip touches first; bent sideways under a
+#: rolling body the others may.
+TAIL_TIP: Final = ("tail_tip", "tail_touch")
+TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (16, 17, 18))
 #: Geoms of a scene whose names start so are obstacles: they touch the robot, and nothing else.
 OBSTACLE: Final = "obstacle"
 #: Geoms whose names end so touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
@@ -147,6 +152,13 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
         add(f"{limb}_foot_position", kind.mjSENS_FRAMEPOS, site, f"{limb}_foot")
     for limb in LIMBS:
         add(f"{limb}_foot_velocity", kind.mjSENS_FRAMELINVEL, site, f"{limb}_foot")
+    for geom, touch in _tail_ground(spec):
+        add(f"{geom}_force", kind.mjSENS_TOUCH, site, touch)
+
+
+def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:
+    """Geoms of the tail that touch the ground, with their touch sites; a rigid tail has its tip alone."""
+    return [pair for pair in (TAIL_TIP, *TAIL_SEGMENTS) if spec.geom(pair[0]) is not None]
 
 
 def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters, trunk_contacts: bool = True) -> None:
@@ -161,6 +173,11 @@ def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters, trunk_contact
     slide = float(contact.friction)
     for limb in LIMBS:
         pair = spec.add_pair(name=f"{limb}_contact", geomname1="floor", geomname2=f"{limb}_sole", condim=3)
+        pair.solref, pair.solimp = solref, solimp
+        pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
+    slide = float(contact.tail_friction)
+    for geom, _ in _tail_ground(spec):
+        pair = spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)
         pair.solref, pair.solimp = solref, solimp
         pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
     for geom in TRUNK if trunk_contacts else ():

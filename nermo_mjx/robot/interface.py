@@ -74,6 +74,7 @@ class Sensors:
         knee_angle: theta_1 of each limb, 0 stretched [rad].
         foot_force: normal contact force of each foot [N].
         foot_position, foot_velocity: of each foot H in the world [m, m/s] (for metrics, not for the controller).
+        tail_force: normal contact force of the tail on the ground [N].
     """
 
     position: Float[Array, "*batch 3"]
@@ -88,3 +89,4 @@ class Sensors:
     foot_force: Float[Array, "*batch 4"]
     foot_position: Float[Array, "*batch 4 3"]
     foot_velocity: Float[Array, "*batch 4 3"]
+    tail_force: Float[Array, "*batch"]

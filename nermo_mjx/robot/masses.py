@@ -1,9 +1,14 @@
-"""Masses of Nermo-Lite, part by part: 270 g, shared 61/39 between front and rear.
+"""Masses of Nermo-Lite, part by part: 270 g, share and centres of mass those of the author's compiled model.
 
 The thesis gives 225 g and 60 g beside a total of 270 g; with them the centre of mass lies on the crossing of the two
-stability diagonals, which contradicts the published balance results (erratum 9). The author's compiled model has
-61 % before the spine. The parts below have that share, and together the published centres of mass of front and rear
-(Table A.5): (0, -0.0317, -0.0270) from the spine base and (0, 0.0310, -0.0160) from the spine end.
+stability diagonals, which contradicts the published balance results (erratum 9). Its Table A.5 has centres of mass that
+belong to a third split, 153.7 to 43.5 g (erratum 19). Share and centres must come from one source: here that is the
+author's compiled model, scaled to 270 g and cut where this one is cut, two moving vertebrae with the front: 62.8 % at
+(0, -34.34, -24.72) mm from the spine base, the rest at (0, 20.62, -11.69) mm from the spine end, the head 12 g.
+
+Decided by what the balance test says together (docs/model.md has the table): with the compiled model all eight
+published outcomes come out and the centre of mass stands 56.5 mm high (published 57); with Table A.5 and its own split
+the robot tips in all eight cases.
 """
 
 from __future__ import annotations
@@ -36,12 +41,12 @@ class Part:
 
 
 #: Parts before the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
-TORSO: Final = Part(0.13160, (0.0, -0.01938, -0.03179), (0.026, 0.036, 0.016))
-HEAD: Final = Part(0.02310, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
+TORSO: Final = Part(0.14750, (0.0, -0.02873, -0.02647), (0.026, 0.036, 0.016))
+HEAD: Final = Part(0.01200, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
 
 #: Parts behind the spine. Hip: frame of the spine end; includes the servos of spine, tail and rear legs, and the
 #: tail's base.
-HIP: Final = Part(0.08230, (0.0, 0.02671, -0.02146), (0.030, 0.014, 0.012), site="end")
+HIP: Final = Part(0.07750, (0.0, 0.00966, -0.00849), (0.030, 0.014, 0.012), site="end")
 TAIL_SEGMENT: Final = Part(0.00050, (0.0, 0.0040, 0.0), (0.0045, 0.0040, 0.0045))
 TAIL_PULLEY: Final = Part(0.00050, (0.0, 0.0, 0.0), (0.004, 0.004, 0.001))
 

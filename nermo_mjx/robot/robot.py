@@ -90,6 +90,7 @@ class Robot:
             "foot_force": slice(start["front_left_foot_force"], start["front_left_foot_force"] + 4),
             "foot_position": slice(start["front_left_foot_position"], start["front_left_foot_position"] + 12),
             "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
+            "tail_force": slice(start["tail_tip_force"], model.nsensordata),
         }
 
     def sensors(self, sensordata: Float[Array, "*batch n"] | np.ndarray) -> Sensors:
@@ -98,6 +99,7 @@ class Robot:
         parts: dict[str, Any] = {name: data[..., span] for name, span in self._sensor_slices.items()}
         for name in ("foot_position", "foot_velocity"):
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
+        parts["tail_force"] = parts["tail_force"].sum(axis=-1)
         return Sensors(**parts)
 
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:

@@ -1,4 +1,4 @@
-"""The tail: a socket for its pulley, and one bead that is scaled along the tail.
+"""The tail: a stem from the hip with the socket of its pulley, and one bead that is scaled along the tail.
 
 In the tail's frames: y along the tail, the tendons beside it.
 """
@@ -9,11 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.robot.meshes.shapes import Shape, block, join, rotation, turned_part
+from nermo_mjx.robot.meshes.shapes import Shape, beam, block, join, rotation, turned_part
 
 #: Spacing of the joints, and distance of the first eyelets from the middle [mm], as in tail.xml.
 SPACING: Final = 8.0
 BESIDE: Final = 5.5
+#: The stem, from the rump to the fork around the pulley: y, middle z, half-width, half-height [mm].
+STEM: Final = ((-19.0, 0.4, 6.0, 3.0), (-10.0, 0.2, 4.8, 2.8), (-2.0, 0.0, 4.0, 2.6))
 
 
 def tail_shapes() -> dict[str, Shape]:
@@ -30,11 +32,11 @@ def segment() -> Shape:
 
 
 def base() -> Shape:
-    """The fork around the pulley, and the collar from which the tail comes."""
+    """The stem, the fork around the pulley, and the collar from which the tail comes."""
     collar = _along([(6.9, 5.0), (7.6, 5.6), (10.6, 5.6), (11.6, 4.4)], 16)
     eyelet = _along([(9.0, 1.1), (11.0, 1.1)], 8)
     cheeks = [block((-4.0, -3.0, z - 0.7), (4.0, 9.5, z + 0.7), 0.4) for z in (-2.6, 2.6)]
-    return join(collar, eyelet.moved(x=BESIDE), eyelet.moved(x=-BESIDE), *cheeks)
+    return join(collar, eyelet.moved(x=BESIDE), eyelet.moved(x=-BESIDE), beam(STEM, 1.2), *cheeks)
 
 
 def _along(profile: list[tuple[float, float]], sides: int) -> Shape:
