@@ -40,7 +40,7 @@ def stream(ticks: int, **readings: Any) -> Sensors:
         "linear_velocity": np.zeros(3), "gyro": np.zeros(3), "accelerometer": np.array([0.0, 0.0, 9.81]),
         "servo_angle": np.zeros(SERVOS), "servo_velocity": np.zeros(SERVOS), "servo_torque": np.zeros(SERVOS),
         "knee_angle": np.ones(4), "foot_force": np.full(4, 0.66), "foot_position": np.zeros((4, 3)),
-        "foot_velocity": np.zeros((4, 3)),
+        "foot_velocity": np.zeros((4, 3)), "tail_force": np.zeros(()),
     }  # fmt: skip
     return Sensors(
         **{
@@ -62,7 +62,9 @@ def _run(on_line: bool) -> Any:
         def tick(state, now):
             time, sensors = now
             beside = straight(Pilot(), sensors.position[-1]) if on_line else None
-            state = metrics.update(window, state, sensors, time, DT, rate, beside)
+            # A trot on the spot: each diagonal pair is commanded to stand for half a cycle.
+            stance = jnp.sin(2 * jnp.pi * RATE * time) * jnp.array([1.0, -1.0, -1.0, 1.0]) >= 0.0
+            state = metrics.update(window, state, sensors, time, DT, rate, beside, stance)
             return state, state
 
         # As in the loop: the first reading is that at rest, at time 0, and belongs to no tick.
@@ -269,6 +271,36 @@ def test_slip_is_the_speed_of_loaded_feet():
     result, _ = measure(stream(101, foot_force=loaded, foot_velocity=velocity))
     assert result["slip"] == pytest.approx((1.0 * 0.05 + 0.4 * 0.1) / 1.4, rel=1e-6)
     assert [result[f"duty_{limb}"] for limb in LIMBS] == pytest.approx([1.0, 0.4, 0.0, 0.0])
+    assert [result[f"slip_{limb}"] for limb in LIMBS[:2]] == pytest.approx([0.05, 0.1])
+    assert np.isnan([result[f"slip_{limb}"] for limb in LIMBS[2:]]).all()
+    assert (result["loaded_front"], result["loaded_rear"]) == pytest.approx((0.7, 0.0))
+
+
+def test_loads_are_shared_by_feet_and_tail():
+    """Mean forces by limb, the front's share of the feet's load, and the tail's of all; the tail's share of time."""
+    force, tail = np.zeros((101, STEPS, 4)), np.zeros((101, STEPS))
+    force[..., :] = 0.5, 0.7, 0.3, 0.5
+    tail[1:26, :] = 0.4  # a quarter of the time
+    result, _ = measure(stream(101, foot_force=force, tail_force=tail))
+    assert [result[f"load_{limb}"] for limb in LIMBS] == pytest.approx([0.5, 0.7, 0.3, 0.5])
+    assert result["front_load_share"] == pytest.approx(1.2 / 2.0)
+    assert result["tail_time"] == pytest.approx(0.25)
+    assert result["tail_load_share"] == pytest.approx(0.1 / 2.1)
+
+
+def test_feet_loaded_in_their_swing_are_seen():
+    """The made-up trot has FL and RR stand in the first half of a cycle: FL, always loaded, is so in all its swing.
+
+    RR bears only while it is commanded to stand, FR in a quarter of its swing.
+    """
+    phase = (RATE * TIME[:201]) % 1.0
+    force = np.zeros((201, STEPS, 4))
+    force[..., 0] = 0.6
+    force[..., 3] = np.where(phase < 0.5, 0.6, 0.0)[:, None]
+    force[..., 1] = np.where(phase < 0.125, 0.6, 0.0)[:, None]
+    result, _ = measure(stream(201, foot_force=force))
+    assert result["swing_loaded_front"] == pytest.approx((1.0 + 0.25) / 2, abs=0.02)
+    assert result["swing_loaded_rear"] == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_touch_is_no_load():
@@ -489,7 +521,8 @@ def test_a_window_shorter_than_a_tick_has_numbers(late):
     result, _ = measure(lively(0), begin=0.5 + late, end=0.506 + late)
     assert result["duration"] == pytest.approx(0.006)
     missing = {name for name, value in result.items() if not np.isfinite(value)}
-    assert missing == MAY_BE_NAN | {"cost_of_transport"}  # below 1 mm there is none
+    # Below 1 mm there is no cost of transport, and in a moment not every foot swings.
+    assert missing == MAY_BE_NAN | {"cost_of_transport", "swing_loaded_front", "swing_loaded_rear"}
 
 
 #: Metrics without a number in a run as it should be: without a failure, a path, a bend.

@@ -76,8 +76,9 @@ class ClosedLoop:
             position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
             path = self.controller.locate(params.control, position, state.control.path_point.progress)
         measured = metrics.update(
-            params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path
-        )
+            params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path,
+            state.control.stance,
+        )  # fmt: skip
         # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.lost, 0.0, leaf[-1]), sensors)
         control, servo = self.controller.update(params.control, state.control, last)

@@ -31,7 +31,7 @@ from nermo_mjx.rollout.path_metrics import root
 #: A foot bears nothing below the first force and is loaded above the second [N], with a smooth share between. 3 % of
 #: the robot's weight on one foot of four, which is halfway, is far below any stance.
 LOADED: Final = (0.01, 0.03)
-#: Feet that were loaded for less than this bore nothing [s].
+#: Loads below this bear nothing, and times below it are none [N s, s].
 SHORTEST_LOAD: Final = 1e-6
 #: Below this way there is no cost of transport [m].
 SHORTEST_WAY: Final = 1e-3
@@ -42,6 +42,8 @@ FALLEN_HEIGHT: Final = 0.025
 DIVERGED_SPEED: Final = 50.0
 GRAVITY: Final = 9.81
 ANGLES: Final = ("roll", "pitch", "yaw")
+#: Pairs of feet, and their places in `LIMBS`.
+PAIRS: Final = {"front": slice(0, 2), "rear": slice(2, 4)}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,7 +69,17 @@ METRICS: Final[dict[str, Metric]] = {
     "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path"),
     "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet"),
+    **{f"slip_{limb}": Metric("m/s", f"the same of the {limb.replace('_', ' ')} foot") for limb in LIMBS},
     **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},
+    **{f"loaded_{pair}": Metric("1", f"share of time with a {pair} foot loaded, mean of the pair") for pair in PAIRS},
+    **{
+        f"swing_loaded_{pair}": Metric("1", f"share of its commanded swing with a {pair} foot loaded, mean of the pair")
+        for pair in PAIRS
+    },
+    **{f"load_{limb}": Metric("N", f"mean force on the {limb.replace('_', ' ')} foot") for limb in LIMBS},
+    "front_load_share": Metric("1", "share of the front feet in the load of all feet"),
+    "tail_time": Metric("1", "share of time with the tail loaded"),
+    "tail_load_share": Metric("1", "share of the tail in the load of feet and tail"),
     "servo_work": Metric("J", "positive mechanical work of all servos while measured"),
     "cost_of_transport": Metric("1", "servo work over weight and distance; NaN below 1 mm"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground"),
@@ -89,7 +101,10 @@ class MetricState:
         low, high: extremes of the readings.
         course, turning: smoothed yaw [rad] and its rate [rad/s].
         position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
-        loaded, slid: time each foot was loaded, and the way it slid meanwhile (4,) each.
+        loaded, slid: time each foot was loaded [s], and the way it slid meanwhile [m], (4,) each.
+        swing, swing_loaded: time of each foot's commanded swing, and how much of it the foot was loaded (4,) each [s].
+        load: force on each foot over time (4,), and on the tail [N s].
+        tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
         on_path: whether the pilot has a path.
         lost: whether the readings mean nothing any more, also after the run's end.
@@ -113,6 +128,10 @@ class MetricState:
     end: Float[Array, " 3"]
     loaded: Float[Array, " 4"]
     slid: Float[Array, " 4"]
+    swing: Float[Array, " 4"]
+    swing_loaded: Float[Array, " 4"]
+    load: Float[Array, " 5"]
+    tail_loaded: Float[Array, ""]
     path: path_metrics.PathState
     on_path: Bool[Array, ""]
     lost: Bool[Array, ""]
@@ -132,7 +151,8 @@ def init(sensors: Sensors) -> MetricState:
     return MetricState(
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
-        origin=position, end=position, loaded=four, slid=four, path=path_metrics.init(position), on_path=no,
+        origin=position, end=position, loaded=four, slid=four, swing=four, swing_loaded=four,
+        load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position), on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
@@ -145,6 +165,7 @@ def update(
     dt: float,
     cycle_rate: Any,
     path: PathPoint | None = None,
+    stance: Bool[Array, " 4"] | None = None,
 ) -> MetricState:
     """Add one control tick.
 
@@ -156,6 +177,7 @@ def update(
         dt: length of the tick [s].
         cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
         path: point of the pilot's path beside the torso, where it follows one.
+        stance: feet that were commanded to stand during the tick; all of them where nothing is commanded.
     """
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in jax.tree.leaves(sensors)]).all()
     lost = state.lost | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
@@ -191,6 +213,9 @@ def update(
 
     power = jnp.maximum(sensors.servo_torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean()
     contact = _share_loaded(sensors.foot_force)
+    bears = part.weight * contact.mean(axis=0)
+    swings = jnp.zeros_like(bears) if stance is None else jnp.where(stance, 0.0, 1.0).astype(bears.dtype)
+    force = jnp.append(sensors.foot_force.mean(axis=0), sensors.tail_force.mean())
     speed = jnp.sqrt(jnp.sum(sensors.foot_velocity[..., :2] ** 2, axis=-1) + 1e-12)
     return MetricState(
         time=part.elapsed,
@@ -207,8 +232,12 @@ def update(
         position=jnp.where(lost, state.position, last.position),
         origin=origin,
         end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
-        loaded=state.loaded + part.weight * contact.mean(axis=0),
+        loaded=state.loaded + bears,
         slid=state.slid + part.weight * (contact * speed).mean(axis=0),
+        swing=state.swing + part.weight * swings,
+        swing_loaded=state.swing_loaded + swings * bears,
+        load=state.load + part.weight * force,
+        tail_loaded=state.tail_loaded + part.weight * _share_loaded(sensors.tail_force).mean(),
         path=path_metrics.update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
@@ -247,6 +276,12 @@ def _share_loaded(force: Array) -> Array:
     return share * share * (3.0 - 2.0 * share)
 
 
+def _share(part: Array, whole: Array) -> Array:
+    """`part` over `whole`; NaN where there is next to nothing of the whole. The derivative is finite in any case."""
+    some = whole > SHORTEST_LOAD
+    return jnp.where(some, part / jnp.where(some, whole, 1.0), jnp.nan)
+
+
 def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array, ""]]:
     """The metrics of one world, named as in `METRICS`. What was never measured is NaN.
 
@@ -257,8 +292,7 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
         mass: of the robot [kg].
     """
     begun = state.begun
-    time, loaded = jnp.where(begun, state.time, 1.0), state.loaded.sum()
-    bore, moved = begun & (loaded > SHORTEST_LOAD), begun & (state.way > SHORTEST_WAY)
+    time, moved = jnp.where(begun, state.time, 1.0), begun & (state.way > SHORTEST_WAY)
     std = root(state.square / time)
     metrics = {
         "speed": state.way / time,
@@ -268,7 +302,10 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
         "cross_track_rms": root(state.path.square / time),
         "cross_track_walked": state.path.walked,
         "turning_radius": path_metrics.radius(state.path),
-        "slip": jnp.where(bore, state.slid.sum() / jnp.where(bore, loaded, 1.0), jnp.nan),
+        "slip": _share(state.slid.sum(), state.loaded.sum()),
+        "front_load_share": _share(state.load[PAIRS["front"]].sum(), state.load[:4].sum()),
+        "tail_time": state.tail_loaded / time,
+        "tail_load_share": _share(state.load[4], state.load.sum()),
         "cost_of_transport": jnp.where(
             moved, state.work / (mass * GRAVITY * jnp.where(moved, state.way, 1.0)), jnp.nan
         ),
@@ -276,7 +313,17 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
     for i, angle in enumerate(ANGLES):
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
-    metrics |= {f"duty_{limb}": state.loaded[i] / time for i, limb in enumerate(LIMBS)}
+    for i, limb in enumerate(LIMBS):
+        metrics |= {
+            f"duty_{limb}": state.loaded[i] / time,
+            f"slip_{limb}": _share(state.slid[i], state.loaded[i]),
+            f"load_{limb}": state.load[i] / time,
+        }
+    for name, feet in PAIRS.items():
+        metrics |= {
+            f"loaded_{name}": state.loaded[feet].mean() / time,
+            f"swing_loaded_{name}": _share(state.swing_loaded[feet], state.swing[feet]).mean(),
+        }
     for name, value in metrics.items():
         known = begun & state.on_path if name.startswith("cross_track") else begun
         metrics[name] = jnp.where(known, value, jnp.nan)
