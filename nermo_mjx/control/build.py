@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.control import trajectory
-from nermo_mjx.control.parameters import ControlParameters, Stance, choice, published_values
+from nermo_mjx.control.parameters import ControlParameters, Stance, choice, published_values, with_gait_factor
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, quantities, replace_quantities
@@ -27,7 +27,8 @@ def control_parameters(
     """Checked parameters of a published gait with some values changed.
 
     Args:
-        gait: "trt", "trt1" or "lat". Give duty, offsets and gait_factor in `values` for a gait of your own.
+        gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a gait of your own; the gait factor follows
+            the duty factor unless it is given.
         steering: "leg", "spine" or "mix".
         profile: "exact" or "as_published".
         routing: knee tendon routing, for the check of the workspace.
@@ -42,7 +43,7 @@ def control_parameters(
     known = dict(quantities(ControlParameters))
     for name, value in values.items():
         known[choice("parameter", name, known)].check(name, value)
-        named[name] = value
+    named |= with_gait_factor({name: np.asarray(value, float) for name, value in values.items()})
     params = replace_quantities(ControlParameters(), {name: np.asarray(value, float) for name, value in named.items()})
     check_workspace(params, routing=routing)
     return params

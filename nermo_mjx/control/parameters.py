@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,9 @@ class Gait:
     duty: Any = quantity(
         0.5, unit="1", low=0.0, open_low=True, high=1.0, open_high=True, doc="stance share of the gait cycle"
     )
-    gait_factor: Any = quantity(2.0, unit="1", low=0.5, high=4.0, doc="strides of body travel per cycle (5.21)")
+    gait_factor: Any = quantity(
+        2.0, unit="1", low=0.5, high=100.0, doc="strides of body travel per cycle (5.21); 1 / duty where not given"
+    )
     speed: Any = quantity(
         1.0, unit="m/s", low=0.0, high=10.0, doc="commanded speed on the controller's clock; the stride saturates"
     )
@@ -173,6 +175,16 @@ def published_values(gait: str, *, steering: str = "leg", profile: str = "exact"
         values |= {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO}
         values |= PUBLISHED_PILOT
     return values
+
+
+def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values, and where they name a duty factor but no gait factor, the one that belongs to it, 1 / duty (A.2).
+
+    While a foot stands for the share d of a cycle, the body goes one stride, so 1 / d strides in a cycle (erratum 20).
+    """
+    if "duty" in values and "gait_factor" not in values:
+        return {**values, "gait_factor": 1.0 / values["duty"]}
+    return dict(values)
 
 
 def choice(field: str, name: str, options: Iterable[str]) -> str:

@@ -16,7 +16,7 @@ from nermo_mjx.control.power import signed_power
 from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.root import bracketed_root
-from nermo_mjx.kinematics.spine import joint_angle, transform
+from nermo_mjx.kinematics.spine import joint_angle, transform, yaw
 from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
 
 #: Turn rate below which the turning curve is a straight line (see `signed_power`).
@@ -96,7 +96,10 @@ def spine_radius(
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """Radii of spine-based turning without slip, from the shoulder axis (5.43) and the hip axis (5.44) [m].
 
-    r_shoulder = l_sp2/th + l_sp1/tan(th) and r_hip = l_sp2/th + l_sp1/sin(th), with th = 4 theta_v.
+    r_shoulder = l_sp2/th + l_sp1/tan(th) and r_hip = l_sp2/th + l_sp1/sin(th), with th = 4 theta_v as published; the
+    chain of Table 5.3 turns by 3.81 theta_v (erratum 17, `spine.yaw`). The formula has the axes of a wagon in mind,
+    whose inner wheels go a shorter way: a robot whose inner legs step as far as the outer ones does not reach this
+    radius, see `path_curvature`.
 
     Args:
         theta_v: angle of each lateral joint, not 0 [rad].
@@ -106,13 +109,6 @@ def spine_radius(
     turn = 4.0 * jnp.abs(theta_v)
     bend = from_joint / turn
     return bend + to_joint / jnp.tan(turn), bend + to_joint / jnp.sin(turn)
-
-
-def spine_curvature(theta_v: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """1/r_shoulder of `spine_radius` for this robot [1/m], positive left; also for a straight spine."""
-    turn = 4.0 * theta_v
-    to_joint, from_joint = spine_lengths()
-    return turn / (from_joint + to_joint * jnp.cos(turn) / jnp.sinc(turn / jnp.pi))
 
 
 def foot_diagonals(stance: Stance, theta_v: Float[Array, "*batch"]) -> Float[Array, "*batch 2"]:
@@ -141,12 +137,14 @@ def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"])
 
     The legs' part is less than (5.40-5.42) say: two feet on the ground at different speeds can turn the body only by
     what is across the line that joins them, and slip along it. With w their lateral distance, the body turns by
-    l_s |alpha_left - alpha_right| w / d_diag^2 while it walks the mean of both strides. The spine's part is (5.43).
-    Both add, which the simulated robot does within a tenth at any turn rate. It turns by 0.6 (legs) to 0.8 (spine) of
-    this, which is the pilot's `grip`.
+    l_s |alpha_left - alpha_right| w / d_diag^2 while it walks the mean of both strides. For the same reason the spine's
+    part is less than (5.43), which has the inner feet step less: with equal strides a bent robot turns by
+    theta L / d_diag^2 a metre, L being the distance of the two feet along the body: 0.44 m at 0.4 rad of servo instead
+    of 0.28. Both parts add. What the simulated robot turns over this is the pilot's `grip`.
     """
     shares = stride_shares(params.turning, turn_rate)
-    legs = (shares[..., 1] - shares[..., 0]) * _turn_per_share(params.stance) / jnp.mean(shares, axis=-1)
+    across, _ = _turn_of_two_feet(params.stance)
+    legs = (shares[..., 1] - shares[..., 0]) * across / jnp.mean(shares, axis=-1)
     return legs + _spine_part(params, turn_rate)
 
 
@@ -167,16 +165,18 @@ def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) 
     return jnp.where(wanted > STRAIGHT_BELOW, jnp.sign(curvature) * rate, 0.0)
 
 
-def _turn_per_share(stance: Stance) -> Float[Array, "*batch"]:
-    """How far the body turns for each metre of stride and unit of difference between the sides' shares [1/m]."""
+def _turn_of_two_feet(stance: Stance) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    """(w, L) / d_diag^2 of the neutral feet of a diagonal, w apart across the body and L along it [1/m]."""
     feet = feet_positions(0.0, neutral_feet(stance))[..., :2]
-    across = feet[..., 0, :] - feet[..., 3, :]
-    return across[..., 0] / jnp.sum(across**2, axis=-1)
+    apart = jnp.abs(feet[..., 0, :] - feet[..., 3, :])
+    turn = apart / jnp.sum(apart**2, axis=-1, keepdims=True)
+    return turn[..., 0], turn[..., 1]
 
 
 def _spine_part(params: ControlParameters, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """The spine's part of `path_curvature` [1/m]."""
-    return spine_curvature(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
+    _, along = _turn_of_two_feet(params.stance)
+    return along * yaw(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
 
 
 def _turn_rate_of_legs(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -185,7 +185,8 @@ def _turn_rate_of_legs(params: ControlParameters, curvature: Float[Array, "*batc
     With c = a^t the shares are 1 - c and 1, so that the curvature is k c / (1 - c / 2).
     """
     turning = params.turning
-    curve = jnp.minimum(curvature / (_turn_per_share(params.stance) + 0.5 * curvature), 1.0)
+    across, _ = _turn_of_two_feet(params.stance)
+    curve = jnp.minimum(curvature / (across + 0.5 * curvature), 1.0)
     positive = (curve > 0.0) & (turning.exponent > 0.0)
     power = jnp.where(positive, curve, 1.0) ** (1.0 / jnp.where(positive, turning.exponent, 1.0))
     return jnp.where(curve > 0.0, power / jnp.maximum(turning.leg, 1e-9), 0.0)

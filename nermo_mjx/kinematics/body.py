@@ -49,7 +49,11 @@ def feet_positions(theta_v: ArrayLike, feet: ArrayLike) -> Float[Array, "*batch 
 
 
 def hip_height_offset(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
-    """How much higher each hip is than with a straight spine (5.31): added to the rear legs' neutral height."""
+    """How much higher each hip is than with a straight spine (5.31).
+
+    The published code's function returns the hip's rise, which is subtracted from the height of the rear foot: a foot
+    that is lowered by it keeps the hip level. "Added", as its docstring says, doubles the roll (erratum 16).
+    """
     return hips(theta_v)[..., 2] - hips(0.0)[..., 2]
 
 
