@@ -18,8 +18,9 @@ from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
+from nermo_mjx.rollout import Setup, Simulator
 
-#: 61 % front, 39 % rear (erratum 9), at the places of Table A.5.
+#: Any masses before and behind the spine, and their places: these are of Table A.5.
 MASSES = MassModel(0.1647, 0.1053, np.array([0.0, -0.0317, -0.0270]), np.array([0.0, 0.0310, -0.0160]))
 TICKS = 300
 PUBLISHED_GAINS = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0, "pilot.guidance": 0.0}
@@ -40,6 +41,7 @@ def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
         foot_force=four,
         foot_position=jnp.zeros((4, 3)),
         foot_velocity=jnp.zeros((4, 3)),
+        tail_force=jnp.zeros(()),
     )
 
 
@@ -588,3 +590,16 @@ def test_the_published_gaits_are_within_the_workspace(gait, profile):
 def test_a_spine_servo_angle_of_0_4_is_about_0_1_rad_a_joint():
     """What `max_servo_angle` and the balance mode's limit have in common [A.4.2]."""
     assert servo_angle(0.1) == pytest.approx(0.4, abs=0.02)
+
+
+# --- the gait factor
+
+
+def test_the_gait_factor_follows_the_duty_factor():
+    """Erratum 20: 1 / duty, for any duty that is named without a factor; a factor that is given stays."""
+    assert control_parameters("trt", duty=0.6).gait.gait_factor == pytest.approx(1 / 0.6)
+    assert control_parameters("trt", duty=0.6, gait_factor=2.0).gait.gait_factor == 2.0
+    assert control_parameters("trt").gait.gait_factor == 2.0
+    batch = Simulator(Setup(), engine="c").parameters({"duty": np.array([0.5, 0.8])})
+    np.testing.assert_allclose(batch.control.gait.gait_factor, [2.0, 1.25])
+    assert control_parameters("lat").gait.gait_factor == pytest.approx(1 / 0.68, rel=5e-3)

@@ -12,7 +12,7 @@ GAITS = ("trt", "trt1", "lat")
 SPINE_MODES = ("none", "stride_extension", "balance")
 STEERINGS = ("leg", "spine", "mix")
 PROFILES = ("exact", "as_published")
-EXPERIMENTS = ("straight-line", "turning", "balance", "maze")
+EXPERIMENTS = ("straight-line", "turning", "balance", "maze", "body")
 PILOTS = ("straight", "arc", "open_loop")
 OVERLAYS = ("gait", "servos", "support")
 VIEWS = ("three_quarter", "high", "side", "top", "front", "rear")
@@ -32,8 +32,8 @@ PARAMETERS = (
     "turning.exponent", "turning.leg", "turning.spine", "pilot.guidance", "pilot.look_ahead", "pilot.damping",
     "pilot.bandwidth", "pilot.grip", "pilot.error_gain", "pilot.change_gain", "pilot.output_limit",
     "pilot.turn_rate", "pilot.radius", "pilot.direction", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
-    "servo.kv", "servo.torque_limit", "servo.speed", "contact.friction", "contact.tail_friction", "contact.time_constant",
-    "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee", "stiffness.rear_knee",
-    "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle", "damping.spine",
-    "damping.pulley", "mass.front", "mass.rear", "start.x", "start.y", "start.yaw", "start.phase",
+    "servo.kv", "servo.torque_limit", "servo.speed", "contact.friction", "contact.tail_friction",
+    "contact.time_constant", "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee",
+    "stiffness.rear_knee", "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle",
+    "damping.spine", "damping.pulley", "mass.front", "mass.rear", "start.x", "start.y", "start.yaw", "start.phase",
 )  # fmt: skip

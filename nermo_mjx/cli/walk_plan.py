@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -44,10 +45,14 @@ class Plan:
 
     @property
     def theory(self) -> float:
-        """Speed of feet that neither slip nor lag (5.21) [m/s of simulated time]."""
-        p = self.parameters
-        stride = p["stride"] * p["stance.max_stride"]
-        return p["gait_factor"] * stride * p["frequency"] / p["tracking.clock_ratio"]
+        """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated]."""
+        from nermo_mjx.experiments import theory
+
+        values = dict(self.parameters)
+        # Only what is bent while the diagonal pairs change over lengthens a stride.
+        extends = "stride_extension" in self.setup.spine.split("+")
+        values["spine.amplitude"] *= extends * math.cos(values["spine.phase"])
+        return float(theory.speed(values))
 
 
 def plan(
@@ -61,6 +66,7 @@ def plan(
     **options: Any,
 ) -> Plan:
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
+    from nermo_mjx.control.parameters import with_gait_factor
     from nermo_mjx.rollout import Setup, all_parameters
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
@@ -79,7 +85,7 @@ def plan(
     values |= dict(assignment(text, known, LISTED) for text in assignments)
     for name, value in values.items():
         known[name].check(name, value)
-    parameters = {name: _scalar(about.default) for name, about in known.items()} | values
+    parameters = {name: _scalar(about.default) for name, about in known.items()} | with_gait_factor(values)
     return Plan(setup, _length(cycles, duration, warmup), values, parameters)
 
 

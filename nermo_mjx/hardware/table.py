@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control import check
 from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.parameters import ControlParameters, with_gait_factor
 from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
 from nermo_mjx.robot import SERVOS, ParameterError, Sensors
 from nermo_mjx.robot.quantity import check_quantities, replace_quantities
@@ -147,9 +147,8 @@ def _parameters(setup: Setup, values: Mapping[str, float]) -> WorldParameters:
     for name, value in values.items():
         if name in known:
             known[name].check(name, value)
-    params = replace_quantities(
-        WorldParameters(), setup.defaults() | {n: np.asarray(v, float) for n, v in values.items()}
-    )
+    given = with_gait_factor({name: np.asarray(value, float) for name, value in values.items()})
+    params = replace_quantities(WorldParameters(), setup.defaults() | given)
     for name, value in values.items():
         if np.ndim(value):
             raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
@@ -209,7 +208,7 @@ def _still(n_servos: int) -> Sensors:
     """What an open loop reads of the robot, which does not matter to it."""
     shapes = {
         "orientation": 4, "servo_angle": n_servos, "servo_velocity": n_servos, "servo_torque": n_servos,
-        "knee_angle": 4, "foot_force": 4, "foot_position": (4, 3), "foot_velocity": (4, 3),
+        "knee_angle": 4, "foot_force": 4, "foot_position": (4, 3), "foot_velocity": (4, 3), "tail_force": (),
     }  # fmt: skip
     return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
 

@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from nermo_mjx.control.build import check
+from nermo_mjx.control.parameters import with_gait_factor
 from nermo_mjx.physics.checkpointing import checkpointed_scan
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.variation import Variation
@@ -121,7 +122,8 @@ class Rollout:
             if jnp.ndim(value):
                 shape = jnp.shape(value)
                 raise ParameterError(f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch.")
-        params = replace_quantities(self._defaults, {name: jnp.asarray(value) for name, value in values.items()})
+        given = with_gait_factor({name: jnp.asarray(value) for name, value in values.items()})
+        params = replace_quantities(self._defaults, given)
         known = {name: value for name, value in values.items() if not isinstance(value, jax.core.Tracer)}
         checked = replace_quantities(self._defaults, known)
         check_quantities(checked)

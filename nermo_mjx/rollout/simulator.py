@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from nermo_mjx.control.build import check
+from nermo_mjx.control.parameters import with_gait_factor
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
@@ -118,12 +119,13 @@ class Simulator:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
 
         Args:
-            values: name -> number or (n,) array.
+            values: name -> number or (n,) array. The gait factor follows a duty factor that is named without it.
 
         Raises:
             ParameterError: unknown name, value out of range, or a stride past the legs' workspace.
         """
-        params = replace_quantities(self._defaults, {name: np.asarray(value, float) for name, value in values.items()})
+        given = {name: np.asarray(value, float) for name, value in values.items()}
+        params = replace_quantities(self._defaults, with_gait_factor(given))
         check_quantities(params)
         contact = "contact.time_constant"  # its least depends on the time step, which declarations do not know
         all_parameters(self.setup)[contact].check(contact, params.model.contact.time_constant)
