@@ -227,6 +227,17 @@ def test_the_scene_shows_polygon_and_centre_of_mass(
     np.testing.assert_allclose(scene.geoms[parts - 1].pos, [0.0, recording.qpos[3, 1], 0.1], atol=1e-6)
 
 
+def test_a_loaded_tail_is_a_corner_of_the_polygon(model: mujoco.MjModel) -> None:
+    """Two feet and the tail make a triangle; an unloaded tail is none of its corners."""
+    for force, parts in ((0.5, 3 + 3 + 3), (0.0, 1 + 2 + 3)):
+        recording = trotting(model, seconds=0.2)
+        recording.sensors["foot_force"][:] = 1.0, 0.0, 0.0, 1.0
+        recording.sensors["tail_force"] = np.full(len(recording.time), force)
+        scene = mujoco.MjvScene(model, 100)
+        draw_support(scene, recording, 3, np.array([0.0, 0.0, 0.1]), np.array([0.02, 0.25, 0.004]))
+        assert scene.ngeom == parts
+
+
 def test_an_overlay_needs_its_sensors_and_a_known_name(model: mujoco.MjModel, tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="overlay is 'tail': allowed is one of gait, servos, support"):
         render(walk(model), model, tmp_path / "w.gif", overlays=("tail",))

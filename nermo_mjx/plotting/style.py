@@ -31,6 +31,8 @@ FOOT: Final = {
     "front_left": OKABE_ITO["blue"], "front_right": OKABE_ITO["sky"],
     "rear_left": OKABE_ITO["vermilion"], "rear_right": OKABE_ITO["orange"],
 }  # fmt: skip
+#: The tail, where it stands beside the feet.
+TAIL: Final = OKABE_ITO["purple"]
 #: Numbers from low to high, and gains and losses about 0.
 COLOURS: Final = "viridis"
 GAIN_COLOURS: Final = "RdBu"

@@ -27,9 +27,9 @@ class Contact:
     """Rubber sole, and the tail's tip, on a mat; the impedance grows from zero with depth (continuous onset).
 
     Friction of the sole, time constant and damping ratio are those of the author's model (basic_scene.xml). His
-    impedance is 0.9 without any depth and 0.95 at 1 mm; one that begins at 0 needs half of that width, or the soles sink
-    by 0.8 mm under the standing robot instead of 0.43 (his: 0.25). Steeper still, the objective becomes a staircase.
-    The tail is printed plastic: 0.4, as for the robot against a box; the author's model has MuJoCo's default of 1.0.
+    impedance is 0.9 without any depth and 0.95 at 1 mm. One that begins at 0 needs half of that width: with 1 mm the
+    soles sink by 0.8 mm under the standing robot, with 0.5 mm by 0.43 (his: 0.25). Steeper still, the objective becomes
+    a staircase. The tail is printed plastic: 0.4, as for the robot against a box; the author's has MuJoCo's 1.0.
     """
 
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")

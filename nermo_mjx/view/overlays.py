@@ -73,7 +73,9 @@ def scenery_of(
         return None
 
     def draw(scene: mujoco.MjvScene, data: mujoco.MjData, sample: int) -> None:
-        draw_support(scene, recording, sample, np.array(data.subtree_com[root]))
+        tip = mujoco.mj_name2id(data.model, mujoco.mjtObj.mjOBJ_GEOM, "tail_tip")
+        tail = np.array(data.geom_xpos[tip]) if tip >= 0 else None
+        draw_support(scene, recording, sample, np.array(data.subtree_com[root]), tail)
 
     return draw
 

@@ -22,7 +22,7 @@ class Line:
 
     Attributes:
         name: in the legend.
-        colour: a name that the page's style knows: a limb's, or `first`, `second`, `third`.
+        colour: a name that the page's style knows: a limb's, `tail`, or `first`, `second`, `third`.
         values: over time, in the plot's unit.
         faint: a companion of the line before, which has the same colour.
     """
@@ -51,9 +51,13 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     plots = []
     if "foot_force" in sensors:
         force = sensors["foot_force"]
-        stance = (force > STANDING).astype(float)
-        plots.append(Plot("stance", "Feet on the ground", "", _per_limb(stance), bars=True))
-        plots.append(Plot("force", "Foot force", "N", _per_limb(force)))
+        stance, forces = _per_limb((force > STANDING).astype(float)), _per_limb(force)
+        if "tail_force" in sensors:
+            tail = sensors["tail_force"]
+            stance += (Line("tail", "tail", (tail > STANDING).astype(float)),)
+            forces += (Line("tail", "tail", tail),)
+        plots.append(Plot("stance", "Feet and tail on the ground", "", stance, bars=True))
+        plots.append(Plot("force", "Force on feet and tail", "N", forces))
     if {"position", "orientation"} <= sensors.keys():
         plots += _body(recording, motion.time, sensors)
     plots += _tensions(motion)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.style import FOOT, OKABE_ITO
+from nermo_mjx.plotting.style import FOOT, OKABE_ITO, TAIL
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.view import ink
 from nermo_mjx.view.recording import Recording
@@ -118,15 +118,20 @@ class Strip:
 
 
 def gait_panels(recording: Recording) -> list[Panel]:
-    """A bar for each foot while it stands (a Hildebrand diagram)."""
-    standing = np.asarray(recording.sensors["foot_force"]) > STANDING
+    """A bar for each foot while it stands (a Hildebrand diagram), and for the tail while it bears on the ground."""
+    force = np.asarray(recording.sensors["foot_force"])
+    rows = {SHORT[limb]: COLOURS[limb] for limb in LIMBS}
+    if "tail_force" in recording.sensors:
+        force = np.column_stack([force, recording.sensors["tail_force"]])
+        rows["tail"] = TAIL
+    standing, top = force > STANDING, len(rows) - 1
 
     def draw(axes: Any) -> None:
-        for row, limb in enumerate(LIMBS):
-            axes.broken_barh(spans(standing[:, row], recording.time), (3 - row + 0.12, 0.76), color=COLOURS[limb])
+        for row, colour in enumerate(rows.values()):
+            axes.broken_barh(spans(standing[:, row], recording.time), (top - row + 0.12, 0.76), color=colour)
 
-    notes = tuple((3.5 - row, SHORT[limb], COLOURS[limb]) for row, limb in enumerate(LIMBS))
-    return [Panel(52, 0.0, 4.0, draw, notes)]
+    notes = tuple((top + 0.5 - row, name, colour) for row, (name, colour) in enumerate(rows.items()))
+    return [Panel(13 * len(rows), 0.0, float(len(rows)), draw, notes)]
 
 
 def servo_panels(recording: Recording) -> list[Panel]:

@@ -20,9 +20,11 @@ OUTSIDE: Final = (0.84, 0.37, 0.0, 1.0)
 _EDGE: Final = (0.0, 0.45, 0.70, 1.0)
 
 
-def support_polygon(feet: Float[np.ndarray, "4 2"], standing: Bool[np.ndarray, " 4"]) -> Float[np.ndarray, "corners 2"]:
-    """Corners of the convex hull of the feet that stand, in order [m]; fewer than three where fewer stand."""
-    points = feet[standing]
+def support_polygon(
+    points: Float[np.ndarray, "n 2"], standing: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "corners 2"]:
+    """Corners of the convex hull of what stands, in order [m]; fewer than three where fewer stand."""
+    points = points[standing]
     if len(points) < 3:
         return points
     try:
@@ -42,18 +44,28 @@ def is_inside(corners: Float[np.ndarray, "corners 2"], point: Float[np.ndarray, 
     return bool((sides >= 0).all() or (sides <= 0).all())
 
 
-def draw_support(scene: mujoco.MjvScene, recording: Recording, sample: int, com: Float[np.ndarray, " 3"]) -> None:
-    """Add the polygon of the feet that stand in a sample, and the centre of mass with its plumb line, to a scene.
+def draw_support(
+    scene: mujoco.MjvScene,
+    recording: Recording,
+    sample: int,
+    com: Float[np.ndarray, " 3"],
+    tail: Float[np.ndarray, " 3"] | None = None,
+) -> None:
+    """Add the polygon of feet and tail that stand in a sample, and the centre of mass with its plumb line, to a scene.
 
     Args:
         scene: of the frame, updated already.
         recording: with sensors `foot_position` and `foot_force`.
         sample: of the recording.
         com: centre of mass in the world [m].
+        tail: tip of the tail [m], which stands where the recording has its force.
     """
-    feet = np.asarray(recording.sensors["foot_position"][sample]).reshape(4, 3)
-    standing = np.asarray(recording.sensors["foot_force"][sample]) > STANDING
-    corners = support_polygon(feet[:, :2], standing)
+    points = np.asarray(recording.sensors["foot_position"][sample]).reshape(4, 3)
+    force = np.asarray(recording.sensors["foot_force"][sample])
+    if tail is not None and "tail_force" in recording.sensors:
+        points = np.concatenate([points, tail[None]])
+        force = np.append(force, recording.sensors["tail_force"][sample])
+    corners = support_polygon(points[:, :2], force > STANDING)
     colour = INSIDE if is_inside(corners, com[:2]) else OUTSIDE
     below = np.array([com[0], com[1], _ABOVE])
     for i in range(len(corners) if len(corners) > 2 else len(corners) - 1):

@@ -2,7 +2,7 @@
 
 /** Names that lines and limbs are drawn in; style.css has their values in light and dark. */
 const NAMES = [
-  "front_left", "front_right", "rear_left", "rear_right", "first", "second", "third", "ink", "muted", "rule", "surface",
+  "front_left", "front_right", "rear_left", "rear_right", "tail", "first", "second", "third", "ink", "muted", "rule", "surface",
   "ground", "grid", "grid-strong", "sky", "other", "slack", "accent",
 ];
 
