@@ -1,21 +1,18 @@
-"""Identification: the objective, the parameters' space, and a search that finds what it is made to find."""
+"""Identification: the objective, the space, a search that finds what it is made to find, and a resumable ensemble."""
 
+import json
 import types
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.identification import search as identification
-from nermo_mjx.experiments.identification.search import (
-    FREE,
-    TARGETS,
-    figures,
-    identify,
-    objective,
-    parameters_of,
-    point_of,
-)
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.experiments.identification import report, search
+from nermo_mjx.experiments.identification.ensemble import TOLERANCE
+from nermo_mjx.experiments.identification.search import identify
+from nermo_mjx.experiments.identification.space import ALL, FREE, START, UNCERTAIN, names, parameters_of, point_of
+from nermo_mjx.experiments.identification.targets import CASES, TARGETS, figures, objective
+from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
 
 
@@ -41,30 +38,44 @@ def test_a_robot_that_walks_as_published_costs_nothing_and_a_fallen_one_the_most
     assert costs[1] == pytest.approx(1 / np.sqrt(len(TARGETS)))
 
 
-def test_the_unit_cube_spans_the_bounds_by_logarithm():
-    low, high = parameters_of(np.zeros(len(FREE))), parameters_of(np.ones(len(FREE)))
-    middle = parameters_of(np.full(len(FREE), 0.5))
-    for free in FREE.values():
+@pytest.mark.parametrize("space", [FREE, ALL])
+def test_the_unit_cube_spans_the_bounds_by_logarithm(space):
+    """Values have four digits: what is printed is what was simulated."""
+    low, high = parameters_of(np.zeros(len(space)), space), parameters_of(np.ones(len(space)), space)
+    middle = parameters_of(np.full(len(space), 0.5), space)
+    for free in space.values():
         for name in free.names:
             assert (low[name], high[name]) == pytest.approx((free.low, free.high))
-            assert middle[name] == pytest.approx(np.sqrt(free.low * free.high))
-    point = np.random.default_rng(0).uniform(size=len(FREE))
-    np.testing.assert_allclose(point_of(parameters_of(point)), point, atol=1e-12)
+            assert middle[name] == pytest.approx(np.sqrt(free.low * free.high), rel=5e-4)
+            assert middle[name] == float(f"{middle[name]:.4g}")
+    point = np.random.default_rng(0).uniform(size=len(space))
+    found = parameters_of(point, space)
+    np.testing.assert_allclose(point_of(found, space), point, atol=1e-3)
+    assert parameters_of(point_of(found, space), space) == found
 
 
 def test_the_free_parameters_exist_and_their_bounds_are_allowed():
     from nermo_mjx.rollout import all_parameters
 
     known = all_parameters()
-    for free in FREE.values():
+    for free in ALL.values():
         for name in free.names:
             known[name].check(name, free.low)
             known[name].check(name, free.high)
 
 
+def test_the_contact_of_the_soles_is_not_searched():
+    """It is the author's; frictions are uncertain, about the defaults, but no search bends them to the speeds."""
+    assert set(START) == set(names(FREE))
+    assert not [name for name in names(FREE) if name.startswith("contact.")]
+    defaults = Setup().defaults()
+    for free in UNCERTAIN.values():
+        assert free.low < defaults[free.names[0]] < free.high
+
+
 def test_figures_are_ratios_of_the_right_speeds():
     """Speeds that are all different: each figure is checked against a ratio written out here."""
-    cases = [tuple(case.labels.values()) for case in identification._CASES]
+    cases = [tuple(case.labels.values()) for case in CASES]
     speed = {case: 0.05 + 0.01 * i for i, case in enumerate(cases)}
     found = figures(np.array([[speed[case] for case in cases]]))
     expected = {
@@ -79,32 +90,150 @@ def test_figures_are_ratios_of_the_right_speeds():
 
 
 class Pretended:
-    """A simulator whose speeds depend on the friction alone, and are the published ones at 1.2."""
+    """A simulator whose trot over theory is off by how far servo gain and sole friction are from 9 N m/rad and 1.4."""
+
+    calls = 0
+    dies_after: int | None = None
 
     def __init__(self, setup=None, engine="auto"):
-        self.setup = Setup()
+        self.setup = setup
 
     def run(self, values, run):
-        off = np.log(values["contact.friction"] / 1.2)
+        type(self).calls += 1
+        if self.dies_after is not None and type(self).calls > self.dies_after:
+            raise KeyboardInterrupt
+        away = np.log(values["servo.kp"] / 9.0)
+        if "contact.friction" in values:
+            away = np.hypot(away, np.log(values["contact.friction"] / 1.4))
         base = {("trt", 0.5): 0.06, ("trt", 0.8): 0.0864, ("trt1", 0.5): 0.055, ("trt1", 0.8): 0.08}
         base |= {("lat", 0.5): 0.05, ("lat", 0.8): 0.0864 / 1.27}
-        n = len(identification._CASES)
-        speed = np.empty(len(off))
-        for i in range(len(off)):
-            case = identification._CASES[i % n].labels
-            gain = {0.5: 1.1, 0.8: 1.2}[case["frequency"]] if case["spine"] else 1.0
-            speed[i] = base[case["gait"], case["frequency"]] * gain * np.exp(off[i])
-        return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(off), "ok"))
+        speed = np.empty(len(away))
+        for i in range(len(away)):
+            case = CASES[i % len(CASES)].labels
+            gain = {0.5: 1.1, 0.8: 1.48 / 1.27}[case["frequency"]] if case["spine"] else 1.0
+            speed[i] = base[case["gait"], case["frequency"]] * gain * np.exp(away[i])
+        return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(away), "ok"))
 
 
-def test_the_search_finds_a_known_optimum_and_is_the_same_again(monkeypatch):
-    monkeypatch.setattr(identification, "Simulator", Pretended)
-    found = identify(samples=16, generations=12, population=8, seed=3)
-    assert found.parameters["contact.friction"] == pytest.approx(1.2, rel=0.02)
+@pytest.fixture
+def pretended(monkeypatch):
+    class Fresh(Pretended):
+        pass
+
+    monkeypatch.setattr(search, "Simulator", Fresh)
+    return Fresh
+
+
+SMALL = {"samples": 16, "generations": 12, "population": 8, "seed": 3}
+
+
+def test_the_search_finds_a_known_optimum_and_is_the_same_again(pretended):
+    found = identify(**SMALL, bodies=0)
+    assert found.parameters["servo.kp"] == pytest.approx(9.0, rel=0.02)
     assert found.objective < found.start
     assert found.objective == min(found.costs)
-    again = identify(samples=16, generations=12, population=8, seed=3)
-    assert again.parameters == found.parameters
+    assert found.bodies is None
+    assert identify(**SMALL, bodies=0).parameters == found.parameters
+
+
+def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pretended):
+    """The pretended region is known: |(ln kp/9, ln friction/1.4)| is at most what 0.5 allows, whatever the rest."""
+    found = identify(**SMALL, bodies=64, sweeps=3)
+    bodies, defaults = found.bodies, Setup().defaults()
+    assert bodies.tolerance == TOLERANCE == 0.5
+    assert len(bodies.objective) == 64
+    assert bodies.objective.max() <= TOLERANCE
+    assert bodies.weights.sum() == pytest.approx(1.0)
+    first = {name: column[0] for name, column in bodies.values.items()}
+    assert first == found.parameters | {name: defaults[name] for name in names(UNCERTAIN)}
+    assert bodies.objective[0] == found.objective
+    for free in ALL.values():
+        for name in free.names:
+            assert free.low <= bodies.values[name].min() <= bodies.values[name].max() <= free.high
+    np.testing.assert_array_equal(bodies.values["damping.knee"], bodies.values["damping.ankle"])
+    away = np.hypot(np.log(bodies.values["servo.kp"] / 9), np.log(bodies.values["contact.friction"] / 1.4))
+    missed = np.log(1.48 / 1.27 / 1.22)  # the one target that no body of the pretended kind can meet
+    np.testing.assert_allclose(bodies.objective, np.sqrt((away**2 + missed**2) / 0.1**2 / len(TARGETS)), atol=1e-6)
+    assert np.ptp(np.log(bodies.values["servo.kv"])) > 0.8 * np.log(30)  # what does not matter is not known
+
+
+def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
+    """A tolerance that nothing meets: the search's result stands, there is no ensemble.csv, and the report says so."""
+    content = report.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
+    assert content["ensemble"]["size"] == 0
+    assert not (tmp_path / "ensemble.csv").exists()
+    assert "There is no body to draw" in (tmp_path / "identification.md").read_text()
+
+
+def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
+    """Killed in the search, and again in the ensemble: the same ensemble.csv as at one go, nothing simulated twice."""
+    settings = {**SMALL, "generations": 4, "bodies": 24, "sweeps": 3, "engine": "c"}
+    report.run_identification(tmp_path / "whole", **settings)
+    needed, pretended.calls = pretended.calls, 0
+    for pretended.dies_after in (3, needed - 4):
+        with pytest.raises(KeyboardInterrupt):
+            report.run_identification(tmp_path / "killed", **settings)
+        pretended.calls -= 1
+    pretended.dies_after = None
+    report.run_identification(tmp_path / "killed", **settings)
+    assert pretended.calls == needed
+    assert (tmp_path / "killed" / "ensemble.csv").read_text() == (tmp_path / "whole" / "ensemble.csv").read_text()
+
+
+def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, monkeypatch):
+    settings = {**SMALL, "bodies": 0, "engine": "c"}
+    report.run_identification(tmp_path, **settings)
+    (tmp_path / "identification.json").unlink()
+    report.run_identification(tmp_path, **settings)
+    (tmp_path / "identification.json").unlink()
+    monkeypatch.setattr(Setup, "defaults", lambda self: {"contact.friction": 0.9})
+    with pytest.raises(ParameterError, match="other settings: choose another directory"):
+        report.run_identification(tmp_path, **settings)
+
+
+def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
+    """identification.json, ensemble.csv and the report: the same bodies, quantiles in order, a picture."""
+    from nermo_mjx.robot.identified import read_ensemble
+
+    report.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5)
+    ensemble = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
+    lines = (tmp_path / "ensemble.csv").read_text().splitlines()
+    stored = read_ensemble(lines)
+    assert len(stored) == ensemble["size"] == 32
+    assert str(tmp_path) not in "\n".join(lines)
+    for name, column in stored.values.items():
+        np.testing.assert_array_equal(column, ensemble["bodies"][name])
+    np.testing.assert_allclose(stored.objective, ensemble["bodies"]["objective"], atol=5e-5)
+    for name, about in ensemble["parameters"].items():
+        low, middle, high = about["quantiles"]
+        assert about["low"] <= low <= middle <= high <= about["high"]
+        assert ensemble["correlations"][name][name] == pytest.approx(1.0)
+    assert [each["candidates"] for each in ensemble["sweeps"]] == [32] * len(ensemble["sweeps"])
+    text = (tmp_path / "identification.md").read_text()
+    assert "contact.tail_friction" in text
+    assert (tmp_path / "plots" / "identification-ensemble.png").stat().st_size > 0
+    assert "plots/identification-ensemble.png" in text
+
+
+def test_quantiles_and_correlations_are_weighted():
+    """A body of weight 3 counts as three bodies."""
+    from nermo_mjx.experiments.identification.ensemble_report import correlations, quantiles
+
+    random = np.random.default_rng(0)
+    values, weights = random.uniform(1, 2, 400), random.integers(1, 4, 400)
+    np.testing.assert_allclose(
+        quantiles(values, weights), np.quantile(np.repeat(values, weights), [0.05, 0.5, 0.95]), atol=0.01
+    )
+    other = values * random.uniform(1, 2, 400)
+    found = correlations({"a": values, "b": other}, weights)
+    repeated = np.log([np.repeat(values, weights), np.repeat(other, weights)])
+    assert found["a"]["b"] == pytest.approx(np.corrcoef(repeated)[0, 1])
+
+
+def test_units_of_every_free_parameter_are_known():
+    from nermo_mjx.robot.model_parameters import ModelParameters
+
+    assert set(names(ALL)) <= {name for name, _ in quantities(ModelParameters)}
 
 
 @pytest.mark.parametrize(
@@ -113,8 +242,20 @@ def test_the_search_finds_a_known_optimum_and_is_the_same_again(monkeypatch):
         ({"samples": 0}, "samples is 0"),
         ({"generations": 0}, "generations is 0"),
         ({"population": 2}, "population is 2"),
+        ({"bodies": 3}, "bodies is 3: allowed is 8 or more"),
+        ({"sweeps": 0}, "sweeps is 0"),
+        ({"tolerance": 0.0}, "tolerance is 0"),
     ],
 )
 def test_a_search_too_small_is_refused(wrong, sentence):
     with pytest.raises(ParameterError, match=sentence):
         identify(**wrong)
+
+
+def test_what_the_module_says_to_copy_is_what_is_written():
+    """The command in the docstring of the shipped ensemble names the file that an identification writes."""
+    from nermo_mjx.robot import identified
+
+    assert "ensemble.csv nermo_mjx/robot/identified.csv" in str(identified.__doc__)
+    assert identified.PATH.is_file()
+    assert Path(identified.__file__).with_suffix(".csv") == identified.PATH

@@ -1,4 +1,4 @@
-"""`nermo-mjx identify`: contact, servo gains and damping that the publication does not give."""
+"""`nermo-mjx identify`: servo gain and damping that the publication does not give, and how well they are known."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nermo_mjx.cli.progress import Progress, duration
 EPILOG = """\b
 Examples:
   nermo-mjx identify --out runs/identified
-  nermo-mjx identify --samples 8 --generations 2 --out runs/look
+  nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
 """
 
 
@@ -22,30 +22,31 @@ Examples:
 @click.option(
     "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
 )
-@options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=96)
-@options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=34)
+@options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=64)
+@options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=25)
 @options.number("--population", "Candidates of a generation.", click.IntRange(4), default=12)
-@options.number("--seed", "Of both searches.", click.IntRange(0), default=0)
+@options.number("--bodies", "Of the ensemble; 0 leaves it out.", click.IntRange(0), default=256)
+@options.number("--sweeps", "Of the ensemble, at most.", click.IntRange(1), default=5)
+@options.number("--tolerance", "Objective of a body of the ensemble.", options.POSITIVE, default=0.5)
+@options.number("--seed", "Of all of them.", click.IntRange(0), default=0)
 @options.engine
 @options.report
-def command(
-    out: Path, samples: int, generations: int, population: int, seed: int, engine: str, as_json: bool, quiet: bool
-) -> None:
+def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any) -> None:
     """Identify the body's parameters that the publication does not give.
 
-    Searches friction, contact, servo gains and damping within physical
-    bounds for the published speeds on the straight line, and nothing else.
-    The result is printed as options of `experiment` and `walk`, and as the
-    `set` line of a sweep.
+    Searches servo gain and damping, and damping of the joints, within
+    physical bounds for the published speeds on the straight line, and
+    nothing else. The result is printed as options of `experiment` and
+    `walk`, and as the `set` line of a sweep. Then finds an ensemble of
+    bodies that come about as near, with the friction of sole and tail
+    free as well: ensemble.csv. The same command goes on with what was
+    stopped.
     """
     with stdout_reserved():
         from nermo_mjx.experiments.identification.report import run_identification
 
         with Progress("identify", quiet=quiet, compiles=True) as progress:
-            content = run_identification(
-                out, engine=engine, samples=samples, generations=generations, population=population, seed=seed,
-                progress=progress.share,
-            )  # fmt: skip
+            content = run_identification(out, engine=engine, **settings, progress=progress.share)
     if as_json:
         print_json({"out": out, **content})
     elif not quiet:
@@ -65,6 +66,9 @@ def _print(content: dict[str, Any], out: Path) -> None:
     objective = content["objective"]
     took = f"{content['candidates']} candidates in {duration(content['wall_seconds'])}, engine {content['engine']}"
     click.echo(f"objective  {objective['start']:.3f} before, {objective['end']:.3f} after ({took})")
+    if ensemble := content["ensemble"]:
+        share = f"{ensemble['share_of_prior']:.1%} of the prior"
+        click.echo(f"ensemble   {ensemble['size']} bodies within {ensemble['tolerance']:g}, {share}")
     click.echo(f"report     {out / 'identification.md'}\n")
     click.echo(f"Options of experiment and walk:\n  {content['options']}\n")
     click.echo(f"In a sweep file:\n{content['yaml']}", nl=False)

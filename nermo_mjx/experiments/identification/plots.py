@@ -1,4 +1,4 @@
-"""Pictures of an identification: the objective over the search, and the residuals of its targets."""
+"""Pictures of an identification: the objective over the search, the residuals of its targets, the ensemble."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from nermo_mjx.experiments.identification.ensemble_plot import ensemble_figure
 from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE, STYLE
@@ -27,7 +28,10 @@ def draw(content: Mapping[str, Any], folder: Path, formats: Sequence[str] = FORM
     """
     files: list[Path] = []
     with matplotlib.rc_context(STYLE):
-        for name, figure in (("search", _search(content)), ("residuals", _residuals(content))):
+        figures = {"search": _search(content), "residuals": _residuals(content)}
+        if (ensemble := content.get("ensemble")) and ensemble["size"]:
+            figures["ensemble"] = ensemble_figure(ensemble)
+        for name, figure in figures.items():
             lay_out(figure)
             files += write_figure(figure, folder, f"identification-{name}", replace_file, formats)
     return files

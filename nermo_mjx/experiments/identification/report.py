@@ -10,9 +10,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from nermo_mjx.experiments.identification.ensemble import TOLERANCE
+from nermo_mjx.experiments.identification.ensemble_report import csv_text, ensemble_content, ensemble_section
 from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.plots import draw
-from nermo_mjx.experiments.identification.search import FREE, START, TARGETS, Identified, Target, identify
+from nermo_mjx.experiments.identification.search import Identified, identify, walks
+from nermo_mjx.experiments.identification.space import FREE, START
+from nermo_mjx.experiments.identification.targets import TARGETS, Target
 from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.report_page import table
 from nermo_mjx.experiments.table import MISSING, number
@@ -43,9 +47,12 @@ def run_identification(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    samples: int = 96,
-    generations: int = 34,
+    samples: int = 64,
+    generations: int = 25,
     population: int = 12,
+    bodies: int = 256,
+    sweeps: int = 5,
+    tolerance: float = TOLERANCE,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
@@ -64,15 +71,20 @@ def run_identification(
     _prepare(folder)
     resolve_engine(engine)
     search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
-    about = session(settings=search, engine=resolve_engine(engine))
+    settings: dict[str, Any] = {**search, "bodies": bodies, "sweeps": sweeps, "tolerance": tolerance}
+    about = session(settings=settings, engine=resolve_engine(engine))
     begun = time.monotonic()
+    robot = {"model": walks().load().fingerprint, "defaults": walks().defaults()}
     with clear_errors(folder):
-        memory = CandidateFile(folder / "candidates.jsonl", {**search, "engine": about["engine"], **about["versions"]})
-    found = identify(engine=engine, **search, memory=memory, progress=progress)
-    content = {**_content(found), **about, "wall_seconds": time.monotonic() - begun}
+        header = {**search, "engine": about["engine"], **about["versions"], **robot}
+        memory = CandidateFile(folder / "candidates.jsonl", header)
+    found = identify(engine=engine, **settings, memory=memory, progress=progress)
+    content = {**_content(found), **robot, **about, "wall_seconds": time.monotonic() - begun}
     with clear_errors(folder):
         # The result first: whatever happens to the plots, the search is not lost.
         replace_file(folder / "identification.json", to_json(content))
+        if content["ensemble"] and content["ensemble"]["size"]:
+            replace_file(folder / "ensemble.csv", csv_text(content).encode())
         content["plots"] = [path.relative_to(folder).as_posix() for path in draw(content, folder / "plots")]
         replace_file(folder / "identification.json", to_json(content))
         replace_file(folder / "identification.md", _page(content).encode())
@@ -138,6 +150,7 @@ def _content(found: Identified) -> dict[str, Any]:
         "free": free,
         "candidates": len(found.costs),
         "costs": list(found.costs),
+        "ensemble": None if found.bodies is None else ensemble_content(found.bodies),
     }
 
 
@@ -164,8 +177,9 @@ def _page(content: Mapping[str, Any]) -> str:
     return f"""\
 # Identification of what the publication does not give
 
-Friction and contact, servo gains and damping were searched within physical bounds for the published speeds on the
+Servo gain and damping, and damping of the joints, were searched within physical bounds for the published speeds on the
 straight line, in the profile exact. Nothing else was looked at: orientation, turning, balance and maze are predictions.
+The contact of the soles is that of the author's model.
 
 **Objective {objective["start"]:.3f} at the start, {objective["end"]:.3f} after {content["candidates"]} candidates.**
 
@@ -188,7 +202,7 @@ In a sweep file:
 ```yaml
 {content["yaml"]}```
 
-{pictures}
+{ensemble_section(content)}{pictures}
 ## How
 
 - Objective: {objective["formula"]}.
@@ -196,7 +210,7 @@ In a sweep file:
   {search["population"]} by CMA-ES from the best of them; both in the logarithms of the parameters.
 - Seed {search["seed"]}, engine {content["engine"]}, {content["wall_seconds"]:.0f} s, begun on {content["started"]}.
 - Command: `{content["command"]}`
-- Versions: {versions}
+- Model {content["model"]}; versions: {versions}
 - Machine: {machine}
 """
 

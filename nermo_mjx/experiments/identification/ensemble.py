@@ -1,0 +1,86 @@
+"""The identification's uncertainty: many bodies that walk about as near to the published speeds as the best one.
+
+Free are the identified parameters and, within their plausible ranges, the friction of sole and tail. Prior: even in the
+logarithms within the bounds. A body belongs to the ensemble if its objective is within a tolerance that was stated
+beforehand; within it, none is preferred to another. `sampling` says how they are found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from nermo_mjx.experiments.identification.candidates import Candidates
+from nermo_mjx.experiments.identification.sampling import Sweep, sample, thin
+from nermo_mjx.experiments.identification.space import UNCERTAIN, names, parameters_of, point_of
+
+#: Objective of a body of the ensemble, at most: half of the deviation that was called acceptable, at which all targets
+#: are off by one tolerance each.
+TOLERANCE: Final = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Bodies:
+    """An ensemble of n bodies; the first is the default body, if that is within the tolerance.
+
+    Attributes:
+        values: model parameter -> (n,).
+        objective: (n,).
+        weights: (n,); their sum is 1.
+        tolerance: of the objective.
+        sweeps: how they were found.
+        found: distinct bodies within the tolerance, of which these were taken.
+        effective: bodies of equal weight that would know as much as those found.
+        share: of the prior within the tolerance, estimated.
+    """
+
+    values: dict[str, np.ndarray]
+    objective: np.ndarray
+    weights: np.ndarray
+    tolerance: float
+    sweeps: tuple[Sweep, ...]
+    found: int
+    effective: float
+    share: float
+
+
+def find_bodies(
+    candidates: Candidates,
+    best: Mapping[str, float],
+    objective: float,
+    near: np.ndarray,
+    *,
+    defaults: Mapping[str, float],
+    bodies: int,
+    sweeps: int,
+    tolerance: float,
+    seed: int,
+) -> Bodies:
+    """Sample the bodies within the tolerance.
+
+    Args:
+        candidates: of the space with the friction of sole and tail.
+        best: what the search found, at the default frictions, and its objective; becomes the first body.
+        near: the search's points within the tolerance, (k, d of the search); the first sweep begins about them as well.
+        defaults: of all parameters.
+        bodies: wanted; sweeps: at most.
+    """
+    friction = point_of(defaults, UNCERTAIN)
+    seeds = np.hstack([near, np.tile(friction, (len(near), 1))])
+    space = candidates.space
+    found = sample(candidates.evaluate, len(space), tolerance=tolerance, size=bodies, sweeps=sweeps, seed=seed,
+                   seeds=seeds)  # fmt: skip
+    first = objective <= tolerance
+    kept = thin(found, bodies - first, seed)
+    drawn = parameters_of(kept.points, space)
+    values = {name: drawn[name] for name in names(space)}
+    costs, weights = kept.costs, kept.weights
+    if first:
+        values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
+        costs = np.append(objective, costs)
+        # The default body weighs as much as the others on average.
+        weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
+    return Bodies(values, costs, weights, tolerance, found.sweeps, len(found.points), found.effective, found.share)

@@ -1,0 +1,95 @@
+"""The bodies that the robot may have: an ensemble that walks in a straight line about as near to what is published.
+
+The publication gives neither servo gain nor damping nor friction. `nermo-mjx identify` finds the bodies whose speeds
+come within a tolerance of the published ones; `identified.csv` is such an ensemble, one body a row, and the first is
+the default of `ModelParameters`. It is made anew, in about half an hour on two cores, by
+
+    nermo-mjx identify --engine c --out runs/identified
+    cp runs/identified/ensemble.csv nermo_mjx/robot/identified.csv
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from nermo_mjx.robot.quantity import ParameterError
+
+PATH: Final = Path(__file__).with_suffix(".csv")
+#: Columns that are no parameters.
+_ABOUT: Final = ("objective", "weight")
+
+
+@dataclasses.dataclass(frozen=True)
+class Ensemble:
+    """An ensemble of n bodies; the first is the default.
+
+    Attributes:
+        values: model parameter -> (n,), in the parameter's unit.
+        weights: how much of what is likely each body stands for, (n,); their sum is 1.
+        objective: how far from the published speeds each one walks, (n,) [tolerances, root mean square].
+        fingerprint: of the content.
+    """
+
+    values: dict[str, np.ndarray]
+    weights: np.ndarray
+    objective: np.ndarray
+    fingerprint: str
+
+    def __len__(self) -> int:
+        return len(self.weights)
+
+    def at(self, share: np.ndarray) -> np.ndarray:
+        """The body at shares in [0, 1) of the weight, (n,) int: even shares draw bodies by weight."""
+        return np.searchsorted(np.cumsum(self.weights)[:-1], share, side="right")
+
+    def take(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Parameters of the bodies at `index`, (n,) int: parameter -> (n,)."""
+        return {name: column[index] for name, column in self.values.items()}
+
+
+@functools.lru_cache(maxsize=1)
+def bodies() -> Ensemble:
+    """The ensemble that comes with the package."""
+    return read_ensemble(PATH.read_text(encoding="utf-8").splitlines())
+
+
+def choose(n: int, seed: int) -> dict[str, np.ndarray]:
+    """Parameters of n different bodies, drawn by weight; of all in their order if n is their number.
+
+    Args:
+        n: how many.
+        seed: makes the draw repeatable.
+
+    Returns:
+        Model parameter -> (n,), in the parameter's unit.
+
+    Raises:
+        ParameterError: there are not as many bodies, or n is less than 1.
+    """
+    ensemble = bodies()
+    if not 1 <= n <= len(ensemble):
+        raise ParameterError(f"bodies is {n}: allowed is 1 to {len(ensemble)}, the size of the identified ensemble.")
+    if n == len(ensemble):
+        return ensemble.take(np.arange(n))
+    random = np.random.default_rng(seed)
+    return ensemble.take(random.choice(len(ensemble), n, replace=False, p=ensemble.weights))
+
+
+def read_ensemble(lines: Iterable[str]) -> Ensemble:
+    """An ensemble from the lines of a file: comments, the names of the columns, one body a line."""
+    rows = [line.split(",") for line in lines if line.strip() and not line.startswith("#")]
+    table = np.array(rows[1:], float)
+    table.flags.writeable = False
+    columns = dict(zip(rows[0], table.T, strict=True))
+    weights = columns["weight"] / columns["weight"].sum()
+    weights.flags.writeable = False
+    content = hashlib.sha256("\n".join(",".join(row) for row in rows).encode()).hexdigest()[:16]
+    values = {name: column for name, column in columns.items() if name not in _ABOUT}
+    return Ensemble(values, weights, columns["objective"], content)
