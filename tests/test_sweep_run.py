@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
+from nermo_mjx.robot import identified
 from nermo_mjx.sweep import SpecError, StoreError, Sweep, SweepInterrupted, read_table, run_sweep
+from nermo_mjx.sweep.table import meta
 
 
 @pytest.fixture(scope="module")
@@ -213,6 +215,22 @@ def test_fixed_values_reach_the_simulator(tmp_path):
     result = run_sweep(spec, tmp_path, simulator=FakeSimulator())
     assert result.table.column("speed").to_pylist() == pytest.approx([0.06])
     assert "contact.friction" not in result.table.column_names
+
+
+def test_each_run_has_a_body_and_the_table_says_which(tmp_path):
+    """The bodies' parameters reach the simulator and are columns, beside the body's number; chunks do not matter."""
+    spec = {"vary": {"frequency": [0.5, 0.6]}, "randomize": {"from": "identified", "repeats": 6}, "plots": False}
+    whole = run_sweep(spec | {"chunk": 12}, tmp_path / "whole", simulator=FakeSimulator()).table
+    parts = run_sweep(spec | {"chunk": 5}, tmp_path / "parts", simulator=FakeSimulator()).table
+    assert parts.drop(["seed"]).equals(whole.drop(["seed"]))
+    body, ensemble = whole.column("body").to_numpy(), identified.bodies()
+    assert meta(whole.schema.field("body"))["role"] == "index"
+    for name, column in ensemble.values.items():
+        np.testing.assert_array_equal(whole.column(name).to_numpy(), column[body])
+        assert meta(whole.schema.field(name))["role"] == "randomized"
+    friction = whole.column("contact.friction").to_numpy()
+    slower = whole.column("speed").to_numpy() - 0.01 * (friction - 1.0) - whole.column("start.x").to_numpy()
+    np.testing.assert_allclose(slower, speed(whole.column("frequency").to_numpy()), atol=1e-6)
 
 
 SWEEPS = [path for path in Path(__file__).parents[1].glob("sweeps/*.yaml") if not path.stem.startswith("tune_")]

@@ -5,7 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
+from nermo_mjx.robot import identified
 from nermo_mjx.sweep import Sweep, sample
+from nermo_mjx.sweep.sampling import Sample
 
 
 def rows_of(**spec):
@@ -119,6 +121,38 @@ def test_a_wide_normal_distribution_stays_within_the_parameters_range():
     assert drawn.min() >= 0.0
     assert np.sum(drawn == 0.0) == 0
     assert abs(np.median(drawn) - 0.6745 * 0.004) < 0.0008  # half-normal: its median is the quartile of the normal
+
+
+def test_bodies_are_drawn_whole_by_weight_and_leave_other_draws_alone(monkeypatch):
+    """All parameters of a row are of one body; bodies come as often as they weigh; other draws stay as they were."""
+    text = ["servo.kp,contact.friction,objective,weight", "5,1.1,0,1", "6,1.2,0,2", "7,1.3,0,5"]
+    monkeypatch.setattr(identified, "bodies", lambda: identified.read_ensemble(text))
+    other = {"repeats": 2000, "mass.front": {"uniform": [0.15, 0.17]}}
+    spec = {"vary": {"frequency": [0.5, 0.6]}}
+    plain, drawn = rows_of(**spec, randomize=other), rows_of(**spec, randomize={"from": "identified", **other})
+    assert plain.body is None
+    for name, column in plain.values.items():
+        np.testing.assert_array_equal(drawn.values[name], column)
+    np.testing.assert_array_equal(drawn.values["servo.kp"], 5.0 + drawn.body)
+    np.testing.assert_allclose(drawn.values["contact.friction"], 1.1 + 0.1 * drawn.body)
+    shares = np.bincount(drawn.body) / len(drawn)
+    np.testing.assert_allclose(shares, [1 / 8, 2 / 8, 5 / 8], atol=4 * np.sqrt(0.25 / 4000))
+    assert abs(np.corrcoef(drawn.body, drawn.values["mass.front"])[0, 1]) < 4 / np.sqrt(4000)
+
+
+def test_bodies_do_not_depend_on_chunks_or_on_the_other_variants():
+    """Each row draws its own body from (seed, variant, repeat), like everything that is drawn."""
+    spec = {"randomize": {"repeats": 8, "from": "identified"}, "vary": {"frequency": [0.5, 0.6, 0.7]}}
+    whole = rows_of(**spec)
+    lazy = Sample(Sweep.from_dict(spec))
+    parts = [lazy.take(np.arange(first, min(first + 5, len(whole)))) for first in range(0, len(whole), 5)]
+    np.testing.assert_array_equal(np.concatenate([part.body for part in parts]), whole.body)
+    for name in whole.values:
+        np.testing.assert_array_equal(np.concatenate([part.values[name] for part in parts]), whole.values[name])
+    few = rows_of(**spec | {"vary": {"frequency": [0.5, 0.6]}})
+    np.testing.assert_array_equal(few.body, whole.body[: len(few)])
+    assert not np.array_equal(whole.body[:8], whole.body[8:16])
+    assert not np.array_equal(rows_of(**spec, seed=1).body, whole.body)
 
 
 def test_taking_rows_keeps_columns_together():

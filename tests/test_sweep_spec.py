@@ -85,6 +85,25 @@ WRONG = {
     "unknown sampler": ("sample: grid", "sample: random", 12, ["'sample' is the text 'random'", "latin_hypercube"]),
     "misspelt sampler": ("sample: grid", "sample: {sobl: 64}", 12, ["'sample.sobl'", "did you mean 'sobol'?"]),
     "broken sample size": ("sample: grid", "sample: {sobol: 0}", 12, ["'sample.sobol' is 0: expected a whole number"]),
+    "unknown bodies": (
+        FRICTION,
+        "from: identifed",
+        13,
+        ["'randomize.from' is the text 'identifed'", "allowed is identified", "did you mean 'identified'?"],
+    ),
+    "bodies of a list": (FRICTION, "from: [identified]", 13, ["'randomize.from' is the list", "allowed is identified"]),
+    "body's parameter drawn": (
+        FRICTION,
+        f"from: identified, {FRICTION}",
+        13,
+        ["'contact.friction' is under 'randomize' and also drawn by 'randomize.from'", "one source"],
+    ),
+    "body's parameter set": (
+        GOOD[GOOD.index("set:") :],
+        "set: {servo.kp: 5.0}\nrandomize: {from: identified}\n",
+        7,
+        ["'servo.kp' is under 'set' and also drawn by 'randomize.from'"],
+    ),
     "no repeats": ("repeats: 3", "repeats: 0", 13, ["'randomize.repeats' is 0"]),
     "draw out of range": ("[1.0, 1.6]", "[1.0, 16]", 13, ["'contact.friction' is 16: allowed is [0.05, 5]"]),
     "draw upside down": ("[1.0, 1.6]", "[1.6, 1.0]", 13, ["the lower one comes first"]),
@@ -204,6 +223,7 @@ def test_repeats_perturb_the_start_and_a_single_run_does_not():
         {"pilot": {"arc": {"radius": 0.4, "direction": "right"}}, "run": {"duration": 3}},
         {"pilot": {"open_loop": {"turn_rate": 0.3}}, "run": {"cycles": 1}, "tail": "articulated", "cone": "pyramidal"},
         {"randomize": {"repeats": 2, "mass.front": {"normal": [0.16, 0.01]}}},
+        {"randomize": {"repeats": 3, "from": "identified", "mass.front": {"normal": [0.16, 0.01]}}},
         {"vary": {"contact.friction": {"logspace": [0.1, 1.0, 4]}, "contact.width": [1e-5, 1e-4]}},
     ],
 )
@@ -227,6 +247,26 @@ def test_the_digest_tells_sweeps_apart():
         {"vary": {"duty": [0.5, 0.6], "frequency": [0.5, 0.6]}},
     ]
     assert digest not in [Sweep.from_dict(base | other).digest() for other in others]
+
+
+def test_bodies_are_part_of_what_a_sweep_is(monkeypatch):
+    """Their source is in the resolved file and, with the content of the ensemble, in the digest."""
+    from nermo_mjx.robot import identified
+
+    spec = {"vary": {"frequency": [0.5, 0.6]}}
+    without, drawn = Sweep.from_dict(spec), Sweep.from_dict(spec | {"randomize": {"from": "identified"}})
+    assert drawn.resolved()["randomize"] == {"repeats": 1, "from": "identified"}
+    assert "from" not in without.resolved()["randomize"]
+    digests = [without.digest(), drawn.digest()]
+    assert digests[0] != digests[1]
+    other = identified.read_ensemble(["servo.kp,objective,weight", "5.0,0.1,1"])
+    monkeypatch.setattr(identified, "bodies", lambda: other)
+    assert without.digest() == digests[0]
+    assert drawn.digest() != digests[1]
+
+
+def test_bodies_alone_are_enough_to_sweep():
+    assert Sweep.from_dict({"randomize": {"from": "identified"}}).variants == 1
 
 
 def test_pilot_options_become_parameters():

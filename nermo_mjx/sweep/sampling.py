@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 from scipy.stats import qmc
 
+from nermo_mjx.robot import identified
 from nermo_mjx.sweep.axes import Axis
 from nermo_mjx.sweep.spec import Sweep
 
@@ -23,12 +24,14 @@ class Rows:
         repeat: index of the repeat within its variant, (n,) int.
         seed: seed of the row's random draws, (n,) int below 2^53 (exact in JSON).
         values: varied and randomized parameters, name -> (n,) float.
+        body: index in the identified ensemble, (n,) int; None if bodies are not drawn.
     """
 
     variant: np.ndarray
     repeat: np.ndarray
     seed: np.ndarray
     values: dict[str, np.ndarray]
+    body: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.variant)
@@ -36,14 +39,16 @@ class Rows:
     def take(self, index: np.ndarray) -> Rows:
         """The rows at `index`, in that order."""
         values = {name: column[index] for name, column in self.values.items()}
-        return Rows(self.variant[index], self.repeat[index], self.seed[index], values)
+        body = None if self.body is None else self.body[index]
+        return Rows(self.variant[index], self.repeat[index], self.seed[index], values, body)
 
 
 class Sample:
     """All rows of a sweep, each made when it is asked for; repeats of a variant stand side by side.
 
     A grid runs through the product of its axes, the last one fastest. Sobol and Latin hypercube points come from
-    `scipy.stats.qmc`, scrambled with the sweep's seed. The draws of a row are seeded by (seed, variant, repeat).
+    `scipy.stats.qmc`, scrambled with the sweep's seed. The draws of a row, its body among them, are seeded by (seed,
+    variant, repeat).
     A grid of millions of rows takes no memory; of a sampler, its points do: one number a variant and axis.
     """
 
@@ -62,11 +67,17 @@ class Sample:
         pairs = zip(variant.tolist(), repeat.tolist(), strict=True)
         seed = np.array([_row_seed(sweep.seed, *pair) for pair in pairs], dtype=np.int64)
         values = {name: self._varied(name, variant) for name in self._axes}
-        if sweep.draws:
-            shares = [np.random.default_rng(each).random(len(sweep.draws)) for each in seed.tolist()]
-            columns = np.reshape(shares, (len(variant), len(sweep.draws))).T
-            values |= {draw.name: draw.at(column) for draw, column in zip(sweep.draws, columns, strict=True)}
-        return Rows(variant, repeat, seed, values)
+        body = None
+        drawn = len(sweep.draws) + bool(sweep.bodies)
+        if drawn:
+            shares = [np.random.default_rng(each).random(drawn) for each in seed.tolist()]
+            columns = np.reshape(shares, (len(variant), drawn)).T
+            values |= {draw.name: draw.at(column) for draw, column in zip(sweep.draws, columns, strict=False)}
+            if sweep.bodies:  # after the others, which are the same with and without it
+                ensemble = identified.bodies()
+                body = ensemble.at(columns[-1])
+                values |= ensemble.take(body)
+        return Rows(variant, repeat, seed, values, body)
 
     def column(self, name: str) -> np.ndarray:
         """One varied or randomized parameter of all rows, (rows,)."""

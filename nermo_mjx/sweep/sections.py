@@ -17,6 +17,8 @@ SETUP_FIELDS = (
     "trajectory",
 )  # fmt: skip
 SAMPLERS = ("grid", "sobol", "latin_hypercube")
+#: Where `randomize.from` draws whole bodies.
+BODIES = ("identified",)
 #: Options of the pilots, and the parameter each one sets (None: the distance ends the run, way points are the path).
 PILOT_OPTIONS: dict[str, dict[str, str | None]] = {
     "straight": {"distance": None},
@@ -152,12 +154,16 @@ def read_axes(doc: Document, parameters: Mapping[str, Quantity], *, grid: bool) 
     )
 
 
-def read_draws(doc: Document, parameters: Mapping[str, Quantity]) -> tuple[int, tuple[Draw, ...]]:
-    """The number of repeats, and the parameters under `randomize`."""
+def read_draws(doc: Document, parameters: Mapping[str, Quantity]) -> tuple[int, str | None, tuple[Draw, ...]]:
+    """The number of repeats, where bodies are drawn from, and the parameters under `randomize`."""
     given = _mapping(doc, "randomize")
     repeats = read_whole(doc, ("randomize", "repeats"), 1, 100_000) if "repeats" in given else 1
-    given_draws = named(doc, "randomize", parameters, besides=("repeats",))
-    return repeats, tuple(read_draw(doc, name, value, parameters[name]) for name, value in given_draws)
+    bodies = given.get("from")
+    if "from" in given and bodies not in BODIES:
+        doc.fail(("randomize", "from"), f"is {describe(bodies)}: allowed is {', '.join(BODIES)}"
+                                        f"{nearest(str(bodies), BODIES)}")  # fmt: skip
+    given_draws = named(doc, "randomize", parameters, besides=("repeats", "from"))
+    return repeats, bodies, tuple(read_draw(doc, name, value, parameters[name]) for name, value in given_draws)
 
 
 def read_whole(doc: Document, path: FieldPath, low: int, high: int) -> int:

@@ -10,6 +10,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+from nermo_mjx.robot import identified
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.sweep import sections
 from nermo_mjx.sweep.axes import Axis, Draw
@@ -34,6 +35,7 @@ class Sweep(WalkSpec):
         axes: varied parameters in the order of the file.
         sampler, samples: "grid", or a sampler and its number of variants.
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
+        bodies: "identified", if each run has a body of that ensemble; else None.
         seed: makes samples and draws repeatable.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
@@ -44,6 +46,7 @@ class Sweep(WalkSpec):
     samples: int
     draws: tuple[Draw, ...]
     repeats: int
+    bodies: str | None = None
     seed: int = 0
     chunk: int | None = None
     plots: bool = True
@@ -68,12 +71,18 @@ class Sweep(WalkSpec):
         """The number of variants, before repeats."""
         return math.prod(len(axis.values()) for axis in self.axes) if self.sampler == "grid" else self.samples
 
+    @property
+    def body_parameters(self) -> tuple[str, ...]:
+        """Parameters that a run's body decides."""
+        return tuple(identified.bodies().values) if self.bodies else ()
+
     def resolved(self) -> dict[str, Any]:
         """The sweep with all defaults written out; it reads back as the same sweep."""
         data = self.walk_fields()
         data["vary"] = {axis.name: axis.written() for axis in self.axes}
         data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
-        data["randomize"] = {"repeats": self.repeats} | {draw.name: draw.written() for draw in self.draws}
+        bodies = {"from": self.bodies} if self.bodies else {}
+        data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in self.draws}
         data["seed"] = self.seed
         if self.chunk is not None:
             data["chunk"] = self.chunk
@@ -85,13 +94,14 @@ class Sweep(WalkSpec):
         return dump(self.resolved())
 
     def digest(self) -> str:
-        """A hash of all that decides the rows of the table: the sweep and the defaults of what it does not name.
+        """A hash of all that decides the rows of the table: the sweep, defaults of what it does not name, and bodies.
 
         How rows are cut into chunks, and whether figures are drawn, does not count.
         """
         rows = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots")}
         defaults = {name: about.default for name, about in self.parameters.items()}
-        return hashlib.sha256(json.dumps([rows, defaults]).encode()).hexdigest()[:16]
+        bodies = [identified.bodies().fingerprint] if self.bodies else []
+        return hashlib.sha256(json.dumps([rows, defaults, *bodies]).encode()).hexdigest()[:16]
 
 
 def _read(doc: Document) -> Sweep:
@@ -104,7 +114,7 @@ def _read(doc: Document) -> Sweep:
         if key not in _FIELDS:
             doc.fail((key,), f"is not a field of a sweep; allowed are {', '.join(_FIELDS)}{nearest(key, _FIELDS)}")
     sampler, samples = sections.read_sampler(doc)
-    repeats, draws = sections.read_draws(doc, parameters)
+    repeats, bodies, draws = sections.read_draws(doc, parameters)
     if not isinstance(data.get("plots", True), bool):
         doc.fail(("plots",), f"is {describe(data['plots'])}: expected true or false.")
     sweep = Sweep(
@@ -117,6 +127,7 @@ def _read(doc: Document) -> Sweep:
         samples=samples,
         draws=draws,
         repeats=repeats,
+        bodies=bodies,
         seed=sections.read_whole(doc, ("seed",), 0, 2**53) if "seed" in data else 0,
         chunk=sections.read_whole(doc, ("chunk",), 1, LARGEST_SWEEP) if "chunk" in data else None,
         plots=data.get("plots", True),
@@ -128,8 +139,8 @@ def _read(doc: Document) -> Sweep:
 def _check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
     varied, drawn = [axis.name for axis in sweep.axes], [draw.name for draw in sweep.draws]
-    check_sources(doc, sweep, {"vary": varied, "randomize": drawn})
-    if not sweep.axes and not sweep.draws and sweep.repeats == 1:
+    check_sources(doc, sweep, {"vary": varied, "randomize": drawn}, bodies=sweep.body_parameters)
+    if not sweep.axes and not sweep.draws and not sweep.bodies and sweep.repeats == 1:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler != "grid":
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")

@@ -1,6 +1,6 @@
 """The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
 
-Roles: `index` (row, variant, repeat, seed), `varied`, `randomized`, `metric`, `status`.
+Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`.
 """
 
 from __future__ import annotations
@@ -60,9 +60,12 @@ def chunk_table(
     columns = Columns()
     parameters = sweep.parameters
     forms = {axis.name: axis.form for axis in sweep.axes} | {draw.name: draw.form for draw in sweep.draws}
+    forms |= dict.fromkeys(sweep.body_parameters, "loguniform")  # the prior of the identification
     varied = {axis.name for axis in sweep.axes}
     for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
         columns.add(name, values, "index", "1", _INDEX[name])
+    if rows.body is not None:
+        columns.add("body", rows.body, "index", "1", "body of the identified ensemble; 0 is the default one")
     for name, values in rows.values.items():
         role, scale = "varied" if name in varied else "randomized", "log" if forms[name].startswith("log") else "linear"
         columns.add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)

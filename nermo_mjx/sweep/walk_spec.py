@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 from nermo_mjx.robot.quantity import Quantity
@@ -60,14 +60,21 @@ class WalkSpec:
         return data
 
 
-def check_sources(doc: Document, walk: WalkSpec, sections: Mapping[str, list[str]]) -> None:
+def check_sources(
+    doc: Document, walk: WalkSpec, sections: Mapping[str, list[str]], bodies: Collection[str] = ()
+) -> None:
     """Fail where a parameter has two sources, or no effect.
 
     Args:
         sections: names of the parameters that each section of the file changes.
+        bodies: names of the parameters that `randomize.from` draws together.
     """
     parameters, pilot = walk.parameters, walk.setup.pilot
-    sources = dict.fromkeys(walk.constants, f"set by 'pilot.{pilot}'")
+    sources = dict.fromkeys(bodies, "drawn by 'randomize.from'")
+    for name in walk.fixed:
+        if name in sources:
+            doc.fail(("set", name), f"is under 'set' and also {sources[name]}: give it one source.", name)
+    sources |= dict.fromkeys(walk.constants, f"set by 'pilot.{pilot}'")
     sources |= dict.fromkeys(walk.fixed, "fixed under 'set'")
     for section, names in sections.items():
         for name in names:
