@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from nermo_mjx.experiments.catalogue import Experiment
+from nermo_mjx.experiments.judgement import Effect, Number, Range, Same
 from nermo_mjx.experiments.line import Figure
-from nermo_mjx.experiments.outcome import Column, Outcome
+from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view import Recording
 
@@ -23,13 +24,15 @@ ABOUT = {
     "followed": Column("1", "whether the path was followed"),
     "status": Column("1", "ok, or what became of the run"),
 }
+#: Name of its recording.
+RUN = "trt, 0.8 Hz, with spine"
 #: Speeds [m/s] of the trot at 0.5 and 0.8 Hz, in each profile.
 SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07)}
 
 
 @dataclasses.dataclass
 class Fake:
-    """Counts its runs, and fails if it is told to."""
+    """Counts its runs, and fails if it is told to. A body walks as much faster as its friction says."""
 
     name: str
     error: BaseException | None = None
@@ -41,28 +44,36 @@ class Fake:
         asked["progress"](0.5)
         if self.error is not None:
             raise self.error
+        bodies = asked.get("bodies")
         rows = [
-            (profile, "trt", frequency, repeat, speed + 1e-3 * repeat, 0.12 * frequency, repeat == 0, "ok")
+            (profile, body, "trt", frequency, repeat, factor * speed + 1e-3 * repeat, 0.12 * frequency, repeat == 0,
+             "ok")
             for profile in asked["profiles"]
+            for body, factor in enumerate([1.0] if bodies is None else bodies["contact.friction"], start=1)
             for frequency, speed in zip((0.5, 0.8), SPEEDS[profile], strict=True)
             for repeat in range(asked["repeats"])
-        ]
-        columns = {name: np.array(column) for name, column in zip(ABOUT, zip(*rows, strict=True), strict=True)}
+        ]  # fmt: skip
+        names = ["profile", BODY, *list(ABOUT)[1:]]
+        columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+        if bodies is None:
+            del columns[BODY]
         columns["theory_speed"][0] = np.nan
         asked["progress"](1.0)
-        return Outcome(self.name, columns, ABOUT, {"trt, 0.8 Hz, with spine": recording()})
+        about = ABOUT if bodies is None else ABOUT | {BODY: Column("1", "number of the body")}
+        return Outcome(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
 
     def experiment(self) -> Experiment:
         """As the catalogue has one: a figure that holds, one that does not, a trend, and one that is not measured."""
         figures = (
             Figure(
-                "speed at 0.8 Hz", 80.0, lambda o, p: 1e3 * o.mean("speed", profile=p, frequency=0.8), "mm/s", "6.2"
+                "speed at 0.8 Hz", "predicted", Number(80.0),
+                lambda o, p: 1e3 * o.mean("speed", profile=p, frequency=0.8), "mm/s", "6.2",
             ),
-            Figure("ratio of speeds", 1.0, lambda o, p: 1.6, source="6.2", demanded=(0.9, 1.1)),
-            Figure("faster | at 0.8 Hz", True, lambda o, p: True),
-            Figure("word", "pass", lambda o, p: "fail"),
-            Figure("interval", (0.25, 0.30), lambda o, p: float("nan")),
-        )
+            Figure("ratio of speeds", "fitted", Effect(1.2), lambda o, p: 1.6, source="6.2"),
+            Figure("faster | at 0.8 Hz", "chosen", Same(True), lambda o, p: True),
+            Figure("word", "predicted", Same("pass"), lambda o, p: "fail"),
+            Figure("interval", "theory", Range(0.25, 0.30), lambda o, p: float("nan")),
+        )  # fmt: skip
         return Experiment(
             self.name, self.run, figures, SETTABLE, f"The {self.name}", "What is done.", quick="little",
             metrics=("speed", "theory_speed", "followed"),

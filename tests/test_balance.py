@@ -238,3 +238,20 @@ def test_a_weak_spine_does_not_balance():
     rear = weak.where(leg="rear_left", sbc=True)
     assert not weak.columns["passed"][rear].any()
     assert weak.columns["passed"][weak.where(leg="front_left")].all()
+
+
+def test_bodies_do_all_cases_and_what_is_theirs_arrives():
+    """Two bodies, of which one has a third more mass behind: a higher share of the weight on the rear feet."""
+    bodies = {"mass.rear": np.array([0.1053, 0.140]), "servo.speed": np.array([15.0, 12.0])}
+    several = run("c", profiles=("exact",), quick=True, bodies=bodies)
+    assert several.columns["body"].tolist() == [1] * 8 + [2] * 8
+    assert not several.recordings
+    assert list(several.columns) == list(several.about)
+    light, heavy = (several.of_body(body) for body in (1, 2))
+    weight = [sum(each.columns[f"force_stand_{limb}"].mean() for limb in LIMBS) / GRAVITY for each in (light, heavy)]
+    assert weight[1] - weight[0] == pytest.approx(0.0347, rel=0.1)
+    margin = [each.mean("com_margin_stand", leg="rear_left", sbc=False) for each in (light, heavy)]
+    assert margin[1] < margin[0] - 1e-3
+    alone = run("c", profiles=("exact",), quick=True, values={"mass.rear": 0.1053})
+    for column in ("pitch_rest", "com_height", "com_margin_stand"):
+        np.testing.assert_allclose(light.columns[column], alone.columns[column], atol=1e-5, err_msg=column)

@@ -118,7 +118,22 @@ MADE = {"straight-line": walked, "turning": turned, "balance": balanced, "maze":
 def lines_of(experiment, exact=None):
     """The report's lines with what was published, and the same made-up measurement in each."""
     return [
-        Line(experiment, figure.name, figure.published, None, exact, None, None, figure.unit, figure.source, None, "")
+        Line(
+            experiment,
+            figure.name,
+            figure.kind,
+            figure.reported.name,
+            figure.reported.published,
+            None,
+            exact,
+            None,
+            None,
+            None,
+            figure.unit,
+            figure.source,
+            None,
+            "",
+        )
         for figure in FIGURES[experiment]
     ]
 
@@ -342,19 +357,30 @@ def test_stability_has_its_limit_and_its_phases():
 
 
 def test_the_report_shows_numbers_as_shares_of_the_published():
-    """A number stands at its share, one beyond the axis at the axis' end, and one that was not measured is missing."""
+    """A number stands at its share, one beyond the axis at the axis' end, and one that was not measured is missing.
+
+    A ratio that is an effect stands at the share of its effect: 1.3 of 1.2 is 1.5, and 0.9 is -0.5.
+    """
+
+    def line(name, judged, published, as_published, exact, holds, unit="s"):
+        return Line(
+            "maze", name, "predicted", judged, published, as_published, exact, None, holds, None, unit, "", None, ""
+        )
+
     lines = [
-        Line("maze", "a", 2.0, None, 3.0, 1.5, False, "s", "", None, ""),
-        Line("maze", "b", (1.0, 3.0), 20.0, 2.0, 1.0, True, "s", "", None, ""),
-        Line("maze", "c", 2.0, None, None, None, None, "s", "", None, ""),
-        Line("maze", "d", True, True, True, None, True, "", "", None, ""),
+        line("a", "number", 2.0, None, 3.0, False),
+        line("b", "range", (1.0, 3.0), 20.0, 2.0, True),
+        line("c", "number", 2.0, None, None, None),
+        line("d", "outcome", True, True, True, True, ""),
+        line("e", "effect", 1.2, 0.9, 1.3, False, ""),
+        line("f", "gain", 0.4, None, 0.2, False, ""),
     ]
     ax, table = dict(pictures(mazed(), lines))["report"].axes
-    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b"]
-    assert marks(ax, "exact") == [(1.5, 0), (1.0, 1)]
-    assert marks(ax, "as_published") == [(2.5, 1)]
-    assert marks(ax, "published") == [(1, 0), (1, 1)]
-    assert {"3 s", "1 to 3 s", "20 s"} <= {text.get_text() for text in table.texts}
+    assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "e", "f"]
+    np.testing.assert_allclose(marks(ax, "exact"), [(1.5, 0), (1.0, 1), (1.5, 2), (0.5, 3)])
+    np.testing.assert_allclose(marks(ax, "as_published"), [(2.5, 1), (-0.5, 2)])
+    assert marks(ax, "published") == [(1, 0), (1, 1), (1, 2), (1, 3)]
+    assert {"3 s", "1 to 3 s", "20 s", "1.3"} <= {text.get_text() for text in table.texts}
 
 
 def test_pictures_leave_the_callers_style_alone():

@@ -22,6 +22,7 @@ Examples:
   nermo-mjx experiment all --quick --out runs/look
   nermo-mjx experiment turning --profile exact --repeats 5 --out runs/turns
   nermo-mjx experiment maze --set contact.friction=0.8 --out runs/slippery
+  nermo-mjx experiment all --bodies 64 --out runs/published
 """
 ALL = "all"
 #: Longest text of a cell on the terminal; the names of figures are shorter.
@@ -36,6 +37,8 @@ _WIDEST = 72
 @options.choice("--profile", ("both", *PROFILES), "Controller as described, or as published.")
 @options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @options.number("--seed", "Of the shifts that tell repeats apart.", click.IntRange(0), default=0)
+@options.number("--bodies", "Identified bodies that are run besides: in which share of them does a line hold?",
+                click.IntRange(1))  # fmt: skip
 @click.option("--quick", is_flag=True, help="A look: fewer cases, no videos; a minute.")
 @click.option("--no-video", is_flag=True, help="Draw no videos.")
 @click.option("--again", is_flag=True, help="Run again, and replace, what DIR holds of it.")
@@ -43,8 +46,8 @@ _WIDEST = 72
 @options.engine
 @options.report
 def command(
-    name: str, out: Path, profile: str, repeats: int | None, seed: int, quick: bool, no_video: bool, again: bool,
-    assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
+    name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
+    no_video: bool, again: bool, assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
@@ -60,7 +63,7 @@ def command(
             result = run_experiments(
                 EXPERIMENTS if name == ALL else [name], out, engine=engine,
                 profiles=PROFILES if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
-                values=values, video=not no_video, again=again, progress=stages.share, notify=stages.say,
+                values=values, bodies=bodies, video=not no_video, again=again, progress=stages.share, notify=stages.say,
             )  # fmt: skip
     if as_json:
         run = {each.name: {"kept": each.kept} for each in result.results}
@@ -91,6 +94,9 @@ def _print(result: ExperimentsResult) -> None:
         about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
         took = f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
         click.echo(f"{each.name}: {_counted(summary)} ({took}{', kept' if each.kept else ''})")
+    kinds = content["summary"]["by_kind"]
+    click.echo(f"all of {result.out}: {'; '.join(f'{kind}: {_counted(kinds[kind])}' for kind in kinds)}")
+    click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
     for name, place in _places(result).items():
@@ -104,7 +110,7 @@ def _short(text: str) -> str:
 
 def _counted(summary: dict[str, Any]) -> str:
     compared = summary["hold"] + summary["do_not_hold"]
-    missing = f", {summary['not_measured']} not measured" if summary["not_measured"] else ""
+    missing = f", {summary['not_measured']} not judged or measured" if summary["not_measured"] else ""
     return f"{summary['hold']} of {compared} figures hold{missing}"
 
 

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES, choice, published_values
-from nermo_mjx.experiments.outcome import Column
+from nermo_mjx.experiments.outcome import BODY, Column
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
@@ -24,6 +24,7 @@ LABELS: Final = {
     "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
     "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
     "repeat": Column("1", "index of the repeat; each starts a little shifted"),
+    BODY: Column("1", "number of the identified body"),
 }
 
 
@@ -69,8 +70,9 @@ def worlds(
     repeats: int = 1,
     seed: int = 0,
     common: Mapping[str, float] | None = None,
+    bodies: Mapping[str, np.ndarray] | None = None,
 ) -> Worlds:
-    """Every case in every profile, `repeats` times from starts that differ by a seeded shift.
+    """Every case in every profile, `repeats` times from starts that differ by a seeded shift, and for every body.
 
     The shift of a repeat is the same for all cases, so that cases are compared from like starts; the first repeat is
     shifted too.
@@ -81,7 +83,9 @@ def worlds(
         profiles: of `PROFILES`.
         repeats: at least 1.
         seed: of the shifts.
-        common: parameters for all worlds, such as an identified contact.
+        common: parameters for all worlds, such as another friction.
+        bodies: parameter name -> (n,) values of n bodies, of which each walks everything; they go before `common`; the
+            column `BODY` then numbers them from 1.
 
     Raises:
         ParameterError: an unknown profile, or no repeat.
@@ -101,7 +105,33 @@ def worlds(
                 rows.append({**shift, **(common or {}), **named, **case.values})
     names = dict.fromkeys(name for row in rows for name in row)
     values = {name: np.array([row.get(name, defaults[name]) for row in rows]) for name in names}
-    return Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
+    batch = Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
+    return batch if bodies is None else _of_bodies(batch, bodies, {name for case in cases for name in case.values})
+
+
+def body_count(bodies: Mapping[str, np.ndarray]) -> int:
+    """How many bodies there are.
+
+    Raises:
+        ParameterError: none, or parameters with different numbers of values.
+    """
+    sizes = {len(values) for values in bodies.values()}
+    if len(sizes) != 1 or sizes == {0}:
+        raise ParameterError(f"bodies has {sorted(sizes)} values of its parameters: allowed is one number, at least 1.")
+    return sizes.pop()
+
+
+def _of_bodies(batch: Worlds, bodies: Mapping[str, np.ndarray], decided: set[str]) -> Worlds:
+    """All worlds of a batch for each body, the second label telling which; cases keep what they decide."""
+    count, size = body_count(bodies), len(next(iter(batch.labels.values())))
+    labels = {name: np.tile(column, count) for name, column in batch.labels.items()}
+    first, *rest = labels
+    numbered = {first: labels[first], BODY: np.repeat(1 + np.arange(count), size)} | {
+        name: labels[name] for name in rest
+    }
+    values = {name: np.tile(column, count) for name, column in batch.values.items()}
+    each = {name: np.repeat(np.asarray(of, float), size) for name, of in bodies.items() if name not in decided}
+    return Worlds(numbered, values | each)
 
 
 def _shift(seed: int, repeat: int) -> dict[str, float]:

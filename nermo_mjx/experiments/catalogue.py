@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from nermo_mjx.control.parameters import choice
-from nermo_mjx.experiments import balance, maze, published, straight_line, turning
+from nermo_mjx.experiments import balance, body, maze, published, straight_line, turning
 from nermo_mjx.experiments.cases import settable
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.maze_course import maze_course
@@ -53,10 +53,12 @@ speed of feet that do not slip (5.21, 5.22, 5.33)."""
 _TURNING: Final = f"""\
 Quarter circles of {" and ".join(f"{r:g}" for r in turning.RADII)} m, and full lock (radius 0), at 0.5, 0.67 and \
 0.8 Hz in the gaits trt, trt1 and lat, turned by the legs, by the spine, or by both (mix), to the left; trt and trt1 \
-at 0.67 Hz to the right as well. A path counts as *followed* if the torso, with all its sway, stays within \
-{turning.BOUND_SHARE:.0%} of the radius of it, or {1e3 * turning.LEAST_BOUND:g} mm if that is more, and its end is \
-reached in time. The smallest radius is that of the circle fitted to the torso's steady path at full lock; the theory \
-is the radius without slip (5.40 to 5.44)."""
+at 0.67 Hz to the right as well. The normalised stride is {turning.STRIDE:g}, as the test's text has it ("0.08", \
+evidently a misprint); R = 0.5 m and full lock also with {turning.OTHER_STRIDE:g}, the other reading. A path counts \
+as *followed* if the torso, with all its sway, stays within {turning.BOUND_SHARE:.0%} of the radius of it, or \
+{1e3 * turning.LEAST_BOUND:g} mm if that is more, and its end is reached in time. The smallest radius is that of the \
+circle fitted to the torso's steady path at full lock; the theory is the radius without slip (5.40 to 5.44). (5.43), \
+that of the spine, presumes shorter inner strides; point feet with equal strides turn in 0.44 m."""
 _BALANCE: Final = """\
 From its own static stance the robot lifts one leg, compresses it fully with the knee servo, and swings it through the \
 whole range of hip or shoulder, -0.7 to 0.7 rad; each leg without and with spine balance compensation (SBC). It \
@@ -67,6 +69,9 @@ Trot at {maze.FREQUENCY:g} Hz through the published maze, along way points of {m
 the spine, turned by the legs alone; with the spine, turned by legs and spine, with longer strides. The published path \
 is not available; this one was drawn once, clear of the boxes, and is the same in all runs. A touch is a contact of \
 any part of the robot with a box."""
+_BODY: Final = f"""\
+What is measured without a walk: dimensions of the standing robot by its visible parts, mass, and how far knees and \
+spine bend under the load of the publication's finite elements, {body.TORQUE:g} N m, on their test stands."""
 
 EXPERIMENTS: Final[dict[str, Experiment]] = {
     experiment.name: experiment
@@ -79,7 +84,19 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             f"Straight line, {straight_line.DISTANCE:.1f} m",
             _STRAIGHT_LINE,
             quick="0.8 Hz and the offset compensation only, over half a metre",
-            metrics=("speed", "theory_speed", "slip", "roll_std", "pitch_mean", "pitch_std", "yaw_std"),
+            metrics=(
+                "speed",
+                "theory_speed",
+                "slip",
+                "loaded_front",
+                "loaded_rear",
+                "front_load_share",
+                "tail_time",
+                "roll_std",
+                "pitch_mean",
+                "pitch_std",
+                "yaw_std",
+            ),
             shot=Shot("with spine"),
         ),
         Experiment(
@@ -90,7 +107,15 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             "Turning",
             _TURNING,
             quick="trot at 0.67 Hz only, on 0.5 m and at full lock",
-            metrics=("speed", "time", "followed", "cross_track_peak", "turning_radius", "theory_radius"),
+            metrics=(
+                "speed",
+                "time",
+                "followed",
+                "cross_track_peak",
+                "turning_radius",
+                "theory_radius",
+                "theory_equal_strides",
+            ),
             needs={"followed": "cross_track_peak"},
             shot=Shot("mix", speed=2.0, until="time"),
         ),
@@ -123,6 +148,16 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             quick="the first metre only, so that no run reaches the end",
             metrics=("reached", "time", "mean_speed", "roll_std", "pitch_std", "touched", "boxes"),
             shot=Shot("exact, with spine", camera="overview", speed=8.0, until="time"),
+        ),
+        Experiment(
+            body.NAME,
+            body.run,
+            published.FIGURES[body.NAME],
+            body.SETTABLE,
+            "Body",
+            _BODY,
+            quick="nothing is left out",
+            metrics=tuple(body.ABOUT),
         ),
     )
 }

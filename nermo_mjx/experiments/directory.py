@@ -1,6 +1,7 @@
 """The directory of the published experiments: what each one left, and with which settings it was run.
 
 DIR/results/<experiment>.parquet    one row a world; the settings and the provenance are in the schema's metadata
+DIR/results/<experiment>-bodies.parquet   the same of identified bodies, if they were asked for
 DIR/results/<experiment>.json       its lines of the report, and what was run
 DIR/recordings/<experiment>-*.npz   runs that plots and videos show
 DIR/plots/, DIR/videos/             made from the above
@@ -80,6 +81,7 @@ class Directory:
         table = self._table(outcome.experiment)
         with clear_errors(self.out):
             table.unlink(missing_ok=True)
+            self._bodies(outcome.experiment).unlink(missing_ok=True)
             for leftover in (*self._recordings(outcome.experiment), self.out / "videos" / f"{outcome.experiment}.mp4"):
                 leftover.unlink(missing_ok=True)
         files: dict[str, Path] = {}
@@ -94,9 +96,24 @@ class Directory:
             raise StoreError(f"{table} was written but cannot be read back: run the same command again.")
         return stored
 
+    def save_bodies(self, outcome: Outcome, about: Mapping[str, Any]) -> Stored:
+        """Store what the identified bodies gave, beside the experiment's own results."""
+        path = self._bodies(outcome.experiment)
+        self.write(path, parquet_bytes(table_of(outcome, {"about": to_json({**about, "recordings": {}}).decode()})))
+        stored = self.load_bodies(outcome.experiment)
+        if stored is None:
+            raise StoreError(f"{path} was written but cannot be read back: run the same command again.")
+        return stored
+
     def load(self, experiment: str) -> Stored | None:
         """What the directory holds of an experiment; None if that is nothing, or damaged."""
-        path = self._table(experiment)
+        return self._load(self._table(experiment))
+
+    def load_bodies(self, experiment: str) -> Stored | None:
+        """What the directory holds of the identified bodies in an experiment; None if that is nothing, or damaged."""
+        return self._load(self._bodies(experiment))
+
+    def _load(self, path: Path) -> Stored | None:
         table = read_chunk(path)
         if table is None:
             return None
@@ -123,6 +140,9 @@ class Directory:
 
     def _table(self, experiment: str) -> Path:
         return self.out / "results" / f"{experiment}.parquet"
+
+    def _bodies(self, experiment: str) -> Path:
+        return self.out / "results" / f"{experiment}-bodies.parquet"
 
     def _recordings(self, experiment: str) -> list[Path]:
         return list((self.out / "recordings").glob(f"{experiment}-*.npz"))

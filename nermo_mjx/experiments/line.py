@@ -1,17 +1,28 @@
-"""Lines of the report: a published figure, the same figure of both profiles, and whether it holds."""
+"""Lines of the report: a published figure, the same figure of both profiles, and whether it holds.
+
+What a line is worth depends on what was known when the twin was made, its kind:
+
+- `fitted`: a term of the objective (`identification.targets`), or a figure that those terms decide;
+- `theory`: a formula of the publication against the same formula here; nothing is simulated;
+- `chosen`: something was decided with this figure, or one of its group, in view. Mass share, stance, offset
+  compensation and the servo gain's bound were chosen with the balance outcomes known, and the masses by the balance
+  test's forces and height; the sole's contact and the stride of the turning test with the turning results known;
+  dimensions and stiffnesses were entered by hand;
+- `predicted`: none of these. Only predicted lines are evidence. Where there is doubt, a line is not called predicted.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Final, Literal
 
+from nermo_mjx.experiments.judgement import Asked, Interval, Judgement, Value
 from nermo_mjx.experiments.outcome import Outcome
 
-#: A number agrees with the publication within this share of it.
-AGREES: Final = 0.25
-Value = float | bool | str | None
+Kind = Literal["fitted", "theory", "chosen", "predicted"]
+KINDS: Final[tuple[Kind, ...]] = ("predicted", "chosen", "fitted", "theory")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,20 +31,19 @@ class Figure:
 
     Attributes:
         name: what it is, in the reader's words.
-        published: a number, the two ends of an interval, whether a trend holds, or an outcome in a word; None for a
-            figure that only this project asks for.
+        kind: what the figure is worth as evidence, see the module.
+        reported: what was published, and how a value is judged by it.
         measure: from an outcome and a profile to the same figure; NaN or None where it was not measured.
         unit: of a number as it is shown.
-        source: where the publication has it.
-        demanded: interval that this project asks of the profile `exact` beyond the 25 %, if any.
+        source: where the publication has it, and how it is read.
     """
 
     name: str
-    published: Value | tuple[float, float]
+    kind: Kind
+    reported: Judgement
     measure: Callable[[Outcome, str], Value]
     unit: str = ""
     source: str = ""
-    demanded: tuple[float, float] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,75 +51,74 @@ class Line:
     """A line of the report; attributes as of `Figure`.
 
     Attributes:
+        judged: how the figure is judged, see `judgement`.
         as_published, exact: the figure in the two profiles; None where it was not measured.
-        ratio: `exact` over the published number, or over the nearer end of an interval that it lies outside of.
-        holds: whether `exact` agrees: a number within 25 % (and within what is demanded), a trend or word as published.
+        ratio: `exact` over the published number, of an effect over the published effect, or over the nearer end of an
+            interval that it lies outside of.
+        holds: whether `exact` agrees; None where it was not measured, or is not judged.
+        ensemble: share of the identified bodies in which the line holds; None where that is not known.
+        demanded: interval that only this project asks for.
         reason: for a line that does not hold, the reason that was found and tested.
     """
 
     experiment: str
     figure: str
-    published: Value | tuple[float, float]
+    kind: Kind
+    judged: str
+    published: Value | Interval
     as_published: Value
     exact: Value
     ratio: float | None
     holds: bool | None
+    ensemble: float | None
     unit: str
     source: str
-    demanded: tuple[float, float] | None
+    demanded: Interval | None
     reason: str
 
 
-def compare(outcome: Outcome, figures: Sequence[Figure], reasons: Mapping[str, str]) -> list[Line]:
+def compare(
+    outcome: Outcome,
+    figures: Sequence[Figure],
+    reasons: Mapping[str, str],
+    shares: Mapping[str, float | None] | None = None,
+) -> list[Line]:
     """The lines of one experiment.
 
     Args:
         outcome: of the run; a profile that was not run gives None.
         figures: of the experiment.
         reasons: figure's name -> why it does not hold.
+        shares: figure's name -> share of the identified bodies in which it holds.
     """
-    return [_line(outcome, figure, reasons) for figure in figures]
+    return [_line(outcome, figure, reasons, shares or {}) for figure in figures]
 
 
-def _line(outcome: Outcome, figure: Figure, reasons: Mapping[str, str]) -> Line:
-    values = {profile: _measured(outcome, figure, profile) for profile in ("as_published", "exact")}
-    exact = values["exact"]
-    ratio = _ratio(exact, figure.published)
+def _line(outcome: Outcome, figure: Figure, reasons: Mapping[str, str], shares: Mapping[str, float | None]) -> Line:
+    reported, exact = figure.reported, measured(outcome, figure, "exact")
+    number = exact is not None and not isinstance(exact, (bool, str))
+    ratio = reported.ratio(float(exact)) if number else None  # type: ignore[arg-type]
     holds = agrees(exact, figure)
     return Line(
-        experiment=outcome.experiment, figure=figure.name, published=figure.published, **values, ratio=ratio,
-        holds=holds, unit=figure.unit, source=figure.source, demanded=figure.demanded,
+        experiment=outcome.experiment, figure=figure.name, kind=figure.kind, judged=reported.name,
+        published=reported.published, as_published=measured(outcome, figure, "as_published"), exact=exact,
+        ratio=ratio if ratio is not None and math.isfinite(ratio) else None, holds=holds,
+        ensemble=None if holds is None else shares.get(figure.name), unit=figure.unit, source=figure.source,
+        demanded=(reported.low, reported.high) if isinstance(reported, Asked) else None,
         reason=reasons.get(figure.name, "") if holds is False else "",
     )  # fmt: skip
 
 
 def agrees(value: Value, figure: Figure) -> bool | None:
     """Whether a value agrees with a figure; None where there is nothing to compare."""
-    if value is None or (figure.published is None and figure.demanded is None):
-        return None
-    if isinstance(value, (bool, str)) or isinstance(figure.published, (bool, str)):
-        return value == figure.published
-    if figure.published is not None:
-        ratio = _ratio(value, figure.published)
-        if ratio is None or abs(ratio - 1.0) > AGREES:
-            return False
-    return figure.demanded is None or figure.demanded[0] <= value <= figure.demanded[1]
+    return None if value is None else figure.reported.holds(value)
 
 
-def _measured(outcome: Outcome, figure: Figure, profile: str) -> Value:
+def measured(outcome: Outcome, figure: Figure, profile: str) -> Value:
+    """A figure of one profile; None where it was not measured."""
     if profile not in set(outcome.columns["profile"]):
         return None
     value = figure.measure(outcome, profile)
     if value is None or isinstance(value, (bool, str)):
         return value
     return float(value) if math.isfinite(value) else None
-
-
-def _ratio(value: Value, published: Value | tuple[float, float]) -> float | None:
-    if isinstance(value, (bool, str)) or value is None or isinstance(published, (bool, str)) or published is None:
-        return None
-    low, high = published if isinstance(published, tuple) else (published, published)
-    if low <= value <= high:
-        return value / low if low == high and low else 1.0
-    nearer = low if abs(value - low) < abs(value - high) else high
-    return value / nearer if nearer else None

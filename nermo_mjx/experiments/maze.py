@@ -11,7 +11,7 @@ import numpy as np
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments.cases import AMPLITUDE, LABELS, Case, worlds
 from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
-from nermo_mjx.experiments.outcome import Column, Outcome
+from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.experiments.worlds_run import recordings_of, table_of
 from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import History, Run, Setup, Simulator
@@ -24,7 +24,7 @@ _PASSES: Final = 0.1
 _LOOK: Final = 2
 #: A run ends at this share of the speed of theory.
 _SLOWEST: Final = 0.45
-_LABELS: Final = {name: LABELS[name] for name in ("profile", "repeat")}
+_LABELS: Final = {name: LABELS[name] for name in ("profile", "repeat", BODY)}
 _ABOUT: Final = {
     "spine": Column("1", "whether the spine turns along and extends the strides"),
     "time": Column("s", "simulated time from the start to the end of the path; NaN if it is not reached"),
@@ -51,6 +51,7 @@ def run(
     seed: int = 0,
     quick: bool = False,
     values: Mapping[str, float] | None = None,
+    bodies: Mapping[str, np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Outcome:
     """Walk through the maze in all cases, in one batch.
@@ -62,7 +63,9 @@ def run(
     """
     setup = Setup(scene="maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
     simulator = Simulator(setup, engine=engine)
-    batch = worlds(cases(), setup.defaults(), profiles=profiles, repeats=repeats, seed=seed, common=values)
+    batch = worlds(
+        cases(), setup.defaults(), profiles=profiles, repeats=repeats, seed=seed, common=values, bodies=bodies
+    )  # fmt: skip
     length = 1.0 if quick else maze_course().length + 2 * _PASSES
     cycles = np.ceil(length / (_SLOWEST * 0.12))
     result = simulator.run(
@@ -73,7 +76,7 @@ def run(
     columns |= _arrivals(result.trace) | touches(simulator.robot, result.trace)
     if quick:
         columns["reached"] = np.full(len(columns["reached"]), np.nan)
-    shown = batch.labels["repeat"] == 0
+    shown = (batch.labels["repeat"] == 0) & (bodies is None)
     names = [
         f"{profile}, {'with' if spine else 'without'} spine"
         for profile, spine in zip(batch.labels["profile"], batch.labels["spine"], strict=True)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
 from nermo_mjx.view.recording import Recording
+
+#: Column that tells identified bodies apart, where an outcome has several: 1, 2, ...
+BODY: Final = "body"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +48,21 @@ class Outcome:
         return mask
 
     def mean(self, column: str, **wanted: object) -> float:
-        """Mean over the rows chosen by `where`; NaN where there is none."""
+        """Mean over the rows chosen by `where`; NaN where there is none, or no such column."""
+        if column not in self.columns:
+            return float("nan")
         values = np.asarray(self.columns[column], float)[self.where(**wanted)]
         return float(values.mean()) if len(values) else float("nan")
+
+    def of_body(self, body: int) -> Outcome:
+        """The rows of one of the bodies that an outcome of several has, without the column that tells them apart."""
+        rows = self.where(**{BODY: body})
+        columns = {name: values[rows] for name, values in self.columns.items() if name != BODY}
+        return dataclasses.replace(self, columns=columns)
+
+
+def joined(parts: Sequence[Outcome]) -> Outcome:
+    """Outcomes of one experiment with the same columns as one; of recordings with one name the first is kept."""
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    recordings = {name: run for part in reversed(parts) for name, run in part.recordings.items()}
+    return dataclasses.replace(parts[0], columns=columns, recordings=recordings)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from nermo_mjx.experiments.line import Line
+from nermo_mjx.experiments.line import KINDS, Line
 from nermo_mjx.experiments.settings import differences
 from nermo_mjx.experiments.table import MISSING, case_count, number, status_counts
 from nermo_mjx.sweep.summary import to_json
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 #: Headings of a table of lines, and their side.
 HEADINGS = (
-    ("figure", "left"), ("published", "right"), ("as published", "right"), ("exact", "right"), ("ratio", "right"),
-    ("holds", "left"),
+    ("figure", "left"), ("kind", "left"), ("published", "right"), ("as published", "right"), ("exact", "right"),
+    ("ratio", "right"), ("holds", "left"), ("ensemble", "right"),
 )  # fmt: skip
 
 
@@ -36,18 +36,21 @@ def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict
     """Content of report.json.
 
     Returns:
-        `lines` of all experiments; `summary`: how many of them hold, in all and by experiment; `experiments`: what was
-        run of each, with which settings, versions, machine and command, and its files; `differences`: sentences, if
-        not all were run alike; `started`, `command`, `versions`, `machine` of the latest, `wall_seconds` of all.
+        `lines` of all experiments; `summary`: how many of them hold, in all, by kind and by experiment; `experiments`:
+        what was run of each, with which settings, versions, machine and command, and its files; `differences`:
+        sentences, if not all were run alike; `started`, `command`, `versions`, `machine` of the latest, `wall_seconds`
+        of all.
     """
     found = {name: directory.entry(name) for name in experiments}
     entries = {name: entry for name, entry in found.items() if entry is not None}
     lines = [line for entry in entries.values() for line in entry["lines"]]
-    by_experiment = {name: counts(entry["lines"]) for name, entry in entries.items()}
+    by_experiment = {
+        name: counts(entry["lines"]) | {"by_kind": counts_by_kind(entry["lines"])} for name, entry in entries.items()
+    }
     latest = max(entries.values(), key=lambda entry: entry["started"], default={})
     return {
         "lines": lines,
-        "summary": {**counts(lines), "by_experiment": by_experiment},
+        "summary": {**counts(lines), "by_kind": counts_by_kind(lines), "by_experiment": by_experiment},
         "experiments": {
             name: {key: value for key, value in entry.items() if key not in ("experiment", "lines")}
             for name, entry in entries.items()
@@ -75,7 +78,7 @@ def entry_of(title: str, stored: Stored, lines: Sequence[Line]) -> dict[str, Any
 
 
 def counts(lines: Iterable[Mapping[str, Any]]) -> dict[str, int]:
-    """How many lines there are, how many hold, and how many were not measured."""
+    """How many lines there are, how many hold, and how many were not measured or are not judged."""
     holds = [line["holds"] for line in lines]
     return {
         "lines": len(holds),
@@ -83,6 +86,12 @@ def counts(lines: Iterable[Mapping[str, Any]]) -> dict[str, int]:
         "do_not_hold": holds.count(False),
         "not_measured": holds.count(None),
     }
+
+
+def counts_by_kind(lines: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
+    """`counts` of the lines of each kind; a kind that has none is left out."""
+    by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
+    return {kind: counts(found) for kind, found in by_kind.items() if found}
 
 
 def line_entry(line: Line) -> dict[str, Any]:
@@ -99,7 +108,9 @@ def cells(line: Mapping[str, Any]) -> list[str]:
     name = f"{line['figure']} [{line['unit']}]" if line["unit"] not in ("", "1") else line["figure"]
     ratio = MISSING if line["ratio"] is None else f"{line['ratio']:.2f}"
     holds = {True: "yes", False: "no", None: MISSING}[line["holds"]]
-    return [name, published(line["published"]), _value(line["as_published"]), _value(line["exact"]), ratio, holds]
+    share = MISSING if line["ensemble"] is None else f"{line['ensemble']:.0%}"
+    values = (published(line["published"]), _value(line["as_published"]), _value(line["exact"]))
+    return [name, line["kind"], *values, ratio, holds, share]
 
 
 def published(value: Any) -> str:
@@ -110,7 +121,7 @@ def published(value: Any) -> str:
             return f"at least {low:g}"
         digits = max(_decimals(low), _decimals(high))
         return f"at most {high:g}" if low == 0 else f"{low:.{digits}f} to {high:.{digits}f}"
-    return f"{value:g}" if isinstance(value, float) else _value(value)
+    return f"{value:g}" if isinstance(value, (int, float)) and not isinstance(value, bool) else _value(value)
 
 
 def _value(value: Any) -> str:

@@ -8,17 +8,25 @@ from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
-from nermo_mjx.experiments.line import AGREES
+from nermo_mjx.experiments.judgement import AGREES
+from nermo_mjx.experiments.line import KINDS
 from nermo_mjx.experiments.report import HEADINGS, cells, published
 from nermo_mjx.experiments.settings import said
-from nermo_mjx.experiments.table import case_tables
+from nermo_mjx.experiments.table import MISSING, case_tables
 from nermo_mjx.sweep.spec import START_SPREAD
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.catalogue import Experiment
     from nermo_mjx.experiments.directory import Directory
 
-_SOURCE: Final = 'A. Rohregger, "Digital Nermo", Master\'s thesis, TU Munich, December 2021, chapter 6'
+_SOURCE: Final = 'A. Rohregger, "Digital Nermo", Master\'s thesis, TU Munich, December 2021, chapters 6 and 7'
+_COUNTS: Final = ("lines", "hold", "do_not_hold", "not_measured")
+_MEANING: Final = {
+    "predicted": "not used in any decision about the twin",
+    "chosen": "something was decided with it in view",
+    "fitted": "a term of the identification, or decided by those",
+    "theory": "formula against formula; nothing is simulated",
+}
 
 
 def page(directory: Directory, content: Mapping[str, Any], experiments: Mapping[str, Experiment]) -> str:
@@ -39,20 +47,36 @@ def page(directory: Directory, content: Mapping[str, Any], experiments: Mapping[
 
 def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[str]:
     summary = content["summary"]
-    compared = summary["hold"] + summary["do_not_hold"]
-    yield f"**{summary['hold']} of {compared} figures hold.** Published figures: {_SOURCE}.\n"
+    predicted = summary["by_kind"].get("predicted", {"hold": 0, "do_not_hold": 0})
+    yield (
+        f"**{predicted['hold']} of {_judged(predicted)} predicted figures hold**, and {summary['hold']} of "
+        f"{_judged(summary)} figures in all. Only predicted lines count as evidence. Published figures: {_SOURCE}.\n"
+    )
     rows = [
-        [f"[{each.title}](#{_anchor(each.title)})", *map(str, summary["by_experiment"][each.name].values())]
+        [kind, _MEANING[kind], *(str(summary["by_kind"][kind][name]) for name in _COUNTS)]
+        for kind in KINDS
+        if kind in summary["by_kind"]
+    ]
+    rows.append(["all", "", *(str(summary[name]) for name in _COUNTS)])
+    counted = ["figures", "hold", "do not hold", "not judged or measured"]
+    yield table(["kind", "what it is", *counted], rows, "llrrrr")
+    rows = [
+        [
+            f"[{each.title}](#{_anchor(each.title)})",
+            *(_held(summary["by_experiment"][each.name]["by_kind"].get(kind)) for kind in KINDS),
+            *(str(summary["by_experiment"][each.name][name]) for name in _COUNTS),
+        ]
         for each in chosen
     ]
-    if len(rows) > 1:
-        rows.append(["all", *(str(summary[name]) for name in ("lines", "hold", "do_not_hold", "not_measured"))])
-    yield table(["experiment", "figures", "hold", "do not hold", "not measured"], rows, "lrrrr")
+    yield table(["experiment", *KINDS, *counted], rows, f"l{'r' * len(KINDS)}rrrr")
     yield (
         "- **as published**: the simulation as the publication's software ran it (feet that lag, a clock 2.5 times too "
         "fast).\n- **exact**: as its text describes it (closed-form kinematics, one clock).\n- **ratio**: exact over "
-        f"published; for an interval, over its nearer end.\n- **holds**: exact is within {AGREES:.0%} of the number or "
-        "the interval, and within what this project demands beyond that; a trend or an outcome is the published one.\n"
+        "published; of an effect, its size over the published one; for an interval, over its nearer end.\n- **holds**: "
+        f"a number is within {AGREES:.0%} of the published one. An effect, a ratio that says how much something "
+        f"changes, is judged on its size, the ratio less 1: within {AGREES:.0%} of the published size, or half a unit "
+        "of the last digit. A bound or a range is not widened; a trend or an outcome is the published one.\n"
+        "- **ensemble**: share of the identified bodies in which the line holds.\n"
     )
     quick = [each.title for each in chosen if content["experiments"][each.name]["settings"]["quick"]]
     if quick:
@@ -65,6 +89,15 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
         yield f"> **Not run alike.** {sentence}\n"
 
 
+def _judged(counts: Mapping[str, Any]) -> int:
+    return int(counts["hold"] + counts["do_not_hold"])
+
+
+def _held(counts: Mapping[str, Any] | None) -> str:
+    """How many of how many lines hold."""
+    return f"{counts['hold']} of {_judged(counts)}" if counts else MISSING
+
+
 def _experiment(directory: Directory, content: Mapping[str, Any], experiment: Experiment) -> Iterator[str]:
     about = content["experiments"][experiment.name]
     lines = [line for line in content["lines"] if line["experiment"] == experiment.name]
@@ -72,10 +105,12 @@ def _experiment(directory: Directory, content: Mapping[str, Any], experiment: Ex
     yield experiment.description + "\n"
     rows = []
     for line in lines:
-        *texts, holds = cells(line)
-        rows.append([*texts, "**no**" if holds == "no" else holds, line["source"]])
+        *texts, holds, share = cells(line)
+        rows.append([*texts, "**no**" if holds == "no" else holds, share, line["source"]])
     headings = [name for name, _ in HEADINGS]
-    yield table([*headings, "source"], rows, "lrrrrll")
+    yield table([*headings, "source"], rows, "llrrrrlrl")
+    if about.get("bodies"):
+        yield f"Ensemble: {about['bodies']} identified bodies, once each in the profile exact.\n"
     yield from _reasons(lines, about["settings"]["quick"])
     stored = directory.load(experiment.name)
     if stored is not None:

@@ -14,14 +14,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from nermo_mjx.control.parameters import PROFILES
-from nermo_mjx.experiments import report
+from nermo_mjx.experiments import ensemble, report
+from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored
 from nermo_mjx.experiments.line import Line, compare
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published import REASONS
-from nermo_mjx.experiments.settings import Settings, checked, differences
+from nermo_mjx.experiments.published.shares import shipped
+from nermo_mjx.experiments.settings import Settings, check_bodies, checked, differences
 from nermo_mjx.experiments.videos import shoot
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ParameterError
@@ -91,6 +95,7 @@ def run_experiments(
     seed: int = 0,
     quick: bool = False,
     values: Mapping[str, float] | None = None,
+    bodies: int | None = None,
     video: bool = True,
     again: bool = False,
     progress: Progress | None = None,
@@ -107,6 +112,9 @@ def run_experiments(
         seed: of the shifts.
         quick: fewer cases, and no video.
         values: parameters for all worlds, by name, such as another friction.
+        bodies: members of the identified ensemble that are run besides, once each in the profile `exact`; the report
+            then says of each line in which share of them it holds. None uses those that the directory holds, or the
+            shares that ship with the package if nothing but the default was asked for.
         video: make the videos.
         again: run again, and replace, what the directory holds of these experiments.
         progress: called with what is being done and the share of it.
@@ -120,11 +128,13 @@ def run_experiments(
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
     settings = checked(profiles, repeats, seed, quick, values)
+    check_bodies(bodies)
+    drawn = None if bodies is None else ensemble.draw(bodies, seed)
     _check_settable(chosen, settings)
     resolve_engine(engine)
     directory = Directory(out)
     directory.prepare()
-    work = _Work(directory, settings, engine, video and not quick, progress or _ignore, notify or _ignore)
+    work = _Work(directory, settings, engine, drawn, video and not quick, progress or _ignore, notify or _ignore)
     # All are looked up before anything runs: a refusal costs no simulation.
     kept = {each.name: None if again else work.kept(each) for each in chosen}
     with _stoppable(directory.out):
@@ -147,6 +157,7 @@ class _Work:
     directory: Directory
     settings: Settings
     engine: str
+    bodies: Mapping[str, np.ndarray] | None
     video: bool
     progress: Progress
     notify: Callable[[str], None]
@@ -177,11 +188,14 @@ class _Work:
             made = kept.about["versions"].get("nermo-mjx")
             other = "" if made == __version__ else f" with version {made}, while this is {__version__}"
             self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again runs it anew.")
-        lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}))
+        several = self._ensemble(chosen, stored)
+        shares = several.shares if several else None
+        lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}), shares)
         former = self.directory.entry(chosen.name) if kept is not None else None
         entry = report.entry_of(chosen.title, stored, lines) | {
             name: (former or {}).get(name, []) for name in _MADE_LATER
         }
+        entry["bodies"] = several.bodies if several else None
         self._publish(chosen, entry)
         plots = self._plots(chosen, stored.outcome, lines)
         entry["plots"] = [self.directory.relative(plot) for plot in plots]
@@ -197,11 +211,43 @@ class _Work:
         asked = self.settings
         about = session(settings=asked.as_dict(), engine=resolve_engine(self.engine))
         begun = time.monotonic()
-        try:
+        with self._explained(chosen):
             outcome = chosen.run(
                 engine=self.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed, quick=asked.quick,
                 values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
             )  # fmt: skip
+        return self.directory.save(outcome, about | {"wall_seconds": time.monotonic() - begun})
+
+    def _ensemble(self, chosen: Experiment, stored: Stored) -> ensemble.Ensemble | None:
+        """The shares of the identified bodies: those asked for, those that the directory holds, or the package's."""
+        held = self.directory.load_bodies(chosen.name)
+        if self.bodies is not None:
+            # What is set for all worlds is set for the bodies, too.
+            bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
+            if held is None or held.about["drawn"] != ensemble.fingerprint(bodies):
+                held = self._simulate_bodies(chosen, bodies)
+        if held is not None:
+            return ensemble.of_outcome(held.outcome, chosen.figures)
+        settings = stored.about["settings"]
+        return None if settings["quick"] or settings["values"] else shipped(chosen.name)
+
+    def _simulate_bodies(self, chosen: Experiment, bodies: Mapping[str, np.ndarray]) -> Stored:
+        asked, count = self.settings, body_count(bodies)
+        drawn = {"bodies": count, "drawn": ensemble.fingerprint(bodies)}
+        about = session(settings=asked.as_dict(), engine=resolve_engine(self.engine), **drawn)
+        begun = time.monotonic()
+        with self._explained(chosen):
+            outcome = ensemble.walked(
+                chosen, bodies, lambda share: self.progress(f"{chosen.name}, {count} bodies", share),
+                engine=self.engine, seed=asked.seed, quick=asked.quick, values=dict(asked.values),
+            )  # fmt: skip
+        return self.directory.save_bodies(outcome, about | {"wall_seconds": time.monotonic() - begun})
+
+    @contextlib.contextmanager
+    def _explained(self, chosen: Experiment) -> Iterator[None]:
+        """Says of a failure which experiment it was, and what is kept."""
+        try:
+            yield
         except ParameterError:
             raise
         except (ValueError, RuntimeError, OSError) as error:
@@ -211,7 +257,6 @@ class _Work:
                 raise ExperimentError(text) from error
             error.add_note(text)
             raise
-        return self.directory.save(outcome, about | {"wall_seconds": time.monotonic() - begun})
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
         """Store an experiment's entry, and the report of all that the directory holds."""

@@ -61,6 +61,16 @@ def checked(
     return Settings(tuple(name for name in PROFILES if name in named), worlds, seed, quick, numbers)
 
 
+def check_bodies(bodies: int | None) -> None:
+    """Refuse a number of bodies that is none.
+
+    Raises:
+        ParameterError: it is not a whole number of at least 1.
+    """
+    if bodies is not None and (not _whole(bodies) or bodies < 1):
+        raise ParameterError(f"bodies is {bodies!r}: allowed is a whole number of at least 1.")
+
+
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """Where settings differ, in words: "seed: 0 instead of 1"."""
     return [

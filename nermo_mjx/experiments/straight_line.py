@@ -8,11 +8,12 @@ from typing import Final
 import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
-from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, worlds
+from nermo_mjx.experiments import cycle, theory
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Worlds, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.worlds_run import measured, recorded
 from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.view.recording import Recording
 
 NAME: Final = "straight-line"
 DISTANCE: Final = 2.0
@@ -60,9 +61,10 @@ def run(
     seed: int = 0,
     quick: bool = False,
     values: Mapping[str, float] | None = None,
+    bodies: Mapping[str, np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Outcome:
-    """Walk all cases in one batch.
+    """Walk all cases in one batch, and those whose gait cycle is looked into in another, which is recorded.
 
     Args:
         engine: of the simulation.
@@ -70,28 +72,52 @@ def run(
         repeats, seed: of the shifted starts.
         quick: fewer cases, and half a metre.
         values: parameters for all worlds, by name.
+        bodies: parameter name -> (n,) values of n bodies that walk everything, see `cases.worlds`; then no run is kept
+            as a recording.
         progress: called with the share done.
 
     Raises:
         ParameterError: an unknown name, or a value out of range.
     """
     simulator = Simulator(Setup(scene="straight_line", spine="stride_extension"), engine=engine)
+    defaults = simulator.setup.defaults()
     batch = worlds(
-        cases(quick), simulator.setup.defaults(), profiles=profiles, repeats=repeats, seed=seed, common=values
-    )
+        cases(quick), defaults, profiles=profiles, repeats=repeats, seed=seed, common=values, bodies=bodies
+    )  # fmt: skip
     distance = 0.5 if quick else DISTANCE
     length = Run(cycles=_LONGEST / (4 if quick else 1), warmup_cycles=_WARMUP, distance=distance)
     columns, about = measured(simulator, batch, length, progress=progress)
-    columns["theory_speed"] = theory.speed(batch.all_values(simulator.setup.defaults()))
+    columns["theory_speed"] = theory.speed(batch.all_values(defaults))
+    looked_into = np.logical_or.reduce([_is(batch, case) for case in cycle_cases()])
+    cycles = Run(cycles=_WARMUP + (4.0 if quick else _RECORDED), warmup_cycles=_WARMUP)
+    columns |= cycle.measured(simulator, batch, looked_into, cycles)
+    recordings = {} if bodies is not None else _recordings(simulator, profiles[0], seed, values, quick)
+    return Outcome(NAME, columns, LABELS | _ABOUT | about | cycle.ABOUT, recordings)
+
+
+def cycle_cases() -> tuple[Case, ...]:
+    """Those whose gait cycle was described: trot at 0.8 Hz, with two strides, without and with the spine."""
+    return tuple(_case("trt", 0.8, spine, stride) for stride in (0.8, 1.0) for spine in (False, True))
+
+
+def _is(batch: Worlds, case: Case) -> np.ndarray:
+    """Mask (n,) of the worlds of a case."""
+    return np.logical_and.reduce([batch.labels[name] == value for name, value in case.labels.items()])
+
+
+def _recordings(
+    simulator: Simulator, profile: str, seed: int, values: Mapping[str, float] | None, quick: bool
+) -> dict[str, Recording]:
     shown = [_case("trt", 0.67, False), _case("trt", 0.67, True)]
-    runs = worlds(shown, simulator.setup.defaults(), profiles=profiles[:1], seed=seed, common=values)
+    runs = worlds(shown, simulator.setup.defaults(), profiles=(profile,), seed=seed, common=values)
     names = [f"trt, 0.67 Hz, {'with' if case.labels['spine'] else 'without'} spine" for case in shown]
-    recordings = recorded(simulator, runs, Run(cycles=4.0 if quick else _RECORDED), names)
-    return Outcome(NAME, columns, LABELS | _ABOUT | about, recordings)
+    return recorded(simulator, runs, Run(cycles=4.0 if quick else _RECORDED), names)
 
 
-def stride_linearity(outcome: Outcome, profile: str) -> float:
-    """R^2 of the line through speed over stride, trot at 0.8 Hz without spine."""
-    rows = outcome.where(profile=profile, gait="trt", frequency=0.8, spine=False, compensated=False)
+def stride_linearity(outcome: Outcome, profile: str, spine: bool = False) -> float:
+    """R^2 of the line through speed over stride, trot at 0.8 Hz; NaN with fewer than three strides."""
+    rows = outcome.where(profile=profile, gait="trt", frequency=0.8, spine=spine, compensated=False)
     stride, speed = (np.asarray(outcome.columns[name], float)[rows] for name in ("stride", "speed"))
+    if len(np.unique(stride)) < 3:
+        return float("nan")
     return float(np.corrcoef(stride, speed)[0, 1] ** 2)

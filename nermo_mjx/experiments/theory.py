@@ -5,18 +5,26 @@ All of it assumes feet that do not slip; the formulas are those of `control.turn
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
+from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control import turning
 from nermo_mjx.control.parameters import STEERING, ControlParameters
+from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.balance import diagonal_distance
 from nermo_mjx.kinematics.body import centre_of_mass, feet_positions, stride_gain
-from nermo_mjx.kinematics.spine import joint_angle
+from nermo_mjx.kinematics.spine import joint_angle, transform
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import SPINE
+
+#: Moments of a stance over which `equal_stride_radius` averages.
+_MOMENTS: Final = 41
+#: The feet of each diagonal, front first, by their places in `LIMBS`.
+_DIAGONALS: Final = ((0, 3), (1, 2))
 
 
 def speed(values: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -31,14 +39,64 @@ def speed(values: Mapping[str, np.ndarray]) -> np.ndarray:
     return values["frequency"] * values["gait_factor"] * stride / values["tracking.clock_ratio"]
 
 
+def stride_gain_of(servo: float) -> float:
+    """What the spine adds to a stride without slip, swung by this servo angle [rad] to both sides (5.33) [m]."""
+    return float(stride_gain(joint_angle(jnp.asarray(servo))))
+
+
+def standing_pitch() -> float:
+    """Pitch of the torso that stands on the four neutral feet (Table A.7), positive nose down [rad].
+
+    The front feet's level is below that of the rear feet, so that the robot stands with its nose up by a degree.
+    """
+    front, _, rear, _ = np.asarray(feet_positions(0.0, neutral_feet(ControlParameters().stance)), float)
+    return float(np.arctan2(front[2] - rear[2], rear[1] - front[1]))
+
+
+@functools.cache
 def smallest_radius(steering: str, stride: float = 0.06) -> float:
-    """Radius at full lock without slip [m]: (5.40-5.42) for `leg` and `mix`, the shoulder axis (5.43) for `spine`."""
+    """Radius at full lock without slip [m]: (5.40-5.42) for `leg` and `mix`, the shoulder axis (5.43) for `spine`.
+
+    (5.43) presumes that the inner feet step less far than the outer ones, as wheels on two axles do; the strides of
+    spine-based turning are equal. What they give is `equal_stride_radius`.
+
+    Args:
+        steering: of `STEERING`.
+        stride: l_s [m].
+    """
     legs, spine = STEERING[steering]
     theta_v = spine * SPINE.max_joint_angle
     if not legs:
         return float(turning.spine_radius(jnp.asarray(theta_v), *map(jnp.asarray, turning.spine_lengths()))[0])
     stance = ControlParameters().stance
     return float(turning.smallest_radius(jnp.asarray(stride), stance, jnp.asarray(theta_v)))
+
+
+@functools.cache
+def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
+    """Radius of the spine base's path in a trot with a bent spine and four equal strides, with least slip [m].
+
+    Two point feet stand at a time. The front one moves back along the torso, the rear one along the turned hip, both
+    alike, and the body moves so that the sum of their squared slip speeds is least. Feet whose line of connection is
+    not square to the way can turn the body only by what is across that line: 0.441 m at 0.4 rad of servo, where (5.43)
+    has 0.281 m. The body's motion is averaged over both diagonals and the stance.
+
+    Args:
+        servo: angle of the spine servo, not 0 [rad].
+        stride: l_s [m]; it hardly matters.
+    """
+    theta_v = joint_angle(jnp.asarray(servo))
+    back = np.stack([[0.0, 1.0], np.asarray(transform(theta_v), float)[:2, 1]])
+    neutral = np.asarray(neutral_feet(ControlParameters().stance), float)
+    motions = []
+    for moment in np.linspace(-0.5, 0.5, _MOMENTS) * stride:
+        feet = np.asarray(feet_positions(theta_v, neutral + np.array([moment, 0.0])), float)[:, :2]
+        for pair in _DIAGONALS:
+            # Rows: speed of a foot on the ground, along x and y, for the body's speeds along x and y and its turn.
+            rows = np.array([[[1.0, 0.0, -y], [0.0, 1.0, x]] for x, y in feet[list(pair)]]).reshape(4, 3)
+            motions.append(np.linalg.lstsq(rows, -back.ravel(), rcond=None)[0])
+    along_x, along_y, turn = np.mean(motions, axis=0)
+    return float(np.hypot(along_x, along_y) / abs(turn))
 
 
 def stability(masses: MassModel, feet: np.ndarray, limb: int, theta_v: float = 0.0) -> float:

@@ -26,7 +26,8 @@ from nermo_mjx.experiments.balance.protocol import (
     BalanceParameters,
 )  # fmt: skip
 from nermo_mjx.experiments.balance.start import Nudge, nudge, start_pose
-from nermo_mjx.experiments.outcome import Column, Outcome
+from nermo_mjx.experiments.cases import body_count
+from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.experiments.theory import stability
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.kinematics.spine import joint_angle
@@ -53,6 +54,7 @@ CASE_COLUMNS: Final = {
     "sbc": Column("1", "with spine balance compensation"),
     "repeat": Column("1", "number of the repeat; each starts a little differently"),
 }
+_BODY_COLUMN: Final = {BODY: Column("1", "number of the identified body")}
 THEORY_COLUMN: Final = {
     "theory_margin": Column("m", "(5.34, 5.35): distance of the centre of mass from the diagonal, positive inside")
 }
@@ -60,12 +62,16 @@ THEORY_COLUMN: Final = {
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One world: profile, lifted limb (index in `LIMBS`), SBC or not, number of the repeat."""
+    """One world: profile, lifted limb (index in `LIMBS`), SBC or not, number of the repeat and of the body.
+
+    The body is 0 where there is one only.
+    """
 
     profile: str
     limb: int
     sbc: bool
     repeat: int
+    body: int = 0
 
     @property
     def name(self) -> str:
@@ -79,7 +85,8 @@ class Case:
 
     def columns(self) -> dict[str, Any]:
         """Its cells in `CASE_COLUMNS`."""
-        return {"profile": self.profile, "leg": LIMBS[self.limb], "sbc": self.sbc, "repeat": self.repeat}
+        body = {BODY: self.body} if self.body else {}
+        return {"profile": self.profile, **body, "leg": LIMBS[self.limb], "sbc": self.sbc, "repeat": self.repeat}
 
     def nudge(self, seed: int) -> Nudge:
         """How its start differs; the same in both profiles."""
@@ -93,6 +100,7 @@ def run(
     seed: int = 0,
     quick: bool = False,
     values: Mapping[str, float] | None = None,
+    bodies: Mapping[str, np.ndarray] | None = None,
     progress: Callable[[float], None] | None = None,
     scene: str = SCENE,
 ) -> Outcome:
@@ -105,38 +113,55 @@ def run(
         seed: of the repeats' starts.
         quick: one repeat only.
         values: parameter name -> number: body parameters such as `contact.friction`, and `SPINE_NAMES`.
+        bodies: parameter name -> (n,) values of n bodies, each of which does all cases; they override `values`, and no
+            run is kept as a recording.
         progress: called with the share done, in [0, 1].
         scene: see `RobotConfig`.
 
     Raises:
         ParameterError: an unknown name, or a value out of range.
     """
-    cases = list(_cases(profiles, 1 if quick else repeats))
+    cases = list(_cases(profiles, 1 if quick else repeats, 0 if bodies is None else body_count(bodies)))
     values = dict(values or {})
-    model_parameters, spine = _parameters(values)
+    for name, value in values.items():
+        if isinstance(value, str) or np.ndim(value):
+            raise ParameterError(f"{name} is {value!r}: allowed is one number for all cases.")
+    which = np.array([case.body - 1 for case in cases])
+    everything = values | {name: np.asarray(of, float)[which] for name, of in (bodies or {}).items()}
+    model_parameters, spine = _parameters(everything)
     if not (isinstance(seed, int | np.integer) and seed >= 0):
         raise ParameterError(f"seed is {seed!r}: allowed is a whole number that is not negative.")
     robot = load_robot(scene=scene)
     loop = BalanceLoop(robot)
     runner = make_engine(engine, robot, loop)
     starts = [case.nudge(seed) for case in cases]
-    params = _batch(cases, starts, spine, float(model_parameters.servo.speed))
+    params = _batch(cases, starts, spine, np.broadcast_to(model_parameters.servo.speed, len(cases)))
     qpos = np.stack([start_pose(robot, start) for start in starts])
-    fields = Variation(robot).batch(model_parameters, len(cases), values)
+    fields = Variation(robot).batch(model_parameters, len(cases), everything)
     ticks = [round(DURATION * case.clock_ratio / loop.dt) for case in cases]
     margins = _theory(loop, params, len(cases))
     history = _simulate(runner, loop, params, qpos, fields, max(ticks), progress)
 
-    model = compile_model(robot, {name: value for name, value in values.items() if name not in SPINE_NAMES})
+    models = [compile_model(robot, body) for body in _measured_bodies(values, bodies)]
     rows, recordings = [], {}
     for i, (case, length) in enumerate(zip(cases, ticks, strict=True)):
-        row, recording = _evaluate(case, _one(history, i, length), robot, model)
+        row, recording = _evaluate(case, _one(history, i, length), robot, models[max(case.body - 1, 0) % len(models)])
         rows.append(row | {"theory_margin": margins[i]})
-        if case.repeat == 0 and case.profile == cases[0].profile:
+        if case.repeat == case.body == 0 and case.profile == cases[0].profile:
             about = {"engine": runner.name, "parameters": {name: float(value) for name, value in values.items()}}
             recordings[case.name] = dataclasses.replace(recording, metadata={**recording.metadata, **about})
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return Outcome(NAME, columns, CASE_COLUMNS | measures.ABOUT | THEORY_COLUMN, recordings)
+    known = CASE_COLUMNS | _BODY_COLUMN | measures.ABOUT | THEORY_COLUMN
+    return Outcome(NAME, columns, {name: known[name] for name in columns}, recordings)
+
+
+def _measured_bodies(values: Mapping[str, float], bodies: Mapping[str, np.ndarray] | None) -> list[dict[str, float]]:
+    """Body parameters of the models whose centre of mass is measured: one for all, or one a body if masses differ."""
+    common = {name: value for name, value in values.items() if name not in SPINE_NAMES}
+    masses = {name: of for name, of in (bodies or {}).items() if name.startswith("mass.")}
+    if not masses:
+        return [common]
+    return [common | {name: float(of[i]) for name, of in masses.items()} for i in range(body_count(masses))]
 
 
 def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[float]:
@@ -147,7 +172,7 @@ def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[f
     return [stability(loop.robot.mass_model, feet, limbs[i], float(bends[i])) for i in range(worlds)]
 
 
-def _cases(profiles: Sequence[str], repeats: int) -> Iterator[Case]:
+def _cases(profiles: Sequence[str], repeats: int, bodies: int) -> Iterator[Case]:
     """All worlds; the profile `exact` first, whose runs are recorded."""
     if isinstance(profiles, str) or not profiles:
         raise ParameterError(f"profiles is {profiles!r}: allowed is a list of {' and '.join(PROFILES)}.")
@@ -155,16 +180,17 @@ def _cases(profiles: Sequence[str], repeats: int) -> Iterator[Case]:
     if isinstance(repeats, bool) or not isinstance(repeats, int | np.integer) or repeats < 1:
         raise ParameterError(f"repeats is {repeats!r}: allowed is a whole number of at least 1.")
     ordered = sorted(chosen, key=PROFILES.index)
-    for profile, limb, sbc, repeat in itertools.product(ordered, range(4), (False, True), range(repeats)):
-        yield Case(profile, limb, sbc, repeat)
+    numbers = range(1, bodies + 1) if bodies else (0,)
+    for body, profile, limb, sbc, repeat in itertools.product(
+        numbers, ordered, range(4), (False, True), range(repeats)
+    ):
+        yield Case(profile, limb, sbc, repeat, body)
 
 
-def _parameters(values: Mapping[str, float]) -> tuple[ModelParameters, Spine]:
-    """Checked parameters of the body, and of the spine's controller."""
+def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
+    """Checked parameters of the body, and of the spine's controller; each is a number, or has one value a world."""
     for name in values:
         choice("values", name, sorted(SETTABLE))
-        if isinstance(values[name], str) or np.ndim(values[name]):
-            raise ParameterError(f"{name} is {values[name]!r}: allowed is one number for all cases.")
     given = {name: np.asarray(value, float) for name, value in values.items()}
     model = replace_quantities(ModelParameters(), {name: given[name] for name in given if name not in SPINE_NAMES})
     spine = {"offset_compensation": np.asarray(OFFSET_COMPENSATION)}
@@ -175,11 +201,12 @@ def _parameters(values: Mapping[str, float]) -> tuple[ModelParameters, Spine]:
     return model, controller
 
 
-def _batch(cases: Sequence[Case], starts: Sequence[Nudge], spine: Spine, servo_speed: float) -> BalanceParameters:
+def _batch(cases: Sequence[Case], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
     """Parameters of all worlds, every leaf with a leading axis, in JAX's default precision."""
+    spines = [jax.tree.map(lambda leaf, i=i: np.broadcast_to(leaf, len(cases))[i], spine) for i in range(len(cases))]
     worlds = [
-        BalanceParameters(np.eye(4)[case.limb], float(case.sbc), case.clock_ratio, spine, start.servo, servo_speed)
-        for case, start in zip(cases, starts, strict=True)
+        BalanceParameters(np.eye(4)[case.limb], float(case.sbc), case.clock_ratio, each, start.servo, float(speed))
+        for case, start, each, speed in zip(cases, starts, spines, servo_speed, strict=True)
     ]
     real = jax.dtypes.canonicalize_dtype(float)
     return jax.tree.map(lambda *leaves: np.stack(leaves).astype(real), *worlds)

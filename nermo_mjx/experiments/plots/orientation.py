@@ -34,7 +34,7 @@ from nermo_mjx.plotting.style import MISSING, horizontal_grid
 from nermo_mjx.view.recording import Recording
 
 #: Published numbers in these pictures: the figures of the report that hold them.
-LARGEST_ROLL: Final = "largest roll of trt, 0.8 Hz, no spine"
+LARGEST_ROLL: Final = "largest roll of trt, 0.8 Hz, spine"
 COMPENSATION: Final = {
     "std": "roll std of trt, 0.67 Hz, spine, compensated over not",
     "amplitude": "roll amplitude of trt, 0.67 Hz, spine, compensated over not",
@@ -83,7 +83,7 @@ def _orientation(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
     if isinstance(largest, float):
         for bound in (-largest, largest):
             page.axes[0, 0].axhline(bound, color="black", lw=1.1, ls=(0, (5, 3)), gid="published")
-        handles.append(stroke("published range of roll, without spine", "black", lw=1.1, ls=(0, (5, 3))))
+        handles.append(stroke("published range of roll", "black", lw=1.1, ls=(0, (5, 3))))
     for ax, name in zip(page.axes[:, 0], ANGLES, strict=True):
         ax.set_ylabel(f"{name} [deg]")
         ax.set(xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))

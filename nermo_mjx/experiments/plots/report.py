@@ -1,4 +1,7 @@
-"""The numbers of the report as a picture: each as a share of the published one, with the numbers beside it."""
+"""The numbers of the report as a picture: each as a share of the published one, with the numbers beside it.
+
+Of an effect, a ratio that says how much something changes, the share is that of its size, the ratio less 1.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter
 
-from nermo_mjx.experiments.line import AGREES, Line, Value
+from nermo_mjx.experiments.judgement import AGREES, Value
+from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.page import published_entry, swatch, tone
 from nermo_mjx.plotting.page import Page
@@ -39,12 +43,18 @@ def _number(value: Value) -> float | None:
     return None if value is None or isinstance(value, (bool, str)) else float(value)
 
 
+def _neutral(line: Line) -> float:
+    """What counts as 0."""
+    return 1.0 if line.judged == "effect" else 0.0
+
+
 def _reference(line: Line) -> float | None:
-    """What counts as 1: the published number, the middle of an interval, or the upper end of one from 0."""
+    """What counts as 1, from `_neutral` on: the published number, the middle of an interval, the end of one from 0."""
     if isinstance(line.published, tuple):
         low, high = line.published
         return high if low == 0 else 0.5 * (low + high)
-    return _number(line.published) or None
+    number = _number(line.published)
+    return None if number is None else (number - _neutral(line)) or None
 
 
 def _report(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
@@ -79,8 +89,8 @@ def _report(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
     ]
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
     note = (
-        "arrow: beyond the axis; bracket: published as an interval, of which the diamond is the middle (the end, if it "
-        "begins at 0); orange: does not agree with the publication"
+        "of an effect, a ratio, the share is of the ratio less 1; arrow: beyond the axis; bracket: published as an "
+        "interval, of which the diamond is the middle (the end, if it begins at 0); orange: does not agree"
     )
     return page.finish(handles, note)  # fmt: skip
 
@@ -96,7 +106,7 @@ def _row(ax: Axes, table: Axes, y: int, line: Line) -> None:
         value = _number(getattr(line, profile))
         if value is None or not np.isfinite(value):
             continue
-        share = value / reference
+        share = (value - _neutral(line)) / reference
         place = min(max(share, LEAST), MOST)
         marker = "o" if share == place else (">" if share > place else "<")
         ax.scatter(place, y, s=46, marker=marker, color=tone(_COLOUR, profile), ec="white", lw=0.6, zorder=5,

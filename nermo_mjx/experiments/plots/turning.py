@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -44,6 +45,7 @@ _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
     """(name, figure) of each picture; None where the outcome has nothing for it."""
+    outcome = _at_stride(outcome)
     yield "speed", _speed(outcome, lines)
     yield "time", _time(outcome, lines)
     yield "smallest-radius", _smallest_radius(outcome, lines)
@@ -58,6 +60,12 @@ def _page(title: str, outcome: Outcome, rows: int, height: float) -> Page:
     """A column of axes for each gait."""
     count = len(_gaits(outcome))
     return Page(title, (max(6.4, 1.2 + 3.2 * count), height), rows, count, sharey=True, sharex="col")
+
+
+def _at_stride(outcome: Outcome) -> Outcome:
+    """The rows of the test's own stride; those of the other reading of its text are in the report."""
+    rows = outcome.where(stride=turning.STRIDE)
+    return dataclasses.replace(outcome, columns={name: values[rows] for name, values in outcome.columns.items()})
 
 
 def _frequencies(outcome: Outcome, **wanted: object) -> list[float]:

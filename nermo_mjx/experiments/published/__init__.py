@@ -1,14 +1,14 @@
 """What the publication reports of each experiment, and how the same is measured here.
 
-Source: A. Rohregger, Digital Nermo, Master's thesis, TU Munich, December 2021, chapter 6 and appendix A.4. Its times
-and speeds are those of its controller's clock; in the profile `as_published` that clock runs 2.5 times slower than the
-simulated time, so measured ones are converted before they are compared.
+Source: A. Rohregger, Digital Nermo, Master's thesis, TU Munich, December 2021, chapters 6 and 7 and appendix A. Its
+times and speeds are those of its controller's clock; in the profile `as_published` that clock runs 2.5 times slower
+than the simulated time, so measured ones are converted before they are compared.
 """
 
 from typing import Final
 
 from nermo_mjx.experiments.line import Figure
-from nermo_mjx.experiments.published import balance, maze, straight_line, turning
+from nermo_mjx.experiments.published import balance, body, maze, straight_line, turning
 from nermo_mjx.experiments.published.reasons import REASONS
 
 FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
@@ -16,6 +16,7 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
     "turning": turning.FIGURES,
     "balance": balance.FIGURES,
     "maze": maze.FIGURES,
+    "body": body.FIGURES,
 }
 
 __all__ = ["FIGURES", "REASONS"]

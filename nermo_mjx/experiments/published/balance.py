@@ -1,11 +1,17 @@
-"""Balance: section 6.4."""
+"""Balance: section 6.2.3, and the hardware's, 7.1.
+
+Mass share, stance, offset compensation and the servo's bound were chosen with these outcomes known, and the masses by
+these forces and the height: no line is predicted.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
+from nermo_mjx.experiments.judgement import Judgement, Number, Same, gain
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published.measure import HARDWARE, Measure
@@ -33,7 +39,7 @@ def _pitch_reduction(end: str) -> Measure:
             )
             for sbc in (False, True)
         )
-        return float(1.0 - on / off)
+        return float(1.0 - on / off) if off else float("nan")
 
     return measure
 
@@ -42,24 +48,78 @@ def _published_verdict(limb: str, sbc: bool) -> str:
     return "pass" if sbc or limb.startswith("front") else "fail"
 
 
+#: The other leg of a pair.
+_MIRROR: Final = {limb: limb.replace(side, other) for side, other in (("left", "right"), ("right", "left"))
+                  for limb in LIMBS if side in limb}  # fmt: skip
+
+
+def _force(foot: str, lifted: str, sbc: bool) -> Callable[[Outcome, str], float]:
+    """Force of a foot [N] on four feet, just before a leg is lifted; mean of the case and its mirror image."""
+
+    def measure(outcome: Outcome, profile: str) -> float:
+        pairs = ((foot, lifted), (_MIRROR[foot], _MIRROR[lifted]))
+        return float(np.mean([outcome.mean(f"force_shift_{f}", profile=profile, leg=leg, sbc=sbc) for f, leg in pairs]))
+
+    return measure
+
+
+def _diagonal_carries_most(outcome: Outcome, profile: str) -> bool | None:
+    """Whether front left and rear right carry more than the others together, before the rear left leg is lifted."""
+    force = {limb: _force(limb, "rear_left", True)(outcome, profile) for limb in LIMBS}
+    if not np.isfinite(list(force.values())).all():
+        return None
+    return force["front_left"] + force["rear_right"] > force["front_right"] + force["rear_left"]
+
+
+def _chosen(name: str, reported: Judgement, measure: Measure, unit: str = "", source: str = "6.2.3") -> Figure:
+    return Figure(name, "chosen", reported, measure, unit, source)
+
+
+_FOUR_FEET: Final = "6.2.3, Figure 6.16: four feet, before the lift"
 FIGURES: Final = (
     *(
-        Figure(
+        _chosen(
             f"{limb.replace('_', ' ')} lifted, {'with' if sbc else 'without'} balance compensation",
-            _published_verdict(limb, sbc),
+            Same(_published_verdict(limb, sbc)),
             _verdict(limb, sbc),
-            source="6.4",
         )
         for sbc in (False, True)
         for limb in LIMBS
     ),
-    Figure("resting pitch reduced by compensation, front legs", 0.30, _pitch_reduction("front"), source="6.4"),
-    Figure("resting pitch reduced by compensation, rear legs", 0.73, _pitch_reduction("rear"), source="6.4"),
-    Figure("height of the centre of mass", 57.0, lambda o, p: 1e3 * o.mean("com_height", profile=p), "mm", "6.4"),
+    _chosen("resting pitch reduced by compensation, front legs", gain(0.30), _pitch_reduction("front")),
+    _chosen("resting pitch reduced by compensation, rear legs", gain(0.73), _pitch_reduction("rear")),
+    _chosen("height of the centre of mass", Number(57.0), lambda o, p: 1e3 * o.mean("com_height", profile=p), "mm"),
+    _chosen(
+        "force of the rear left foot, without compensation",
+        Number(0.73),
+        _force("rear_left", "rear_left", False),
+        "N",
+        _FOUR_FEET,
+    ),
+    _chosen(
+        "force of the rear left foot, with compensation",
+        Number(0.16),
+        _force("rear_left", "rear_left", True),
+        "N",
+        _FOUR_FEET,
+    ),
+    _chosen(
+        "force of the front right foot, with compensation",
+        Number(0.35),
+        _force("front_right", "rear_left", True),
+        "N",
+        f"{_FOUR_FEET}; read as that of the rear left leg's case",
+    ),
+    _chosen(
+        "front left and rear right carry most, with compensation",
+        Same(True),
+        _diagonal_carries_most,
+        source=_FOUR_FEET,
+    ),
     *(
-        Figure(
+        _chosen(
             f"hardware: {limb.replace('_', ' ')} lifted, {'with' if sbc else 'without'} compensation",
-            "pass" if sbc else "fail",
+            Same("pass" if sbc else "fail"),
             _verdict(limb, sbc),
             source=HARDWARE,
         )

@@ -14,7 +14,7 @@ from nermo_mjx.experiments.outcome import Outcome
 Measure = Callable[[Outcome, str], Value]
 Number = Callable[[Outcome, str], float]
 #: Source of figures of the hardware, which the twin is compared with as well.
-HARDWARE: Final = "hardware"
+HARDWARE: Final = "hardware, 7.1"
 
 
 def clock(profile: str) -> float:
@@ -30,6 +30,12 @@ def quotient(above: Number, below: Number) -> Number:
         return numerator / denominator if denominator else float("nan")
 
     return measure
+
+
+def below(one: Number, other: Number) -> Number:
+    """By what share one figure is below another."""
+    ratio = quotient(one, other)
+    return lambda outcome, profile: 1.0 - ratio(outcome, profile)
 
 
 def degrees(measure: Number) -> Number:

@@ -1,0 +1,96 @@
+"""In which share of the identified bodies a line of the report holds.
+
+The identification does not end at one body but at many that walk the published speeds about as well
+(`robot.identified`). A line that holds in all of them does not hang on which of them is the default.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from nermo_mjx.experiments.cases import body_count
+from nermo_mjx.experiments.line import Figure, agrees, measured
+from nermo_mjx.experiments.outcome import BODY, Outcome, joined
+
+if TYPE_CHECKING:
+    from nermo_mjx.experiments.catalogue import Experiment
+
+#: The profile in which bodies are compared.
+PROFILE: Final = "exact"
+#: Bodies of a batch: the maze's and the balance test's recordings of these fill half a gigabyte.
+AT_ONCE: Final = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Ensemble:
+    """What several bodies gave.
+
+    Attributes:
+        bodies: how many there are.
+        shares: figure's name -> share of them in which its line holds; None for a line that is not judged.
+    """
+
+    bodies: int
+    shares: Mapping[str, float | None]
+
+
+def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
+    """Members of the identified ensemble: parameter name -> (bodies,) values.
+
+    Raises:
+        ParameterError: there are not as many.
+    """
+    from nermo_mjx.robot import identified
+
+    return identified.choose(bodies, seed)
+
+
+def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
+    """Hash of bodies, by which those that a directory holds are recognised."""
+    content = {name: np.asarray(values, float).tolist() for name, values in sorted(bodies.items())}
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+
+
+def walked(
+    chosen: Experiment, bodies: Mapping[str, np.ndarray], progress: Callable[[float], None], **asked: Any
+) -> Outcome:
+    """The experiment of every body, once each in the profile `exact`; the column `BODY` tells them apart.
+
+    Args:
+        bodies: parameter name -> (n,) values.
+        progress: called with the share done.
+        asked: of `straight_line.run`: engine, seed, quick and values.
+    """
+    count = body_count(bodies)
+    parts: list[Outcome] = []
+    for begin in range(0, count, AT_ONCE):
+        some = {name: values[begin : begin + AT_ONCE] for name, values in bodies.items()}
+        size = body_count(some)
+
+        def report(share: float, begin: int = begin, size: int = size) -> None:
+            progress((begin + share * size) / count)
+
+        part = chosen.run(profiles=(PROFILE,), repeats=1, bodies=some, progress=report, **asked)
+        numbers = {BODY: np.asarray(part.columns[BODY]) + begin}
+        # The order of the columns stays: those before `repeat` tell the cases apart.
+        columns = {name: numbers.get(name, column) for name, column in part.columns.items()}
+        parts.append(dataclasses.replace(part, columns=columns, recordings={}))
+    return joined(parts)
+
+
+def of_outcome(outcome: Outcome, figures: Sequence[Figure]) -> Ensemble:
+    """The shares of an outcome of several bodies."""
+    slices = [outcome.of_body(int(body)) for body in np.unique(outcome.columns[BODY])]
+    return Ensemble(len(slices), {figure.name: _share(slices, figure) for figure in figures})
+
+
+def _share(bodies: Iterable[Outcome], figure: Figure) -> float | None:
+    """A body in which the figure could not be measured, because it fell or lost its way, does not hold."""
+    holds = [agrees(measured(body, figure, PROFILE), figure) for body in bodies]
+    return None if all(each is None for each in holds) else sum(each is True for each in holds) / len(holds)

@@ -1,0 +1,223 @@
+"""How a published figure is judged: by its size, by its effect, as a bound, as a range, or as an outcome.
+
+An effect is a ratio that says how much something changes. It is judged on its size, the ratio less 1: a spine without
+any effect has the ratio 1, which lies within 25 % of 1.22, but is no gain of 22 %.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final, Protocol
+
+#: A number, or the size of an effect, agrees with the publication within this share of it.
+AGREES: Final = 0.25
+Value = float | bool | str | None
+Interval = tuple[float, float]
+#: Room for rounding in comparisons of numbers near 1.
+_ROUNDING: Final = 1e-9
+
+
+class Judgement(Protocol):
+    """What was published, and when a measured value agrees with it."""
+
+    @property
+    def name(self) -> str:
+        """The kind of judgement, for the report."""
+
+    @property
+    def published(self) -> Value | Interval:
+        """What was published, as the report shows it; None for a figure that only this project has."""
+
+    def holds(self, value: Value) -> bool | None:
+        """Whether a measured value agrees; None where that is not judged."""
+
+    def ratio(self, value: float) -> float | None:
+        """Measured over published; None where that says nothing."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Number:
+    """A plain number, which agrees within `AGREES` of it."""
+
+    value: float
+    name = "number"
+
+    @property
+    def published(self) -> float:
+        """See `Judgement`."""
+        return self.value
+
+    def holds(self, value: Value) -> bool:
+        """See `Judgement`."""
+        return abs(_number(value) - self.value) <= AGREES * abs(self.value) + _ROUNDING
+
+    def ratio(self, value: float) -> float | None:
+        """See `Judgement`."""
+        return value / self.value if self.value else None
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect:
+    """A ratio of two measurements, judged on its distance from 1.
+
+    It agrees within `AGREES` of the published effect, or within half a unit of the last digit that was published if
+    that is more: 1.01 is 0.01 +- 0.005.
+
+    Attributes:
+        value: the ratio, or the change itself if `neutral` is 0.
+        digits: decimals that were published.
+        neutral: the value that stands for no effect.
+    """
+
+    value: float
+    digits: int = 2
+    neutral: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """See `Judgement`."""
+        return "effect" if self.neutral else "gain"
+
+    @property
+    def published(self) -> float:
+        """See `Judgement`."""
+        return self.value
+
+    def holds(self, value: Value) -> bool:
+        """See `Judgement`."""
+        tolerance = max(AGREES * abs(self.value - self.neutral), 0.5 * 10.0**-self.digits)
+        return abs(_number(value) - self.value) <= tolerance + _ROUNDING
+
+    def ratio(self, value: float) -> float | None:
+        """The effect over the published effect."""
+        size = self.value - self.neutral
+        return (value - self.neutral) / size if size else None
+
+
+def gain(value: float, digits: int = 2) -> Effect:
+    """An effect that is given as the change itself, such as a reduction by 0.30."""
+    return Effect(value, digits, neutral=0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class AtMost:
+    """A bound: "at most", "always less"."""
+
+    most: float
+    name = "bound"
+
+    @property
+    def published(self) -> Interval:
+        """See `Judgement`."""
+        return 0.0, self.most
+
+    def holds(self, value: Value) -> bool:
+        """See `Judgement`."""
+        return _number(value) <= self.most + _ROUNDING
+
+    def ratio(self, value: float) -> float:
+        """See `Judgement`."""
+        return _over_nearer_end(value, *self.published)
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """A range, which is not widened; `beyond`: its lower end does not belong to it."""
+
+    low: float
+    high: float
+    beyond: bool = False
+    name = "range"
+
+    @property
+    def published(self) -> Interval:
+        """See `Judgement`."""
+        return self.low, self.high
+
+    def holds(self, value: Value) -> bool:
+        """See `Judgement`."""
+        number = _number(value)
+        inside = self.low - _ROUNDING <= number <= self.high + _ROUNDING
+        return inside and not (self.beyond and number <= self.low + _ROUNDING)
+
+    def ratio(self, value: float) -> float:
+        """See `Judgement`."""
+        return _over_nearer_end(value, self.low, self.high)
+
+
+@dataclasses.dataclass(frozen=True)
+class Same:
+    """A trend, an outcome or a count, which agrees if it is the same."""
+
+    value: bool | str | int
+    name = "outcome"
+
+    @property
+    def published(self) -> bool | str | int:
+        """See `Judgement`."""
+        return self.value
+
+    def holds(self, value: Value) -> bool:
+        """See `Judgement`."""
+        return value == self.value
+
+    def ratio(self, value: float) -> None:
+        """See `Judgement`."""
+        return None
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """An interval that only this project asks for; nothing was published."""
+
+    low: float
+    high: float
+    name = "asked"
+
+    @property
+    def published(self) -> None:
+        """See `Judgement`."""
+        return None
+
+    def holds(self, value: Value) -> bool:
+        """See `Judgement`."""
+        return self.low <= _number(value) <= self.high
+
+    def ratio(self, value: float) -> None:
+        """See `Judgement`."""
+        return None
+
+
+@dataclasses.dataclass(frozen=True)
+class Shown:
+    """A number that is shown and not judged: ambiguous as published, or not published at all."""
+
+    value: float | None = None
+    name = "not judged"
+
+    @property
+    def published(self) -> float | None:
+        """See `Judgement`."""
+        return self.value
+
+    def holds(self, value: Value) -> None:
+        """See `Judgement`."""
+        return None
+
+    def ratio(self, value: float) -> float | None:
+        """See `Judgement`."""
+        return value / self.value if self.value else None
+
+
+def _number(value: Value) -> float:
+    """A measured number; a truth value or a word is none, and agrees with no number."""
+    return math.nan if value is None or isinstance(value, (bool, str)) else float(value)
+
+
+def _over_nearer_end(value: float, low: float, high: float) -> float:
+    """1 inside of an interval, outside the value over the end that it is nearer to."""
+    if low <= value <= high:
+        return 1.0
+    nearer = low if abs(value - low) < abs(value - high) else high
+    return value / nearer if nearer else math.nan
