@@ -153,7 +153,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
         (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
         (["experiment", "turning"], "Missing option '--out'"),
-        (["experiment", "turnin", "--out", "a"], "is not one of 'straight-line', 'turning', 'balance', 'maze', 'all'"),
+        (["experiment", "turnin", "--out", "a"], "not one of 'straight-line', 'turning', 'balance', 'maze', 'body', "),
         (["experiment", "maze", "--out", "a", "--repeats", "0"], "x>=1"),
         (["experiment", "maze", "--out", "a", "--profile", "exakt"], "'both', 'exact', 'as_published'"),
         (["experiment", "maze", "--out", "a", "--set", "contact.fricton=1"], "did you mean contact.friction?"),
@@ -337,6 +337,14 @@ def test_walk_sums_up_in_millimetres_and_degrees() -> None:
     assert re.search(r"^roll( +-?[\d.]+){4}$", result.stdout, re.MULTILINE)
 
 
+def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
+    """(5.33): 0.67 Hz, two strides of 60 + 15.8 mm; and 1 / 0.8 strides of 60 mm a cycle (erratum 20)."""
+    result = call(*SHORT, "--spine", "stride_extension")
+    assert re.search(r"^speed in theory +101\.[5-7] +mm/s$", result.stdout, re.MULTILINE)
+    result = call(*SHORT, "--set", "duty=0.8")
+    assert re.search(r"^speed in theory +50\.3 +mm/s$", result.stdout, re.MULTILINE)
+
+
 def test_quiet_says_nothing(tmp_path: Path) -> None:
     result = call(*SHORT, "--quiet")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
@@ -392,9 +400,11 @@ def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], 
     out = tmp_path / "out"
     result = json_of("experiment", "all", "--out", out, "--quick", "--seed", "5", "--set", "contact.friction=0.8")
     assert list(result["run"]) == list(choices.EXPERIMENTS)
-    assert len(result["lines"]) == 20
-    assert {"experiment", "figure", "published", "as_published", "exact", "holds"} <= set(result["lines"][0])
-    assert result["summary"]["hold"] == 8
+    assert len(result["lines"]) == 25
+    keys = {"experiment", "figure", "kind", "published", "as_published", "exact", "holds", "ensemble"}
+    assert keys <= set(result["lines"][0])
+    assert result["summary"]["hold"] == 10
+    assert result["summary"]["by_kind"]["predicted"]["hold"] == 5
     assert result["lines"] == json.loads((out / "report.json").read_text())["lines"]
     asked = fakes["maze"].asked[0]
     assert (asked["seed"], asked["quick"], asked["repeats"], asked["values"]) == (5, True, 1, {"contact.friction": 0.8})
@@ -406,9 +416,14 @@ def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], 
 def test_experiment_prints_figures_side_by_side_and_where_things_are(fakes: dict[str, Fake], tmp_path: Path) -> None:
     result = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "exact")
     assert result.exit_code == 0, "a figure that does not hold is no failure"
-    assert re.search(r"^figure +published +as published +exact +ratio +holds$", result.stdout, re.MULTILINE)
-    assert re.search(r"^speed at 0\.8 Hz \[mm/s\] +80 +– +81\.0 +1\.01 +yes$", result.stdout, re.MULTILINE)
-    assert "turning: 2 of 4 figures hold, 1 not measured (6 runs in " in result.stdout
+    for line in (
+        r"^figure +kind +published +as published +exact +ratio +holds +ensemble$",
+        r"^speed at 0\.8 Hz \[mm/s\] +predicted +80 +– +81\.0 +1\.01 +yes +–$",
+    ):
+        assert re.search(line, result.stdout, re.MULTILINE)
+    assert "turning: 2 of 4 figures hold, 1 not judged or measured (6 runs in " in result.stdout
+    assert "predicted: 1 of 2 figures hold; chosen: 1 of 1 figures hold; fitted: 0 of 1" in result.stdout
+    assert "Only predicted lines count as evidence." in result.stdout
     assert str(tmp_path / "out" / "report.md") in result.stdout
     assert "videos" not in result.stdout
     quiet = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "exact", "--quiet")
@@ -478,7 +493,7 @@ def test_what_identify_prints_can_be_pasted(identified: dict[str, Any], tmp_path
     assert options is not None
     assert json_of(*SHORT, *options[1].split())["parameters"]["contact.friction"] > 0
     (tmp_path / "sweep.yaml").write_text(text[text.index("set:\n") :] + "vary: {frequency: [0.5]}\n")
-    assert "contact.friction" in Sweep.from_file(tmp_path / "sweep.yaml").fixed
+    assert "servo.kp" in Sweep.from_file(tmp_path / "sweep.yaml").fixed
 
 
 def test_list_parameters_shows_every_name_with_unit_default_and_range() -> None:

@@ -142,7 +142,7 @@ def test_rigid_tail_has_the_mass_and_centre_of_the_articulated_one():
 
 
 def test_centres_of_mass_are_those_of_the_compiled_model():
-    """Front from the spine base, rear from the spine end, as in the author's compiled model (erratum 19), and the whole.
+    """Front from the spine base, rear from the spine end, and the whole, as in the author's model (erratum 19).
 
     His whole stands at (0, 4.6, -26.2) mm from the spine base; his spine ends 1.9 mm further forward than Table 5.3's.
     """

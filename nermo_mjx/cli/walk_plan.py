@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -46,12 +45,14 @@ class Plan:
     @property
     def theory(self) -> float:
         """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated]."""
+        import numpy as np
+
         from nermo_mjx.experiments import theory
 
-        values = dict(self.parameters)
+        values = {name: np.asarray(value) for name, value in self.parameters.items()}
         # Only what is bent while the diagonal pairs change over lengthens a stride.
         extends = "stride_extension" in self.setup.spine.split("+")
-        values["spine.amplitude"] *= extends * math.cos(values["spine.phase"])
+        values["spine.amplitude"] = values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
         return float(theory.speed(values))
 
 

@@ -1,7 +1,9 @@
 """Parameters of the robot's body that a sweep may vary within one batch: servos, contact, stiffness, damping, mass.
 
-Defaults are those of the published robot; contact, servo gain and damping, knee, ankle and spine damping, of which the
-thesis is silent, were identified from its straight-line speeds (`nermo-mjx identify`; docs/experiments.md).
+Defaults are those of the published robot. The thesis is silent on contact, servo gain and damping, and the damping of
+knees, ankles and spine: the contact is that of the author's model, the others were identified from the published
+straight-line speeds (`nermo-mjx identify`; docs/experiments.md), together with an ensemble of other bodies that walk as
+near to them (`identified`).
 `physics.variation` writes them into model fields.
 """
 
@@ -16,8 +18,8 @@ from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 class Servo:
     """All position servos (Power HD-DSM44 at 6 V)."""
 
-    kp: Any = quantity(4.6, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain")
-    kv: Any = quantity(0.11, unit="N m s/rad", low=0.0, high=5.0, doc="velocity damping of the servo loop")
+    kp: Any = quantity(19.96, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain")
+    kv: Any = quantity(0.01884, unit="N m s/rad", low=0.0, high=5.0, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
 
@@ -55,9 +57,9 @@ class Damping:
     """Viscous damping of the joints."""
 
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
-    knee: Any = quantity(0.0056, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
-    ankle: Any = quantity(0.0056, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
-    spine: Any = quantity(0.094, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
+    knee: Any = quantity(0.02376, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    ankle: Any = quantity(0.02376, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
+    spine: Any = quantity(0.07598, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
     pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of the knee and spine servos")
 
 
