@@ -86,8 +86,14 @@ def _pitch_std_over_stride(outcome: Outcome, profile: str) -> float:
 
 
 def _pitch_at_lift_off(outcome: Outcome, profile: str) -> float:
-    """Largest of without and with the spine [deg]."""
+    """Largest of without and with the spine, nose up of the mean [deg]."""
     values = [degrees(walk("pitch_lift_off", *TROT, spine))(outcome, profile) for spine in _SPINES]
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+
+
+def _largest_pitch_up(outcome: Outcome, profile: str) -> float:
+    """Largest of without and with the spine, nose up of level [deg]."""
+    values = [-degrees(walk("pitch_min", *TROT, spine))(outcome, profile) for spine in _SPINES]
     return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
 
 
@@ -243,12 +249,20 @@ _PITCH: Final = (
         source="6.2.1, Figure 6.10",
     ),
     Figure(
-        "pitch of trt at lift-off, 0.8 Hz",
+        "largest upward pitch of trt, 0.8 Hz",
         "predicted",
         Size(4.0),
+        _largest_pitch_up,
+        "deg",
+        "7.2.1: up to 4 degrees upwards during lift-off; of level, as the author's model has 3.7 to 3.9",
+    ),
+    Figure(
+        "pitch of trt at lift-off above its mean, 0.8 Hz",
+        "predicted",
+        Shown(4.0),
         _pitch_at_lift_off,
         "deg",
-        "7.2.1: up to 4 degrees upwards; nose up of its mean, the larger of without and with the spine",
+        "7.2.1, the other reading",
     ),
 )
 _FEET: Final = (
