@@ -155,9 +155,9 @@ class ControlParameters:
 
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
-#: What the robot turns over what `turning.path_curvature` expects, by what steers it. Measured at the held turn rate that
-#: is expected to walk a radius of 0.5 m, without a path: mean over three gaits, three frequencies and strides of 0.8 and
-#: 1.0 (docs/experiments.md has the spread).
+#: What the robot turns over what `turning.path_curvature` expects, by what steers it. Measured at the held turn rate
+#: that is expected to walk a radius of 0.5 m, without a path: mean over three gaits, three frequencies and strides of
+#: 0.8 and 1.0 (docs/experiments.md has the spread).
 GRIP: dict[str, float] = {"leg": 0.57, "spine": 1.11, "mix": 0.96}
 PROFILES: tuple[str, ...] = ("exact", "as_published")
 
