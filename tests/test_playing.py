@@ -145,7 +145,7 @@ def test_the_robots_mjcf_by_itself_has_the_same_physics(tail: str, tmp_path: Pat
         "import sys, mujoco, numpy as np\n"
         "m = mujoco.MjModel.from_xml_path('robot.xml'); d = mujoco.MjData(m)\n"
         "d.ctrl[:] = 0.1\n"
-        "for _ in range(100): mujoco.mj_step(m, d)\n"
+        "for _ in range(30): mujoco.mj_step(m, d)\n"
         "assert 'nermo_mjx' not in sys.modules\n"
         "np.savez('state.npz', qpos=d.qpos, mass=m.body_mass, friction=m.pair_friction)\n"
     )
@@ -153,12 +153,12 @@ def test_the_robots_mjcf_by_itself_has_the_same_physics(tail: str, tmp_path: Pat
     model = load_robot(tail=tail).model
     data = mujoco.MjData(model)
     data.ctrl[:] = 0.1
-    for _ in range(100):
+    for _ in range(30):
         mujoco.mj_step(model, data)
     with np.load(tmp_path / "state.npz") as state:
         np.testing.assert_allclose(state["mass"], model.body_mass, rtol=1e-5)
         np.testing.assert_allclose(state["friction"], model.pair_friction, rtol=1e-5)
-        # XML holds six digits of each number, which a tenth of a second of contact makes a little more of.
+        # XML holds six digits of each number, which a moment of contact makes a little more of.
         np.testing.assert_allclose(state["qpos"], data.qpos, atol=5e-4)
         assert np.abs(data.qpos - model.qpos0).max() > 0.05
 

@@ -84,14 +84,15 @@ def test_the_straight_pilot_keeps_the_line(simulator):
 
 
 def test_model_parameters_vary_within_a_batch(simulator):
-    """One batch holds slippery and grippy soles, and light and heavy robots, whose standing feet carry their weight."""
+    """Slippery and grippy soles in one batch; light and heavy robots, whose standing feet and tail carry their weight."""
     sim = simulator(gait="trt")
     friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.1, 1.0])}).metrics
     assert friction["speed"][0] < 0.9 * friction["speed"][1]
-    front = np.array([0.1647, 0.25])
+    front = np.array([0.1695, 0.25])
     stand = {"stride": 0.0, "stance.swing_amplitude": 0.0, "stance.stance_amplitude": 0.0, "mass.front": front}
-    standing = sim.run(stand, Run(duration=2.0), record=True).trace.sensors["foot_force"][:, -20:].sum(axis=-1)
-    np.testing.assert_allclose(standing.mean(axis=1), 9.81 * (front + 0.1053), rtol=0.01)
+    sensors = sim.run(stand, Run(duration=2.0), record=True).trace.sensors
+    standing = sensors["foot_force"][:, -20:].sum(axis=-1) + sensors["tail_force"][:, -20:]
+    np.testing.assert_allclose(standing.mean(axis=1), 9.81 * (front + 0.1005), rtol=0.01)
 
 
 def test_the_articulated_tail_walks_like_the_rigid_one(simulator):
