@@ -84,7 +84,7 @@ def test_the_straight_pilot_keeps_the_line(simulator):
 
 
 def test_model_parameters_vary_within_a_batch(simulator):
-    """Slippery and grippy soles in one batch; light and heavy robots, whose standing feet and tail carry their weight."""
+    """Slippery and grippy soles in one batch; light and heavy robots, whose feet and tail carry their weight."""
     sim = simulator(gait="trt")
     friction = sim.run({"frequency": 0.8, "contact.friction": np.array([0.1, 1.0])}).metrics
     assert friction["speed"][0] < 0.9 * friction["speed"][1]
