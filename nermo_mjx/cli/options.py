@@ -56,7 +56,7 @@ def engine(function: F) -> F:
 
 def physics(function: F) -> F:
     """`--physics`."""
-    return choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, gaits within 2 %.")(function)
+    return choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")(function)
 
 
 def scene(function: F) -> F:
