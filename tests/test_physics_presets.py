@@ -23,7 +23,7 @@ from nermo_mjx.sweep.spec import Sweep
 
 #: The largest change of a gait metric that `fast` may bring: what docs/benchmarks/physics.md says. The identified servo
 #: is stiff and hardly damped, and rings at 28 Hz, which longer steps change, and with it what depends on small motions.
-BOUND = 0.025
+BOUND = 0.035
 BOUNDS = {
     "slip": 0.15, "servo_work": 0.06, "cost_of_transport": 0.065, "yaw_std": 0.15, "pitch_std": 0.055,
     "turning_radius": 0.04,
