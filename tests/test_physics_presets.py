@@ -23,11 +23,10 @@ from nermo_mjx.sweep.spec import Sweep
 
 #: The largest change of a gait metric that `fast` may bring: what docs/benchmarks/physics.md says. The identified servo
 #: is stiff and hardly damped, and rings at 28 Hz, which longer steps change, and with it what depends on small motions.
-BOUND = 0.035
-BOUNDS = {
-    "slip": 0.15, "servo_work": 0.06, "cost_of_transport": 0.065, "yaw_std": 0.15, "pitch_std": 0.055,
-    "turning_radius": 0.04,
-}  # fmt: skip
+BOUND = 0.02
+BOUNDS = {"slip": 0.15, "servo_work": 0.065, "cost_of_transport": 0.065, "yaw_std": 0.15} | {
+    f"duty_{limb}": 0.04 for limb in LIMBS
+}
 #: Gaits, and the ends of the published range of frequencies [Hz].
 GAITS, FREQUENCIES = ("trt", "trt1", "lat"), (0.5, 0.8)
 GAIT_METRICS = (
