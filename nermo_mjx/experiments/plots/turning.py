@@ -38,6 +38,8 @@ from nermo_mjx.view.recording import Recording
 #: Published numbers in these pictures: the figures of the report that hold them, by the strategy.
 TIME: Final = {name: f"time for 0.5 m, trt, 0.67 Hz, {name}-based" for name in turning.STRATEGIES}
 RADIUS: Final = {name: f"smallest radius of trt, {name}-based" for name in ("leg", "mix")}
+#: End of the axis of smallest radii [mm].
+_WIDEST: Final = 700.0
 _NAMES: Final = {"leg": "leg-based", "spine": "spine-based", "mix": "mix-based"}
 _SWATCHES: Final = tuple(swatch(_NAMES[name], STRATEGY[name]) for name in turning.STRATEGIES)
 _NOT_FOLLOWED: Final = "a repeat did not follow the path"
@@ -171,7 +173,13 @@ def _smallest_radius(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
             draw_bars(ax, groups)
         ax.set(title=GAIT[gait], xlabel="gait frequency [Hz]")
     page.axes[0, 0].set_ylabel(axis_label(outcome, "turning_radius", "radius"))
-    note = f"{spread_note(drawn)}; the publication gives no frequency, so that its mark stands at each"
+    # A robot that hardly turns, on metres, must not flatten the others.
+    low, high = page.axes[0, 0].get_ylim()
+    page.axes[0, 0].set_ylim(low, min(high, _WIDEST))
+    note = (
+        f"{spread_note(drawn)}; the publication gives no frequency, so that its mark stands at each; "
+        f"the axis ends at {_WIDEST:g} mm"
+    )
     return page.finish([*_SWATCHES, *profile_swatches(names), *bar_entries(drawn)], note)
 
 
