@@ -10,7 +10,7 @@ import pytest
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep import SpecError, StoreError
+from nermo_mjx.sweep import DirectoryError, SpecError
 from nermo_mjx.tune import Evaluation, Tuning, run_landscape
 from nermo_mjx.tune.landscape import run, table
 from nermo_mjx.tune.landscape.lines import lines_of
@@ -157,10 +157,10 @@ def test_a_directory_belongs_to_one_landscape(tmp_path, more):
     """Other lines or another walk need another directory, and so do damaged points."""
     few = {"points": 5}
     measure(tmp_path, **few)
-    with pytest.raises(StoreError, match="holds another landscape; choose another directory"):
+    with pytest.raises(DirectoryError, match="holds another landscape; choose another directory"):
         measure(tmp_path, **(few | more))
     (tmp_path / "landscape.parquet").write_text("damaged")
-    with pytest.raises(StoreError, match="is damaged: remove it"):
+    with pytest.raises(DirectoryError, match="is damaged: remove it"):
         measure(tmp_path, **few)
 
 

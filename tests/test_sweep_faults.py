@@ -22,7 +22,7 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep import SpecError, StoreError, SweepError, SweepInterrupted, files, read_table, run_sweep
+from nermo_mjx.sweep import DirectoryError, SpecError, SweepError, SweepInterrupted, files, read_table, run_sweep
 from nermo_mjx.sweep.store import Store
 from nermo_mjx.sweep.writer import Writer
 
@@ -46,7 +46,7 @@ def goes_on(out, reference, at_most):
     assert result.complete
     assert result.table.equals(reference)
     assert len(simulator.batches) <= at_most
-    assert not list(out.rglob("*.tmp"))
+    assert not list(out.rglob("*.nermo-tmp"))
 
 
 # --- damage
@@ -99,7 +99,7 @@ def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatc
     """Chunks that are never as they were written end in a sentence."""
     with monkeypatch.context() as patch:
         patch.setattr("nermo_mjx.sweep.store.seal", lambda content: content[:-1])
-        with pytest.raises(StoreError, match="loses what is written to it"):
+        with pytest.raises(DirectoryError, match="loses what is written to it"):
             run_sweep(SPEC, tmp_path, chunk=12, simulator=FakeSimulator())
     goes_on(tmp_path, reference, 3)
 
@@ -129,8 +129,8 @@ def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, 
     """At the beginning, in the middle of a chunk, in the summary, and in the figures."""
     with monkeypatch.context() as patch:
         patch.setattr("nermo_mjx.sweep.store.replace_file", lambda *args: full(*args, kept=kept))
-        patch.setattr("nermo_mjx.sweep.files.replace_file", lambda *args: full(*args, kept=kept))
-        with pytest.raises(StoreError) as caught:
+        patch.setattr("nermo_mjx.runs.files.replace_file", lambda *args: full(*args, kept=kept))
+        with pytest.raises(DirectoryError) as caught:
             run_sweep(SPEC | {"plots": True}, tmp_path, chunk=4, simulator=FakeSimulator())
     assert str(caught.value) == (
         f"cannot write in {tmp_path}: No space left on device. What is finished is kept: run the same command again "
@@ -153,12 +153,12 @@ def test_a_really_full_disk_keeps_what_is_finished(tmp_path, reference):
     disk = tmp_path / "disk"
     mounted(disk, "-o", "size=128k")
     try:
-        with pytest.raises(StoreError, match=r"No space left on device\. What is finished is kept"):
+        with pytest.raises(DirectoryError, match=r"No space left on device\. What is finished is kept"):
             run_sweep(SPEC, disk / "out", chunk=1, simulator=FakeSimulator())
         kept = len(list((disk / "out" / "results").glob("*.parquet")))
         assert 1 <= kept < 36
         subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-        with pytest.raises(StoreError, match=r"cannot write in .*: Read-only file system\.$"):
+        with pytest.raises(DirectoryError, match=r"cannot write in .*: Read-only file system\.$"):
             run_sweep(SPEC, disk / "out", simulator=FakeSimulator())
         subprocess.run(["mount", "-o", "remount,rw,size=8m", str(disk)], check=True)
         goes_on(disk / "out", reference, 36 - kept)
@@ -206,7 +206,7 @@ def test_a_changed_sweep_says_what_changed(tmp_path, change, sentence):
     """The first fields that differ, with both values, and nothing is touched."""
     run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(StoreError, match=f"holds the results of another sweep: {sentence}"):
+    with pytest.raises(DirectoryError, match=f"holds the results of another sweep: {sentence}"):
         run_sweep(SPEC | change, tmp_path, simulator=FakeSimulator())
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
@@ -273,7 +273,7 @@ def test_an_error_of_the_writer_reaches_whoever_hands_in_work():
     """At the next task, or at the end; what comes after it is not run."""
 
     def fail():
-        raise StoreError("no room")
+        raise DirectoryError("no room")
 
     def hand_in():
         with Writer() as writer:
@@ -283,9 +283,9 @@ def test_an_error_of_the_writer_reaches_whoever_hands_in_work():
                 writer.put(lambda: ran.append(2))
 
     ran = []
-    with pytest.raises(StoreError, match="no room"), Writer() as writer:
+    with pytest.raises(DirectoryError, match="no room"), Writer() as writer:
         writer.put(fail)
-    with pytest.raises(StoreError, match="no room"):
+    with pytest.raises(DirectoryError, match="no room"):
         hand_in()
     assert ran == [1]
 
@@ -345,7 +345,7 @@ def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path, referen
     while not list(tmp_path.glob("results/*.parquet")):
         assert time.monotonic() - waited < 60
         time.sleep(0.01)
-    with pytest.raises(StoreError, match=rf"^another process works in {re.escape(str(tmp_path))}; wait for it, or"):
+    with pytest.raises(DirectoryError, match=rf"^another process works in {re.escape(str(tmp_path))}; wait for it, or"):
         run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
     process.join(60)
     assert process.exitcode == 0

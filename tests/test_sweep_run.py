@@ -14,7 +14,7 @@ import pytest
 from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.robot import identified
-from nermo_mjx.sweep import SpecError, StoreError, Sweep, SweepInterrupted, read_table, run_sweep
+from nermo_mjx.sweep import DirectoryError, SpecError, Sweep, SweepInterrupted, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 
 
@@ -129,9 +129,9 @@ def test_a_directory_keeps_its_engine(tmp_path):
     """Rows of two engines never stand in one table."""
     with pytest.raises(SweepInterrupted):
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=1))
-    with pytest.raises(StoreError, match="begun with the engine 'fake', not 'c'"):
+    with pytest.raises(DirectoryError, match="begun with the engine 'fake', not 'c'"):
         run_sweep(SPEC, tmp_path, engine="c", simulator=FakeSimulator())
-    with pytest.raises(StoreError, match="begun with the engine 'fake', not 'other'"):
+    with pytest.raises(DirectoryError, match="begun with the engine 'fake', not 'other'"):
         run_sweep(SPEC, tmp_path, simulator=FakeSimulator(engine="other"))
 
 

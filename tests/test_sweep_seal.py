@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from nermo_mjx.sweep.files import parquet_bytes
+from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.sweep.seal import is_intact, seal
 
 TABLE = pa.table({"row": np.arange(5), "speed": np.linspace(0.1, 0.5, 5), "status": ["ok"] * 4 + ["fell"]})

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 from sweep_fake import SPEC, FakeSimulator
 
-from nermo_mjx.sweep import StoreError, Sweep, read_table, run_sweep
-from nermo_mjx.sweep.files import parquet_bytes
+from nermo_mjx.runs.files import parquet_bytes
+from nermo_mjx.sweep import DirectoryError, Sweep, read_table, run_sweep
 from nermo_mjx.sweep.seal import seal
 from nermo_mjx.sweep.store import Store
 
@@ -102,7 +102,9 @@ def test_a_damaged_chunk_is_found_and_only_it_is_redone(done, damage):
 def test_a_directory_of_another_sweep_is_refused_untouched(done):
     """One sentence names the directory; nothing in it changes."""
     before = {path: path.read_bytes() for path in done.rglob("*") if path.is_file()}
-    with pytest.raises(StoreError, match=r"out holds the results of another sweep: seed is 0 there and 5 here; cho"):
+    with pytest.raises(
+        DirectoryError, match=r"out holds the results of another sweep: seed is 0 there and 5 here; cho"
+    ):
         run_sweep(SPEC | {"seed": 5}, done, simulator=FakeSimulator())
     assert before == {path: path.read_bytes() for path in done.rglob("*") if path.is_file()}
 
@@ -110,21 +112,21 @@ def test_a_directory_of_another_sweep_is_refused_untouched(done):
 def test_results_without_their_sweep_are_refused(done):
     """Chunks whose sweep.yaml is gone are not taken for this sweep's."""
     (done / "sweep.yaml").unlink()
-    with pytest.raises(StoreError, match="unknown sweep"):
+    with pytest.raises(DirectoryError, match="unknown sweep"):
         run_sweep(SPEC, done, simulator=FakeSimulator())
 
 
 def test_a_broken_sweep_yaml_is_named(done):
     """A sweep.yaml that no longer reads is said to be so."""
     (done / "sweep.yaml").write_text("vary: [")
-    with pytest.raises(StoreError, match="cannot be read"):
+    with pytest.raises(DirectoryError, match="cannot be read"):
         run_sweep(SPEC, done, simulator=FakeSimulator())
 
 
 def test_two_processes_do_not_write_one_directory(tmp_path):
     """While one holds the directory, a second is refused; afterwards it may."""
     sweep = Sweep.from_dict(SPEC)
-    with Store(tmp_path, sweep), pytest.raises(StoreError, match="another process works in"):
+    with Store(tmp_path, sweep), pytest.raises(DirectoryError, match="another process works in"):
         run_sweep(sweep, tmp_path, simulator=FakeSimulator())
     assert run_sweep(sweep, tmp_path, simulator=FakeSimulator()).complete
 
@@ -136,7 +138,7 @@ def test_shards_share_a_directory_but_not_a_shard(tmp_path):
         with Store(tmp_path, sweep, (1, 2)):
             pass
         for shard in ((0, 2), None):
-            with pytest.raises(StoreError, match="another process"), Store(tmp_path, sweep, shard):
+            with pytest.raises(DirectoryError, match="another process"), Store(tmp_path, sweep, shard):
                 pass
 
 
@@ -146,7 +148,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(tmp_path):
     simulator = FakeSimulator()
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))  # room for the texts, not for a chunk
-        with pytest.raises(StoreError, match=r"cannot write in .*: File too large\. What is finished is kept"):
+        with pytest.raises(DirectoryError, match=r"cannot write in .*: File too large\. What is finished is kept"):
             run_sweep(SPEC, tmp_path, chunk=36, simulator=simulator)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -159,20 +161,20 @@ def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(tmp_path):
 @pytest.mark.skipif(not os.path.isdir("/sys/kernel"), reason="needs a folder that nobody may write")
 def test_a_directory_that_cannot_be_written_is_one_sentence():
     """No traceback for a read-only place: the directory and the reason."""
-    with pytest.raises(StoreError, match="cannot write in /sys/kernel/nermo: "):
+    with pytest.raises(DirectoryError, match="cannot write in /sys/kernel/nermo: "):
         run_sweep(SPEC, "/sys/kernel/nermo", simulator=FakeSimulator())
 
 
 def test_a_file_in_the_place_of_the_directory_is_one_sentence(tmp_path):
     """`--out` that names a file is refused in words."""
     (tmp_path / "out").write_text("")
-    with pytest.raises(StoreError, match="cannot write in"):
+    with pytest.raises(DirectoryError, match="cannot write in"):
         run_sweep(SPEC, tmp_path / "out", simulator=FakeSimulator())
 
 
 def test_leftovers_of_a_killed_process_are_cleared(done):
     """A half-written temporary file is neither read nor kept."""
-    leftover = done / "results" / ".chunk-00003.parquet.tmp"
+    leftover = done / "results" / ".chunk-00003.parquet.7.nermo-tmp"
     leftover.write_text("half")
     run_sweep(SPEC, done, simulator=FakeSimulator())
     assert not leftover.exists()
@@ -180,7 +182,7 @@ def test_leftovers_of_a_killed_process_are_cleared(done):
 
 def test_reading_a_directory_without_results_is_one_sentence(tmp_path):
     """`read_table` names the directory."""
-    with pytest.raises(StoreError, match="holds no results"):
+    with pytest.raises(DirectoryError, match="holds no results"):
         read_table(tmp_path)
 
 

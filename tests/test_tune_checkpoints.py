@@ -11,7 +11,7 @@ import pytest
 from test_tune_run import same, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.sweep import StoreError
+from nermo_mjx.sweep import DirectoryError
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.checkpoints import KEPT, Checkpoints
 from nermo_mjx.tune.history import empty_log
@@ -129,12 +129,12 @@ def test_what_a_killed_process_left_half_written_is_removed(done):
     """Orbax writes beside and renames; a directory that was never renamed is no checkpoint."""
     half = done.out / "checkpoints" / "8.orbax-checkpoint-tmp-1"
     shutil.copytree(done.out / "checkpoints" / "7", half)
-    (done.out / ".history.parquet.tmp").write_text("half")
+    (done.out / ".history.parquet.7.nermo-tmp").write_text("half")
     result, problem = tune(done.out)
     assert problem.batches == []
     assert same(result, done)
     assert not half.exists()
-    assert not list(done.out.glob(".*.tmp"))
+    assert not list(done.out.glob(".*.nermo-tmp"))
 
 
 def test_a_full_disk_is_one_sentence(tmp_path, capfd):
@@ -147,7 +147,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, capfd):
             resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
 
     try:
-        with pytest.raises(StoreError, match=r"cannot write in .*: File too large\. What is finished is kept"):
+        with pytest.raises(DirectoryError, match=r"cannot write in .*: File too large\. What is finished is kept"):
             run_tuning(tuning, tmp_path, problem=problem, progress=fill)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -160,7 +160,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, capfd):
 def test_another_precision_is_refused_and_nothing_is_lost(done):
     """A tuning in float32 does not go on in float64: its numbers would be others."""
     before = steps(done.out)
-    with jax.enable_x64(True), pytest.raises(StoreError, match="was begun in float32, and JAX computes in float64"):
+    with jax.enable_x64(True), pytest.raises(DirectoryError, match="was begun in float32, and JAX computes in float64"):
         tune(done.out)
     assert steps(done.out) == before
 

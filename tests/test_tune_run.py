@@ -16,7 +16,7 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem
 
-from nermo_mjx.sweep import StoreError, Sweep, run_sweep
+from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
 from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.tuner import Tuner
@@ -286,10 +286,10 @@ def test_a_tuning_can_be_prolonged(tmp_path, reference):
 def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
     """Another seed, optimizer or objective is refused in a sentence that says what differs."""
     tune(tmp_path, {"iterations": 2})
-    with pytest.raises(StoreError, match=f"holds another tuning, with another {word} .*choose another directory"):
+    with pytest.raises(DirectoryError, match=f"holds another tuning, with another {word} .*choose another directory"):
         tune(tmp_path, change)
     (tmp_path / "tuning.yaml").unlink()
-    with pytest.raises(StoreError, match="checkpoints of an unknown tuning"):
+    with pytest.raises(DirectoryError, match="checkpoints of an unknown tuning"):
         tune(tmp_path)
 
 
@@ -301,7 +301,7 @@ def test_two_processes_never_write_one_directory(tmp_path):
     def meanwhile(progress):
         if progress.iteration == 2 and not seen:
             seen.append(True)
-            with pytest.raises(StoreError, match="another process works in"):
+            with pytest.raises(DirectoryError, match="another process works in"):
                 tune(tmp_path)
 
     run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), progress=meanwhile)
@@ -360,10 +360,10 @@ def test_exact_gradients_have_no_error_column(reference):
 
 def test_a_directory_without_history_is_said_so(tmp_path):
     """Reading what is not there, or damaged, is one sentence."""
-    with pytest.raises(StoreError, match="holds no history"):
+    with pytest.raises(DirectoryError, match="holds no history"):
         read_history(tmp_path)
     (tmp_path / "history.parquet").write_text("no table")
-    with pytest.raises(StoreError, match="holds no history"):
+    with pytest.raises(DirectoryError, match="holds no history"):
         read_history(tmp_path)
 
 

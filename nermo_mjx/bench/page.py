@@ -18,7 +18,7 @@ from nermo_mjx.bench.registry import CASES
 from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, LINE, MUTED, STYLE, horizontal_grid
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, replace_file
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
 
 RESULTS: Final = "results.jsonl"
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
@@ -55,14 +55,14 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
         formats: of `png` and `svg`.
 
     Raises:
-        StoreError: results.jsonl cannot be read, or the folder cannot be written.
+        DirectoryError: results.jsonl cannot be read, or the folder cannot be written.
     """
     out = Path(out)
     folder = out / "plots" if folder is None else folder
     try:
         machines = _by_machine(_runs(out))
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{out / RESULTS} cannot be read: {error}. Measure again with nermo-mjx bench.") from None
+        raise DirectoryError(f"{out / RESULTS} cannot be read: {error}. Measure again with nermo-mjx bench.") from None
     make_writable(folder)
     with clear_errors(folder):
         drawn = [_draw(*each, number, folder, formats) for number, each in enumerate(machines.items(), 1)]

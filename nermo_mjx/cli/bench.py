@@ -60,7 +60,7 @@ def command(
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
         from nermo_mjx.bench.page import add_run
-        from nermo_mjx.sweep.files import make_writable
+        from nermo_mjx.runs.files import make_writable
 
         if into is not None:
             make_writable(into)

@@ -63,8 +63,9 @@ def _translate(error: Exception) -> NoReturn:
         sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it to have one chosen."
         raise Failure(sentence) from None
     from nermo_mjx.robot.quantity import ParameterError
+    from nermo_mjx.runs.files import WrongDirectory
 
-    if isinstance(error, ParameterError):
+    if isinstance(error, ParameterError | WrongDirectory):
         raise WrongUse(str(error)) from None
     # Errors of the package carry a sentence for the user; those of rooms that were never imported cannot occur.
     ours = type(error).__module__.partition(".")[0] == "nermo_mjx"

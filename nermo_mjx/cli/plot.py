@@ -127,7 +127,7 @@ def _redraw(kind: str) -> Callable[..., list[Path]]:
 
 
 def _plot_recording(path: Path, out: Path, formats: Any, notes: list[str]) -> list[Path]:
-    from nermo_mjx.sweep.files import clear_errors, make_writable, replace_file
+    from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
     from nermo_mjx.view.plots.draw import draw_recording
 
     recording = load_recording(path)

@@ -55,7 +55,7 @@ def command(
     """
     files = [path for path in (record, video) if path is not None]
     with stdout_reserved():
-        from nermo_mjx.sweep.files import make_writable
+        from nermo_mjx.runs.files import make_writable
         from nermo_mjx.sweep.replay import find_row, replay_row
 
         found = find_row(out, row)
@@ -77,7 +77,7 @@ def command(
 
 def _report(found: SweepRow, wanted: Plan, replay: Replay) -> dict[str, Any]:
     """The fields of `walk --json`, and the row's own."""
-    from nermo_mjx.sweep import versions
+    from nermo_mjx.runs import versions
 
     line = found.line
     flags = {name: bool(replay.metrics[name]) for name in ("fell", "diverged")}

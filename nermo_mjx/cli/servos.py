@@ -47,7 +47,7 @@ def command(
     """
     with stdout_reserved():
         from nermo_mjx.hardware import servo_table
-        from nermo_mjx.sweep.files import replace_file
+        from nermo_mjx.runs.files import replace_file
 
         wanted = plan(pilot="open_loop", seed=None, cycles=None, duration=None, warmup=None, scene="flat",
                       physics="reference", **chosen)  # fmt: skip

@@ -61,7 +61,7 @@ def command(
 def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> tuple[dict[str, Any], Any]:
     """The report of the run, and its trace if it is recorded."""
     from nermo_mjx.rollout import METRICS, Simulator
-    from nermo_mjx.sweep import versions
+    from nermo_mjx.runs import versions
 
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)

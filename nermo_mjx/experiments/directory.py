@@ -21,7 +21,7 @@ from typing import Any
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.table import outcome_of, table_of
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, parquet_bytes, replace_file
 from nermo_mjx.sweep.store import read_chunk
 from nermo_mjx.sweep.summary import to_json
 from nermo_mjx.view.recording import Recording
@@ -66,11 +66,10 @@ class Directory:
         """Replace a file of the directory, whole or not at all.
 
         Raises:
-            StoreError: it cannot be written.
+            DirectoryError: it cannot be written.
         """
-        # Two commands may fill one directory, each with its experiment: their temporary files are told apart.
         with clear_errors(self.out):
-            replace_file(path, content, f".{os.getpid()}.tmp")
+            replace_file(path, content)
 
     def relative(self, path: Path) -> str:
         """A path for links within the directory."""
@@ -93,7 +92,7 @@ class Directory:
         self.write(table, parquet_bytes(table_of(outcome, {"about": to_json(notes).decode()})))
         stored = self.load(outcome.experiment)
         if stored is None:
-            raise StoreError(f"{table} was written but cannot be read back: run the same command again.")
+            raise DirectoryError(f"{table} was written but cannot be read back: run the same command again.")
         return stored
 
     def save_bodies(self, outcome: Outcome, about: Mapping[str, Any]) -> Stored:
@@ -102,7 +101,7 @@ class Directory:
         self.write(path, parquet_bytes(table_of(outcome, {"about": to_json({**about, "recordings": {}}).decode()})))
         stored = self.load_bodies(outcome.experiment)
         if stored is None:
-            raise StoreError(f"{path} was written but cannot be read back: run the same command again.")
+            raise DirectoryError(f"{path} was written but cannot be read back: run the same command again.")
         return stored
 
     def load(self, experiment: str) -> Stored | None:

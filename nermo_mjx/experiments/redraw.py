@@ -13,7 +13,7 @@ from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.plotting.files import FORMATS
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable
 
 IDENTIFICATION: Final = "identification.json"
 
@@ -27,7 +27,7 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
         formats: of `png` and `svg`.
 
     Raises:
-        StoreError: it holds no experiment that can be read, or the files cannot be written.
+        DirectoryError: it holds no experiment that can be read, or the files cannot be written.
     """
     from nermo_mjx.experiments.plots.draw import draw
 
@@ -41,7 +41,7 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
             with clear_errors(folder):
                 drawn += draw(stored.outcome, lines, folder, formats)
     if not drawn:
-        raise StoreError(f"{out} holds no experiment whose table and recordings can be read: run it again.")
+        raise DirectoryError(f"{out} holds no experiment whose table and recordings can be read: run it again.")
     return drawn
 
 
@@ -55,7 +55,7 @@ def redraw_identification(
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        raise StoreError(f"{path} cannot be read: run the identification again.") from None
+        raise DirectoryError(f"{path} cannot be read: run the identification again.") from None
     folder = path.parent / "plots" if folder is None else folder
     make_writable(folder)
     with clear_errors(folder):

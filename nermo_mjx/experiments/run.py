@@ -29,7 +29,7 @@ from nermo_mjx.experiments.settings import Settings, check_bodies, checked, diff
 from nermo_mjx.experiments.videos import shoot
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.sweep.provenance import session
+from nermo_mjx.runs.provenance import session
 from nermo_mjx.version import __version__
 from nermo_mjx.view import RecordingError, VideoError
 
@@ -123,7 +123,7 @@ def run_experiments(
     Raises:
         ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
         ExperimentError: an experiment failed; what was done before is kept.
-        StoreError: the directory cannot be written any more.
+        DirectoryError: the directory cannot be written any more.
         ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]

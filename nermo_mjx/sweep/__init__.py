@@ -1,19 +1,20 @@
 """Sweeps: read and check a sweep file, sample its variants, run them into a directory, sum up and draw."""
 
+from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.sweep.chunks import SweepError
 from nermo_mjx.sweep.hosts import Hosts, HostsError, join
 from nermo_mjx.sweep.plots import draw_plots
-from nermo_mjx.sweep.provenance import machine, versions
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Rows, Sample, sample
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.store import StoreError
+from nermo_mjx.sweep.store import DirectoryError
 from nermo_mjx.sweep.summary import summarize
 from nermo_mjx.sweep.tally import Progress
 
 __all__ = [
+    "DirectoryError",
     "Hosts",
     "HostsError",
     "Progress",
@@ -21,7 +22,6 @@ __all__ = [
     "Rows",
     "Sample",
     "SpecError",
-    "StoreError",
     "Sweep",
     "SweepError",
     "SweepInterrupted",

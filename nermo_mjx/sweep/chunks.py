@@ -12,11 +12,11 @@ import numpy as np
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Run, Simulator
+from nermo_mjx.runs.provenance import session
 from nermo_mjx.sweep.layout import batch_size, batch_values, listed, rows_digest
-from nermo_mjx.sweep.provenance import session
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.store import ChunkNote, Store, StoreError
+from nermo_mjx.sweep.store import ChunkNote, DirectoryError, Store
 from nermo_mjx.sweep.table import chunk_table
 from nermo_mjx.sweep.tally import Tally
 from nermo_mjx.sweep.writer import Writer
@@ -122,7 +122,7 @@ class Work:
 
         Raises:
             SweepError: a simulation failed.
-            StoreError: a chunk cannot be written, or the engine is not that of the directory.
+            DirectoryError: a chunk cannot be written, or the engine is not that of the directory.
         """
         self.tally.finish(np.flatnonzero(self.done).tolist(), resumed=not self.chunks_run)
         self._tell()
@@ -194,7 +194,7 @@ class Work:
     def _same_engine(self, engine: str) -> str:
         """The engine that the directory was begun with, if it agrees with the wanted one."""
         if self.engine is not None and engine not in ("auto", self.engine):
-            raise StoreError(f"{self.store.out} was begun with the engine '{self.engine}', not '{engine}': go on with "
+            raise DirectoryError(f"{self.store.out} was begun with the engine '{self.engine}', not '{engine}': go on with "
                              f"'{self.engine}', or choose another directory.")  # fmt: skip
         return self.engine or engine
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from nermo_mjx.plotting.files import FORMATS
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
 from nermo_mjx.sweep.chosen import check_column, draw_chosen
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, replace_file
 from nermo_mjx.sweep.plots import draw_plots
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.sampling import Sample
@@ -44,12 +44,12 @@ def redraw(
 
     Raises:
         ParameterError: there is no such column, or the folder cannot be written.
-        StoreError: there is nothing to draw, or it cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
     """
     out = Path(out)
     files = sorted(path for path in out.glob("results/chunk-*.parquet") if re.fullmatch(r"chunk-\d+", path.stem))
     if not files:
-        raise StoreError(
+        raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
     results, rows = Results.of_present(files), len(Sample(Sweep.from_file(out / "sweep.yaml")))
@@ -76,5 +76,5 @@ def redraw(
     if not drawn:
         well = results.statuses()[0].any()
         why = "all its parameters have one value" if well else "no run went well"
-        raise StoreError(f"there is nothing to draw of {out}: {why}.")
+        raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
     return drawn

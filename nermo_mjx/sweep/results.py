@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from nermo_mjx.sweep.files import StoreError
+from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep.store import read_chunk
 
 #: Schema metadata that differs between the chunks of one table.
@@ -61,7 +61,7 @@ class Results:
         """The chunks that are there of a table that may have more; their rows in the order of the files.
 
         Raises:
-            StoreError: a chunk cannot be read.
+            DirectoryError: a chunk cannot be read.
         """
         with _clear(files[0]):
             schema = pq.read_schema(files[0])
@@ -110,12 +110,12 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status).
 
     Raises:
-        StoreError: no readable chunk is there.
+        DirectoryError: no readable chunk is there.
     """
     tables = [read_chunk(path) for path in sorted(Path(out).glob("results/chunk-*.parquet"))]
     chunks = [table for table in tables if table is not None]
     if not chunks:
-        raise StoreError(f"{out} holds no results of a sweep.")
+        raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(chunks[0].schema)
     chunks = [chunk.replace_schema_metadata(metadata) for chunk in chunks]
     return pa.concat_tables(chunks).sort_by("row").combine_chunks()
@@ -139,8 +139,8 @@ def _read(files: Sequence[Path], names: Sequence[str]) -> Iterator[Part]:
 
 @contextlib.contextmanager
 def _clear(path: Path) -> Iterator[None]:
-    """Turn what is wrong with a file into a `StoreError`."""
+    """Turn what is wrong with a file into a `DirectoryError`."""
     try:
         yield
     except (OSError, pa.ArrowException) as error:
-        raise StoreError(f"{path} cannot be read ({error}): run the same command again.") from None
+        raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None

@@ -11,11 +11,11 @@ from typing import Any
 
 import pyarrow as pa
 
+from nermo_mjx.runs.files import clear_errors
+from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import SimulatorLike, Work
-from nermo_mjx.sweep.files import clear_errors
 from nermo_mjx.sweep.hosts import Hosts
-from nermo_mjx.sweep.interruption import Interruption, interruptible
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import draw_plots
 from nermo_mjx.sweep.presence import PATIENCE, Presence
@@ -23,7 +23,7 @@ from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.store import Store, StoreError
+from nermo_mjx.sweep.store import DirectoryError, Store
 from nermo_mjx.sweep.summary import summarize, to_json
 from nermo_mjx.sweep.tally import Progress, Tally
 from nermo_mjx.sweep.waiting import lost, missing, wait_for_others
@@ -100,7 +100,7 @@ def run_sweep(
 
     Raises:
         SpecError: the sweep is wrong; nothing has been written.
-        StoreError: the directory holds something else, is in use, or cannot be written.
+        DirectoryError: the directory holds something else, is in use, or cannot be written.
         SweepError: a simulation failed, or the other processes are lost; what is finished is kept.
         SweepInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
@@ -163,7 +163,7 @@ def _finish(
         if work.done[work.mine].all():
             break
     else:
-        raise StoreError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
+        raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
     if presence is not None and not work.done.all():
         raise lost(work)
 

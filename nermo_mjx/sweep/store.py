@@ -19,11 +19,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nermo_mjx.runs.directory import remove_leftovers
+from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file, parquet_bytes, replace_file
+from nermo_mjx.runs.lock import hold
+from nermo_mjx.runs.provenance import with_session
 from nermo_mjx.sweep.difference import differences
-from nermo_mjx.sweep.files import StoreError, clear_errors, create_file, parquet_bytes, replace_file
 from nermo_mjx.sweep.layout import rows_digest
-from nermo_mjx.sweep.lock import hold
-from nermo_mjx.sweep.provenance import with_session
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.seal import is_intact, seal
 from nermo_mjx.sweep.spec import Sweep
@@ -53,7 +54,7 @@ class Store:
         part: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
 
     Raises:
-        StoreError: the directory holds another sweep, is in use, or cannot be written.
+        DirectoryError: the directory holds another sweep, is in use, or cannot be written.
     """
 
     def __init__(self, out: str | os.PathLike[str], sweep: Sweep, part: tuple[int, int] | None = None) -> None:
@@ -69,8 +70,8 @@ class Store:
                 self._lock()
                 self._claim()
                 for folder in (self.out, self.results, self.plots):
-                    for leftover in folder.glob(f".*{self._suffix}"):
-                        leftover.unlink()
+                    if self.part is None:
+                        remove_leftovers(folder)
             except BaseException:
                 self._unlock()
                 raise
@@ -118,7 +119,7 @@ class Store:
     def write(self, path: Path, content: bytes) -> None:
         """Replace a file of the directory by new content, atomically and durably."""
         with clear_errors(self.out):
-            replace_file(path, content, self._suffix)
+            replace_file(path, content)
 
     def note_session(self, session: dict[str, Any]) -> None:
         """Add what runs here, and where, to run.json; several processes take turns."""
@@ -130,17 +131,13 @@ class Store:
             finally:
                 os.close(held)
 
-    @property
-    def _suffix(self) -> str:
-        return ".tmp" if self.part is None else f".{self.part[0]}-of-{self.part[1]}.tmp"
-
     def _claim(self) -> None:
         """Make the directory this sweep's, or refuse. A directory keeps the chunks it was begun with."""
         path = self.out / "sweep.yaml"
         if not path.exists():
             if any(self.results.glob("*.parquet")):
                 raise self._foreign("results of an unknown sweep (it has no sweep.yaml); choose another directory")
-            create_file(path, self.sweep.to_yaml().encode(), self._suffix)
+            create_file(path, self.sweep.to_yaml().encode())
         # Even if it was written just now: another part may have been faster, and have chosen other chunks.
         try:
             begun = Sweep.from_file(path)
@@ -153,8 +150,8 @@ class Store:
             )
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
 
-    def _foreign(self, content: str) -> StoreError:
-        return StoreError(f"{self.out} holds {content}.")
+    def _foreign(self, content: str) -> DirectoryError:
+        return DirectoryError(f"{self.out} holds {content}.")
 
     def _lock(self) -> None:
         """An exclusive lock; parts share the first one and hold a second one of their own."""

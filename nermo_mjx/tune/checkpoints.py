@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
 
-from nermo_mjx.sweep.files import StoreError, replace_file
+from nermo_mjx.runs.files import DirectoryError, replace_file
 from nermo_mjx.tune.history import Log
 from nermo_mjx.tune.state import TuneState
 
@@ -59,7 +59,7 @@ class Checkpoints:
 
         Raises:
             OSError: there is no room for it.
-            StoreError: it cannot be written for another reason.
+            DirectoryError: it cannot be written for another reason.
         """
         # A full disk is found here, in one exception, and not by Orbax's threads one after the other.
         replace_file(self.folder / ".room", bytes(ROOM))
@@ -81,7 +81,7 @@ class Checkpoints:
             except OSError:
                 raise
             except Exception as error:  # a failed write shows as whatever its thread stumbled over
-                raise StoreError(
+                raise DirectoryError(
                     f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
                 ) from error
 
@@ -92,7 +92,7 @@ class Checkpoints:
             like: a state of the same tuning; its values do not matter.
 
         Raises:
-            StoreError: they were computed in another precision.
+            DirectoryError: they were computed in another precision.
         """
         with _quiet():
             for step in sorted(self._manager.all_steps(), reverse=True):
@@ -107,7 +107,7 @@ class Checkpoints:
             items = ocp.args.Composite(about=ocp.args.JsonRestore())
             about: dict[str, Any] = self._manager.restore(step, args=items)["about"]
             if about["precision"] != str(like.u.dtype):
-                raise StoreError(f"{self.folder} was begun in {about['precision']}, and JAX computes in {like.u.dtype} "
+                raise DirectoryError(f"{self.folder} was begun in {about['precision']}, and JAX computes in {like.u.dtype} "
                                  "now: go on with that precision, or choose another directory.")  # fmt: skip
             shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
             wanted = {"state": shapes, "history": np.empty(about["rows"])}
@@ -116,7 +116,7 @@ class Checkpoints:
             # As plain arrays: Orbax ties them to a device, and the simulation would be compiled anew for such points.
             state = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), found["state"])
             log = Log(tuple(about["metrics"]), found["history"])
-        except StoreError:
+        except DirectoryError:
             raise
         except Exception:  # a damaged file shows as whatever its reader stumbles over
             return None

@@ -18,9 +18,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, parquet_bytes, replace_file
-from nermo_mjx.sweep.lock import hold
-from nermo_mjx.sweep.provenance import with_session
+from nermo_mjx.runs.directory import remove_leftovers
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.runs.lock import hold
+from nermo_mjx.runs.provenance import with_session
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.summary import to_json
 from nermo_mjx.tune.checkpoints import Checkpoints
@@ -38,7 +39,7 @@ class Directory:
         tuning: what the directory is for.
 
     Raises:
-        StoreError: the directory holds another tuning, is in use, or cannot be written.
+        DirectoryError: the directory holds another tuning, is in use, or cannot be written.
         ParameterError: it is a file.
     """
 
@@ -52,8 +53,7 @@ class Directory:
             make_writable(self.out)
             stack.callback(os.close, hold(self.out))
             self._claim()
-            for leftover in self.out.glob(".*.tmp"):
-                leftover.unlink()
+            remove_leftovers(self.out)
             stack.enter_context(self.checkpoints)
             self._held = stack.pop_all()
         return self
@@ -115,5 +115,5 @@ class Directory:
         fields = [field for field in {**before, **now} if before.get(field) != now.get(field) and field not in FREE]
         return f"with another {', '.join(fields)}" if fields else "made with other defaults"
 
-    def _foreign(self, content: str) -> StoreError:
-        return StoreError(f"{self.out} holds {content}; choose another directory.")
+    def _foreign(self, content: str) -> DirectoryError:
+        return DirectoryError(f"{self.out} holds {content}; choose another directory.")

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.sweep.files import StoreError
+from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.spec import Tuning
@@ -132,10 +132,10 @@ def read_history(out: str | os.PathLike[str]) -> pa.Table:
     """The history of a tuning's directory, as far as it goes.
 
     Raises:
-        StoreError: there is none, or it is damaged.
+        DirectoryError: there is none, or it is damaged.
     """
     path = Path(out) / FILE
     try:
         return pq.read_table(path, page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException, ValueError):
-        raise StoreError(f"{out} holds no history of a tuning.") from None
+        raise DirectoryError(f"{out} holds no history of a tuning.") from None

@@ -10,7 +10,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.files import parquet_bytes
+from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.tune import background
 from nermo_mjx.tune.background import Background, SimulatorLike
 from nermo_mjx.tune.directory import Directory

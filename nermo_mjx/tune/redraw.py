@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from nermo_mjx.plotting.files import FORMATS
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, replace_file
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
 from nermo_mjx.tune import background
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.history import read_history
@@ -31,12 +31,14 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
 
     Raises:
         SpecError: its tuning.yaml cannot be read.
-        StoreError: there is nothing to draw, or it cannot be read or written.
+        DirectoryError: there is nothing to draw, or it cannot be read or written.
     """
     out = Path(out)
     tuning, history = load_tuning(out), read_history(out)
     if not pc.any(pc.is_finite(history.column("objective"))).as_py():
-        raise StoreError(f"there is nothing to draw of {out}: the robot walked to the end at no point of this tuning.")
+        raise DirectoryError(
+            f"there is nothing to draw of {out}: the robot walked to the end at no point of this tuning."
+        )
     folder = out / "plots" if folder is None else folder
     make_writable(folder)
     with clear_errors(folder):

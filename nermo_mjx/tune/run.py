@@ -15,8 +15,8 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.sweep.interruption import Interruption, interruptible
-from nermo_mjx.sweep.provenance import session
+from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.provenance import session
 from nermo_mjx.tune.background import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
@@ -109,7 +109,7 @@ def run_tuning(
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
-        StoreError: the directory holds something else, is in use, or cannot be written.
+        DirectoryError: the directory holds something else, is in use, or cannot be written.
         TuningFailed: no robot walks to the end.
         TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """

@@ -14,7 +14,7 @@ from nermo_mjx.experiments.identification.ensemble_plot import ensemble_figure
 from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE, STYLE
-from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.runs.files import replace_file
 
 #: Costs above this share of the start's are cut off: candidates that fell say only that they fell.
 _SHOWN: Final = 2.0

@@ -23,8 +23,8 @@ from nermo_mjx.experiments.table import MISSING, number
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.sweep.files import clear_errors, make_writable, replace_file
-from nermo_mjx.sweep.provenance import session
+from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
+from nermo_mjx.runs.provenance import session
 from nermo_mjx.sweep.summary import to_json
 
 FORMULA: Final = (
@@ -65,7 +65,7 @@ def run_identification(
 
     Raises:
         ParameterError: wrong arguments, or a directory that cannot be written or holds an identification.
-        StoreError: the directory cannot be written any more.
+        DirectoryError: the directory cannot be written any more.
     """
     folder = Path(out)
     _prepare(folder)

@@ -14,7 +14,7 @@ from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots import balance, maze, report, straight_line, turning
 from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.style import STYLE
-from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.runs.files import replace_file
 
 Drawer = Callable[[Outcome, Sequence[Line]], Iterator[tuple[str, Figure | None]]]
 DRAWERS: Final[dict[str, Drawer]] = {

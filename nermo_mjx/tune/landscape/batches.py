@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.sweep.files import replace_file
+from nermo_mjx.runs.files import replace_file
 
 _FOLDER: Final = "batches"
 

@@ -21,9 +21,9 @@ import pyarrow as pa
 
 from nermo_mjx.plotting.files import FORMATS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.files import StoreError, clear_errors, make_writable, parquet_bytes, replace_file
-from nermo_mjx.sweep.lock import hold
-from nermo_mjx.sweep.provenance import session
+from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.runs.lock import hold
+from nermo_mjx.runs.provenance import session
 from nermo_mjx.sweep.summary import to_json
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.lines import lines_of
@@ -87,7 +87,7 @@ def run_landscape(
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
         ParameterError: points or span is not allowed.
-        StoreError: the directory holds another landscape, is in use, or cannot be written.
+        DirectoryError: the directory holds another landscape, is in use, or cannot be written.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
     if points < 5:
@@ -148,7 +148,7 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
 
     Raises:
         SpecError: its landscape.yaml cannot be read.
-        StoreError: there is nothing to draw, or it cannot be read or written.
+        DirectoryError: there is nothing to draw, or it cannot be read or written.
     """
     from nermo_mjx.tune.landscape.plots import draw_plots
 
@@ -156,7 +156,7 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
     tuning = Tuning.from_file(out / _TUNING)
     table = read(out / _TABLE)
     if table is None or not set(tuning.names) <= set(table.column_names):
-        raise StoreError(f"{out / _TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")
+        raise DirectoryError(f"{out / _TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")
     folder = out / "plots" if folder is None else folder
     make_writable(folder)
     with clear_errors(folder):

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.sweep.files import StoreError
+from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches
@@ -101,16 +101,16 @@ def read(path: Path, wanted: str | None = None) -> pa.Table | None:
         wanted: its key; any if it is None.
 
     Raises:
-        StoreError: it is another one's, or damaged.
+        DirectoryError: it is another one's, or damaged.
     """
     if not path.exists():
         return None
     try:
         table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException, ValueError):
-        raise StoreError(f"{path} is damaged: remove it, or choose another directory.") from None
+        raise DirectoryError(f"{path} is damaged: remove it, or choose another directory.") from None
     if wanted is not None and (table.schema.metadata or {}).get(KEY) != wanted.encode():
-        raise StoreError(f"{path.parent} holds another landscape; choose another directory.")
+        raise DirectoryError(f"{path.parent} holds another landscape; choose another directory.")
     return table
 
 

@@ -7,45 +7,49 @@ import errno
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nermo_mjx.robot.quantity import ParameterError
+#: How the name of a file ends that is being written.
+TEMPORARY: Final = ".nermo-tmp"
 
 
-class StoreError(RuntimeError):
-    """A result directory that cannot be used; the message is one sentence that says what to do."""
+class DirectoryError(RuntimeError):
+    """A directory of results that cannot be used; the message is one sentence that says what to do."""
+
+
+class WrongDirectory(DirectoryError):
+    """A directory that cannot be what it is asked to be; to ask for another one helps, and to try again does not."""
 
 
 def make_writable(folder: Path) -> None:
     """Make a folder, and see that files can be written into it.
 
     Raises:
-        ParameterError: it is a file, or cannot be written.
+        WrongDirectory: it is a file, or cannot be written.
     """
     if folder.exists() and not folder.is_dir():
-        raise ParameterError(f"{folder} is a file: a directory is needed.")
+        raise WrongDirectory(f"{folder} is a file: a directory is needed.")
     probe = folder / f".probe-{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise ParameterError(f"cannot write in {folder}: {error.strerror or error}.") from None
+        raise WrongDirectory(f"cannot write in {folder}: {error.strerror or error}.") from None
 
 
-def replace_file(path: Path, content: bytes, suffix: str = ".tmp") -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Replace a file by new content, atomically and durably; its folder is made if it is missing.
-
-    Args:
-        suffix: of the temporary file beside it, which is gone in the end.
 
     Raises:
         OSError: it cannot be written; what was there is still there.
     """
     path.parent.mkdir(exist_ok=True)
-    temporary = path.parent / f".{path.name}{suffix}"
+    # Two processes may write the same file: their temporary files are told apart.
+    temporary = path.parent / f".{path.name}.{os.getpid()}{TEMPORARY}"
     try:
         with open(temporary, "wb") as file:
             file.write(content)
@@ -55,16 +59,17 @@ def replace_file(path: Path, content: bytes, suffix: str = ".tmp") -> None:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    sync_folder(path.parent)
 
 
-def create_file(path: Path, content: bytes, suffix: str = ".tmp") -> None:
+def create_file(path: Path, content: bytes) -> None:
     """Write a file unless it exists: of several processes that try, the first one's content stays.
 
     Raises:
         OSError: it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.new{suffix}")
-    replace_file(temporary, content, suffix)
+    temporary = path.with_name(f".{path.name}.new-{os.getpid()}{TEMPORARY}")
+    replace_file(temporary, content)
     try:
         os.link(temporary, path)
     except FileExistsError:
@@ -73,6 +78,18 @@ def create_file(path: Path, content: bytes, suffix: str = ".tmp") -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder as durable as the files' content: a rename may be lost with the power otherwise."""
+    # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
+    with contextlib.suppress(OSError):
+        held = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(held)
+        finally:
+            os.close(held)
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
@@ -84,11 +101,11 @@ def parquet_bytes(table: pa.Table) -> bytes:
 
 @contextlib.contextmanager
 def clear_errors(out: Path) -> Iterator[None]:
-    """Turn an `OSError` into a `StoreError` that names the directory."""
+    """Turn an `OSError` into a `DirectoryError` that names the directory."""
     try:
         yield
     except OSError as error:
         kept = " What is finished is kept: run the same command again when there is room."
         room = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
         reason = error.strerror or str(error)
-        raise StoreError(f"cannot write in {out}: {reason}.{kept if room else ''}") from error
+        raise DirectoryError(f"cannot write in {out}: {reason}.{kept if room else ''}") from error

@@ -6,7 +6,7 @@ import errno
 import os
 from pathlib import Path
 
-from nermo_mjx.sweep.files import StoreError
+from nermo_mjx.runs.files import DirectoryError
 
 try:
     import fcntl
@@ -22,7 +22,7 @@ def hold(folder: Path, name: str = ".lock", *, shared: bool = False, wait: bool 
         wait: until whoever holds it gives it back.
 
     Raises:
-        StoreError: another process holds it.
+        DirectoryError: another process holds it.
         OSError: it cannot be opened.
     """
     held = os.open(folder / name, os.O_RDWR | os.O_CREAT, 0o666)
@@ -31,7 +31,7 @@ def hold(folder: Path, name: str = ".lock", *, shared: bool = False, wait: bool 
             fcntl.flock(held, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         os.close(held)
-        raise StoreError(f"another process works in {folder}; wait for it, or choose another directory.") from None
+        raise DirectoryError(f"another process works in {folder}; wait for it, or choose another directory.") from None
     except OSError as error:  # a network file system without locks
         if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
             os.close(held)

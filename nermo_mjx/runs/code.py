@@ -1,0 +1,113 @@
+"""Which code computes a result: a directory notes it, and does not mix the results of two without being told to."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import importlib.metadata
+import json
+from pathlib import Path
+from typing import Any, Final
+
+import nermo_mjx
+from nermo_mjx.version import __version__
+
+#: Rooms of the package that decide what a world does and what is measured of it.
+ROOMS: Final = ("robot", "kinematics", "control", "physics", "rollout")
+#: Sources among the files of a room, and of the robot's model.
+_SUFFIXES: Final = (".py", ".csv", ".xml", ".obj")
+#: What each field of a stamp is called in a sentence.
+_CALLED: Final = {
+    "package": "nermo-mjx {}",
+    "sources": "sources {}",
+    "model": "model {}",
+    "engine": "engine {}",
+    "mujoco": "MuJoCo {}",
+    "mujoco_mjx": "MuJoCo MJX {}",
+    "jax": "JAX {}",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class CodeStamp:
+    """What made a row: two stamps are equal where the same numbers can be expected, on one kind of machine.
+
+    Attributes:
+        package: version of nermo-mjx.
+        sources: digest of the sources that compute.
+        model: digest of the robot's model, or of what else is simulated.
+        engine: name of the engine that ran.
+        mujoco, mujoco_mjx, jax: versions.
+    """
+
+    package: str
+    sources: str
+    model: str
+    engine: str
+    mujoco: str
+    mujoco_mjx: str
+    jax: str
+
+    @property
+    def id(self) -> str:
+        """A short name, the same wherever the same code ran: the column `code` of a table."""
+        return hashlib.blake2b(json.dumps(self.fields()).encode(), digest_size=4).hexdigest()
+
+    def fields(self) -> dict[str, str]:
+        """For a JSON file."""
+        return dataclasses.asdict(self)
+
+    def unlike(self, other: CodeStamp) -> str:
+        """How this stamp differs from another, as "engine c, not warp"; empty where it does not."""
+        own, theirs = self.fields(), other.fields()
+        apart = [(form.format(own[name]), theirs[name]) for name, form in _CALLED.items() if own[name] != theirs[name]]
+        return ", ".join(f"{ours}, not {other}" for ours, other in apart)
+
+
+def stamp(model: str, engine: str) -> CodeStamp:
+    """The stamp of the code that runs here.
+
+    Args:
+        model: digest of the model, as `nermo_mjx.robot.Robot.fingerprint`.
+        engine: name of the engine that runs, never "auto".
+    """
+    return CodeStamp(
+        package=__version__,
+        sources=sources(),
+        model=model,
+        engine=engine,
+        mujoco=_version("mujoco"),
+        mujoco_mjx=_version("mujoco-mjx"),
+        jax=_version("jax"),
+    )
+
+
+def known(fields: Any) -> CodeStamp | None:
+    """The stamp that a JSON file holds; None if it holds none that can be read."""
+    try:
+        return CodeStamp(**{field.name: str(fields[field.name]) for field in dataclasses.fields(CodeStamp)})
+    except (KeyError, TypeError):
+        return None
+
+
+@functools.cache
+def sources() -> str:
+    """Digest of the sources in `ROOMS` and of the robot's model files."""
+    package = Path(nermo_mjx.__file__).parent
+    inside = package / "mjcf"
+    roots = [*(package / room for room in ROOMS), inside if inside.is_dir() else package.parent / "mjcf"]
+    total = hashlib.blake2b(digest_size=8)
+    for root in roots:
+        for path in sorted(root.rglob("*")):
+            if path.suffix in _SUFFIXES:
+                total.update(f"{root.name}/{path.relative_to(root).as_posix()}\0".encode())
+                total.update(path.read_bytes())
+    return total.hexdigest()
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"

@@ -1,0 +1,190 @@
+"""A directory of results, whatever its kind: who may write it, what it is for, and which code made what it holds.
+
+DIR/.lock       held by whoever writes
+DIR/run.json    kind; `codes`, which code made rows, by its short name; `sessions`, each with command, versions, machine
+DIR/*.aside-N   what did not fit, under a new name: nothing is deleted that a user may want back
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+from nermo_mjx.runs.code import CodeStamp, known
+from nermo_mjx.runs.files import TEMPORARY, DirectoryError, WrongDirectory, clear_errors, make_writable, replace_file
+from nermo_mjx.runs.lock import hold
+
+RUN: Final = "run.json"
+#: Files by which directories of releases that noted no kind are known.
+_SIGNS: Final = {
+    "sweep.yaml": "sweep",
+    "tuning.yaml": "tuning",
+    "landscape.json": "landscape",
+    "candidates.jsonl": "identification",
+    "report.json": "experiments",
+    "results.jsonl": "benchmarks",
+}
+
+
+class OtherCode(WrongDirectory):
+    """A directory that other code made; the message names the difference."""
+
+
+class RunDirectory:
+    """A directory held by this process; use it in a `with` statement.
+
+    Args:
+        out: the directory; made if it does not exist.
+        kind: what it is for, such as "sweep".
+        shard: (i, n) if n processes write it together, of which this is one.
+
+    Raises:
+        DirectoryError: on entry: it holds another kind, is in use, or cannot be written.
+    """
+
+    def __init__(self, out: str | os.PathLike[str], kind: str, shard: tuple[int, int] | None = None) -> None:
+        self.out, self.kind, self.shard = Path(out), kind, shard
+        self._held = contextlib.ExitStack()
+
+    def __enter__(self) -> RunDirectory:
+        with contextlib.ExitStack() as stack, clear_errors(self.out):
+            make_writable(self.out)
+            stack.callback(os.close, hold(self.out, shared=self.shard is not None))
+            if self.shard is not None:
+                stack.callback(os.close, hold(self.out, f".lock-{self.shard[0]}-of-{self.shard[1]}"))
+            found = kind_of(self.out)
+            if found not in (None, self.kind):
+                raise WrongDirectory(
+                    f"{self.out} holds {_with_article(str(found))}, and not {_with_article(self.kind)}: choose another "
+                    "directory."
+                )
+            if self.shard is None:
+                remove_leftovers(self.out)
+            self._held = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._held.close()
+
+    def write(self, path: str | Path, content: bytes) -> None:
+        """Replace a file of the directory, atomically and durably.
+
+        Args:
+            path: of the file, from the directory if it is relative.
+
+        Raises:
+            DirectoryError: it cannot be written; what was there is still there.
+        """
+        with clear_errors(self.out):
+            replace_file(self.out / path, content)
+
+    def move_aside(self, path: str | Path) -> Path | None:
+        """Give a file or folder of the directory a name that says it is out of use; its new path, None if it is absent.
+
+        Raises:
+            DirectoryError: it cannot be renamed.
+        """
+        source = self.out / path
+        if not source.exists():
+            return None
+        count = 1
+        while (target := source.with_name(f"{source.name}.aside-{count}")).exists():
+            count += 1
+        with clear_errors(self.out):
+            source.rename(target)
+        return target
+
+    def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False) -> None:
+        """Note that this code is about to add rows, or refuse: the rows of one directory are made by one code.
+
+        Of several processes that begin together, the first one's code counts.
+
+        Args:
+            stamp: of the code that runs here.
+            holds_rows: whether the directory holds rows already.
+            accept: add the code to those that the directory knows, whatever they are.
+
+        Raises:
+            OtherCode: what is there was made by other code, and `accept` is not given.
+        """
+        with self._record() as record:
+            codes = record.setdefault("codes", {})
+            if stamp.id not in codes:
+                begun = known(next(reversed(codes.values()), None))
+                if begun is not None and not accept:
+                    raise OtherCode(
+                        f"{self.out} was made by other code: {begun.unlike(stamp)}; use that, choose another "
+                        "directory, or go on with --accept-new-code, and tell the rows apart by their column code."
+                    )
+                if begun is None and holds_rows and not accept:
+                    raise OtherCode(
+                        f"{self.out} does not say which code made it, as those of earlier releases: choose another "
+                        "directory, or go on with --accept-new-code, and tell the rows apart by their column code."
+                    )
+                codes[stamp.id] = stamp.fields()
+
+    def note_session(self, session: dict[str, Any]) -> None:
+        """Add what runs here, and where (`provenance.session`)."""
+        with self._record() as record:
+            record.setdefault("sessions", []).append(session)
+
+    @contextlib.contextmanager
+    def _record(self) -> Iterator[dict[str, Any]]:
+        """The content of run.json, written again where it was changed; several processes take turns."""
+        with clear_errors(self.out):
+            held = hold(self.out, ".lock-run", wait=True)
+            try:
+                before = read_record(self.out)
+                record = json.loads(json.dumps({"kind": self.kind} | before))
+                yield record
+                if record != before:
+                    replace_file(self.out / RUN, (json.dumps(record, indent=2) + "\n").encode())
+            finally:
+                os.close(held)
+
+
+def read_record(out: Path) -> dict[str, Any]:
+    """The content of a directory's run.json; empty if there is none.
+
+    Raises:
+        DirectoryError: it is damaged.
+    """
+    try:
+        record = json.loads((out / RUN).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        raise DirectoryError(f"{out / RUN} cannot be read ({error}): move it away to go on without it.") from None
+    return record if isinstance(record, dict) else {}
+
+
+def kind_of(out: Path) -> str | None:
+    """What a directory is for; None if it is none of ours, or empty."""
+    kind = read_record(out).get("kind")
+    if isinstance(kind, str):
+        return kind
+    return next((kind for sign, kind in _SIGNS.items() if (out / sign).exists()), None)
+
+
+def codes_of(out: Path) -> dict[str, CodeStamp]:
+    """The codes that made what a directory holds, by their short names, in the order in which they came."""
+    found = {name: known(fields) for name, fields in read_record(out).get("codes", {}).items()}
+    return {name: stamp for name, stamp in found.items() if stamp is not None}
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a killed process left half written in a folder, which has names that only `replace_file` gives."""
+    for leftover in folder.glob(f".*{TEMPORARY}"):
+        leftover.unlink(missing_ok=True)
+
+
+def _with_article(kind: str) -> str:
+    one = {"experiments": "published experiments", "benchmarks": "benchmarks"}
+    return one.get(kind, f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}")

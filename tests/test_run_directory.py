@@ -1,0 +1,105 @@
+"""The room for what a run leaves: one writer, one kind, one code; nothing is lost, mixed or deleted."""
+
+import dataclasses
+import json
+
+import pytest
+
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, files, kind_of, stamp
+from nermo_mjx.runs.files import TEMPORARY, WrongDirectory
+
+HERE = stamp("a model", "c")
+
+
+def test_a_stamp_is_the_same_for_the_same_code_and_says_what_differs():
+    assert stamp("a model", "c") == HERE
+    other = dataclasses.replace(HERE, engine="mjx", package="9.9.9")
+    assert other.id != HERE.id
+    assert other.unlike(HERE) == f"nermo-mjx 9.9.9, not {HERE.package}, engine mjx, not c"
+    assert not HERE.unlike(HERE)
+
+
+def test_one_process_writes_at_a_time(tmp_path):
+    with RunDirectory(tmp_path, "sweep"), pytest.raises(DirectoryError, match="another process works in"):
+        RunDirectory(tmp_path, "sweep").__enter__()
+    with RunDirectory(tmp_path, "sweep"):
+        pass
+
+
+def test_shards_write_together_but_not_one_twice(tmp_path):
+    with RunDirectory(tmp_path, "sweep", (0, 2)), RunDirectory(tmp_path, "sweep", (1, 2)):
+        for shard in ((1, 2), None):
+            with pytest.raises(DirectoryError, match="another process works in"):
+                RunDirectory(tmp_path, "sweep", shard).__enter__()
+
+
+def test_a_directory_of_another_kind_is_refused_and_left_alone(tmp_path):
+    with RunDirectory(tmp_path, "sweep") as held:
+        held.note_session({"started": "now"})
+    with pytest.raises(WrongDirectory, match="holds a sweep, and not an identification"):
+        RunDirectory(tmp_path, "identification").__enter__()
+    assert kind_of(tmp_path) == "sweep"
+
+
+def test_a_directory_of_an_earlier_release_is_known_by_its_files(tmp_path):
+    (tmp_path / "tuning.yaml").write_text("")
+    with pytest.raises(WrongDirectory, match="holds a tuning, and not a sweep"):
+        RunDirectory(tmp_path, "sweep").__enter__()
+
+
+def test_rows_of_other_code_are_refused_until_they_are_accepted(tmp_path):
+    other = dataclasses.replace(HERE, package="9.9.9")
+    with RunDirectory(tmp_path, "sweep") as held:
+        held.take_code(HERE, holds_rows=False)
+        held.take_code(HERE, holds_rows=True)
+        with pytest.raises(OtherCode, match=f"nermo-mjx {HERE.package}, not 9.9.9;.*--accept-new-code"):
+            held.take_code(other, holds_rows=True)
+        assert list(codes_of(tmp_path)) == [HERE.id]
+        held.take_code(other, holds_rows=True, accept=True)
+        held.take_code(HERE, holds_rows=True)
+    assert codes_of(tmp_path) == {HERE.id: HERE, other.id: other}
+
+
+def test_rows_of_unknown_code_are_refused_until_they_are_accepted(tmp_path):
+    (tmp_path / "run.json").write_text(json.dumps({"sessions": [{"started": "then"}]}))
+    with RunDirectory(tmp_path, "sweep") as held:
+        with pytest.raises(OtherCode, match="does not say which code made it"):
+            held.take_code(HERE, holds_rows=True)
+        held.take_code(HERE, holds_rows=True, accept=True)
+        held.note_session({"started": "now"})
+    assert [each["started"] for each in json.loads((tmp_path / "run.json").read_text())["sessions"]] == ["then", "now"]
+
+
+def test_what_is_moved_aside_is_kept_under_a_new_name(tmp_path):
+    with RunDirectory(tmp_path, "tuning") as held:
+        for count, content in enumerate((b"first", b"second"), 1):
+            held.write("history.parquet", content)
+            aside = held.move_aside("history.parquet")
+            assert aside == tmp_path / f"history.parquet.aside-{count}"
+            assert aside.read_bytes() == content
+        assert held.move_aside("history.parquet") is None
+
+
+def test_only_files_of_our_own_naming_are_swept_up(tmp_path):
+    (tmp_path / f".table.parquet.17{TEMPORARY}").write_text("half")
+    (tmp_path / ".notes.tmp").write_text("a user's")
+    with RunDirectory(tmp_path, "sweep"):
+        pass
+    assert [path.name for path in tmp_path.glob(".*") if not path.name.startswith(".lock")] == [".notes.tmp"]
+
+
+def test_a_file_appears_whole_and_its_name_is_synced(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(files, "sync_folder", synced.append)
+    files.replace_file(tmp_path / "a", b"one")
+    files.create_file(tmp_path / "a", b"two")
+    files.create_file(tmp_path / "b", b"three")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"one", "b": b"three"}
+    assert set(synced) == {tmp_path}
+
+
+def test_a_damaged_record_is_never_overwritten(tmp_path):
+    (tmp_path / "run.json").write_text("{half")
+    with pytest.raises(DirectoryError, match=r"run\.json cannot be read"):
+        RunDirectory(tmp_path, "sweep").__enter__()
+    assert (tmp_path / "run.json").read_text() == "{half"
