@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 
 from nermo_mjx.bench import CASES, apart, run_bench
 from nermo_mjx.bench.columns import COLUMNS, rows
 from nermo_mjx.bench.page import add_run
 from nermo_mjx.bench.registry import Case, Option, plan
+from nermo_mjx.cli import main
 from nermo_mjx.cli.choices import BENCH_CASES
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.runs import RunDirectory
 
 HARDWARE = {"device": "1 x cpu", "cores": 2, "cpu": "some processor", "mujoco": "3", "jax": "0", "python": "3"}
 
@@ -76,18 +81,12 @@ def test_a_walk_is_measured_on_the_c_engine() -> None:
 
 def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
     def run(device: str, date: str, *lines: dict[str, Any]) -> dict[str, Any]:
-        return {"date": date, "commit": "abc", "hardware": HARDWARE | {"device": device}, "cases": list(lines)}
+        return run_of(date, *lines, hardware=HARDWARE | {"device": device})
 
-    def walk(rate: float, worlds: int = 64) -> dict[str, Any]:
-        return {
-            "case": "throughput", "engine": "c", "worlds": worlds, "steps_per_second": rate, "ratio": 0.9,
-            "plain_steps_per_second": rate, "peak_bytes": 1e9, "trace_s": 1.0, "compile_s": 1.0,
-            "plain_trace_s": 0.0, "plain_compile_s": 0.0,
-        }  # fmt: skip
-
+    walk = walk_of
     start = {"case": "startup", "engine": "c", "worlds": 64, "cold_s": 5.5, "warm_s": 3.5,
              "cold": {"import_s": 1.25}, "warm": {"import_s": 1.0}}  # fmt: skip
-    add_run(tmp_path, run("1 x cpu", "2026-01-01", walk(11111.0), walk(22222.0, 128)))
+    add_run(tmp_path, run("1 x cpu", "2026-01-01", walk(11111.0), walk(22222.0, worlds=128)))
     add_run(tmp_path, run("1 x cpu", "2026-02-02", walk(33333.0), start))
     add_run(tmp_path, run("1 x gpu", "2026-03-03", {"case": "gradient", "mode": "reverse", "worlds": 16, "cycles": 1.0,
                                                     "error": "no memory"}))  # fmt: skip
@@ -106,3 +105,96 @@ def test_rows_of_a_case_with_parts() -> None:
     found = list(rows({"case": "profile", "engine": "c", "worlds": 1, "step_us": 3.0, "stages": stages}))
     assert [(row["engine"], row["stage"], row["us"]) for row in found] == [("c", "solver", 2.0), ("c", "tendons", 1.0)]
     assert json.dumps(found)
+
+
+def run_of(date: str, *lines: dict[str, Any], hardware: dict[str, Any] | None = HARDWARE) -> dict[str, Any]:
+    """A run as it stands in results.jsonl."""
+    return {"date": date, "commit": "abc", "hardware": hardware, "cases": list(lines)}
+
+
+def walk_of(rate: float, **more: Any) -> dict[str, Any]:
+    """A measurement of the throughput that went well."""
+    return {
+        "case": "throughput", "engine": "c", "worlds": 64, "steps_per_second": rate, "ratio": 0.9,
+        "plain_steps_per_second": rate, "peak_bytes": 1e9, "trace_s": 1.0, "compile_s": 1.0,
+        "plain_trace_s": 0.0, "plain_compile_s": 0.0,
+    } | more  # fmt: skip
+
+
+FAILED = {"case": "throughput", "engine": "c", "worlds": 64, "error": "no memory"}
+
+
+def test_a_failed_newest_run_stands_beside_the_last_good_figures_and_says_when(tmp_path) -> None:
+    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0)))
+    add_run(tmp_path, run_of("2026-02-02", FAILED))
+    page = (tmp_path / "results.md").read_text()
+    assert "| c | 64 | 11,111 |" in page
+    assert (
+        "- throughput (engine c, worlds 64) failed: no memory. That was on 2026-02-02, commit abc, mujoco 3, jax 0, "
+        "python 3; the figures are of 2026-01-01.\n" in page
+    )
+    assert (tmp_path / "plots" / "throughput_1.png").exists()
+    add_run(tmp_path, run_of("2026-03-03", walk_of(22222.0)))
+    page = (tmp_path / "results.md").read_text()
+    assert "22,222" in page
+    assert "failed" not in page, "what went well again is no failure any more"
+
+
+def test_a_run_that_ended_before_it_knew_its_machine_is_shown(tmp_path) -> None:
+    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0)))
+    add_run(tmp_path, run_of("2026-02-02", FAILED, hardware=None))
+    page = (tmp_path / "results.md").read_text()
+    assert "11,111" in page
+    failed = page.index("failed: no memory. That was on 2026-02-02, commit abc.")
+    assert page.index("11,111") < page.index("## Unknown machine") < failed
+
+
+def test_lines_from_before_an_option_was_there_read_as_measured_with_its_default(tmp_path, monkeypatch) -> None:
+    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0), walk_of(44444.0, worlds=128)))
+    added = {"flavour": Option(("sweet", "sour"), ("sweet", "sour"))}
+    moved = {"flavour": Option(("sour",), ("sweet", "sour"), before="sweet")}
+    for options in (added, moved):
+        case = dataclasses.replace(CASES["throughput"], options={**CASES["throughput"].options, **options})
+        with monkeypatch.context() as patch:
+            patch.setitem(CASES, "throughput", case)
+            out = tmp_path / ("added" if options is added else "moved")
+            shutil.copytree(tmp_path, out, ignore=shutil.ignore_patterns("added", "moved"))
+            add_run(out, run_of("2026-02-02", walk_of(22222.0, flavour="sweet"), walk_of(33333.0, flavour="sour")))
+        page = (out / "results.md").read_text()
+        assert [figure in page for figure in ("11,111", "22,222", "33,333", "44,444")] == [False, True, True, True]
+
+
+def test_lines_that_cannot_be_read_are_kept_and_mentioned(tmp_path) -> None:
+    unreadable = b'{"cut off\n\xff\xfe\n{}\n'
+    later = {"case": "taste", "engine": "c", "sweetness": 3}
+    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0), later))
+    path = tmp_path / "results.jsonl"
+    path.write_bytes(path.read_bytes() + unreadable.rstrip(b"\n"))
+    add_run(tmp_path, run_of("2026-02-02", walk_of(22222.0, worlds=128)))
+    assert unreadable in path.read_bytes(), "byte for byte, and what comes next has a line of its own"
+    page = (tmp_path / "results.md").read_text()
+    assert "11,111" in page
+    assert "22,222" in page
+    assert "Lines 2, 3 and 4 of results.jsonl cannot be read, and are not shown." in page
+    assert "Line 1 of results.jsonl has a case 'taste' that this version does not know; it is not shown." in page
+
+
+def test_a_good_line_without_a_figure_costs_only_that_figure(tmp_path) -> None:
+    bare = {"case": "throughput", "engine": "abacus", "worlds": 1, "steps_per_second": 3.0}
+    start = {"case": "startup", "engine": "c", "worlds": 64}
+    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0), bare, start))
+    page = (tmp_path / "results.md").read_text()
+    assert "| abacus | 1 | 3 | - |" in page
+    assert "Line 1 of results.jsonl has a case 'startup' that cannot be read; it is not shown." in page
+
+
+def test_two_runs_into_one_directory_do_not_meet(tmp_path) -> None:
+    """The second is refused before it measures anything, as is a directory of another kind."""
+    with RunDirectory(tmp_path / "a", "benchmarks"):
+        result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path / "a")])
+    assert result.exit_code == 1
+    assert f"another process works in {tmp_path / 'a'}" in result.stderr
+    (tmp_path / "tuning.yaml").write_text("")
+    result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "holds a tuning, and not benchmarks" in result.stderr

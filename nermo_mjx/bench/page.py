@@ -3,45 +3,43 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
+from nermo_mjx.bench.history import RESULTS, Measured, append, read
 from nermo_mjx.bench.registry import CASES
 from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.style import BEST, LINE, MUTED, STYLE, horizontal_grid
+from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, STYLE, horizontal_grid
 from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
 
-RESULTS: Final = "results.jsonl"
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
 #: Where logarithmic axes may begin and end.
 _STEPS = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
-_VERSIONS = ("mujoco", "jax", "python")
 
 
 def add_run(folder: Path, run: Mapping[str, Any]) -> None:
     """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots."""
-    path = folder / RESULTS
-    lines = path.read_text().splitlines() if path.exists() else []
-    replace_file(path, ("\n".join([*lines, json.dumps(run)]) + "\n").encode())
+    append(folder, run)
     draw_page(folder)
 
 
 def draw_page(folder: Path) -> None:
     """Remake FOLDER/results.md and FOLDER/plots from FOLDER/results.jsonl."""
-    machines = _by_machine(_runs(folder))
+    history = read(folder)
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
-    for number, (machine, lines) in enumerate(machines.items(), 1):
-        text += [f"## {machine}", "", *_tables(lines)]
-        for name in _draw(machine, lines, number, folder / "plots", FORMATS):
+    for remark in history.remarks:
+        text += [remark, ""]
+    for number, (machine, measured) in enumerate(history.machines.items(), 1):
+        text += [f"## {machine}", "", *_tables(measured)]
+        for name in _draw(machine, measured, number, folder / "plots", FORMATS):
             text += [f"![{name}](plots/{name}_{number}.png)", ""]
     replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
 
@@ -60,81 +58,64 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
     out = Path(out)
     folder = out / "plots" if folder is None else folder
     try:
-        machines = _by_machine(_runs(out))
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DirectoryError(f"{out / RESULTS} cannot be read: {error}. Measure again with nermo-mjx bench.") from None
+        history = read(out)
+    except OSError as error:
+        raise DirectoryError(f"{out / RESULTS} cannot be read: {error.strerror}.") from None
+    if not history.machines:
+        raise DirectoryError(f"{out / RESULTS} cannot be read: no line of it is a run. Measure with nermo-mjx bench.")
     make_writable(folder)
     with clear_errors(folder):
-        drawn = [_draw(*each, number, folder, formats) for number, each in enumerate(machines.items(), 1)]
+        drawn = [_draw(*each, number, folder, formats) for number, each in enumerate(history.machines.items(), 1)]
     return [path for files in drawn for path in itertools.chain.from_iterable(files.values())]
 
 
-def _runs(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / RESULTS).read_text().splitlines()]
-
-
 def _draw(
-    machine: str, lines: Sequence[Mapping[str, Any]], number: int, folder: Path, formats: Sequence[str]
+    machine: str, measured: Sequence[Measured], number: int, folder: Path, formats: Sequence[str]
 ) -> dict[str, list[Path]]:
     """The files of each figure of a machine, by the figure's name."""
     files = {}
     with rc_context(STYLE):
-        for name, figure in _figures(machine, lines):
+        for name, figure in _figures(machine, [each.good for each in measured if each.good]):
             lay_out(figure)
             files[name] = write_figure(figure, folder, f"{name}_{number}", replace_file, formats)
     return files
 
 
-def _by_machine(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """The newest measurement of each kind, by machine, in the order of the registry."""
-    newest: dict[str, dict[tuple[Any, ...], dict[str, Any]]] = {}
-    for run in runs:
-        if run["hardware"]:
-            about = run["hardware"]
-            machine = f"{about['device']}; {about['cores']} x {about['cpu']}"
-            for line in run["cases"]:
-                key = (line["case"], *(line[name] for name in CASES[line["case"]].options))
-                versions = ", ".join(f"{name} {about[name]}" for name in _VERSIONS)
-                newest.setdefault(machine, {})[key] = {
-                    **line, "made": f"{run['date'][:10]}, commit {run['commit']}, {versions}"
-                }  # fmt: skip
-    order = list(CASES)
-    return {
-        machine: [lines[key] for key in sorted(lines, key=lambda key: (order.index(key[0]), *map(_sortable, key[1:])))]
-        for machine, lines in newest.items()
-    }
-
-
-def _sortable(value: Any) -> tuple[int, Any]:
-    return (1, value) if isinstance(value, str) else (0, value)
-
-
-def _tables(lines: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Markdown: for each case its sentence, its table, and when it was measured."""
-    for case in dict.fromkeys(line["case"] for line in lines):
-        own = [line for line in lines if line["case"] == case]
-        found = [row for line in own for row in rows(line)]
+def _tables(measured: Sequence[Measured]) -> Iterator[str]:
+    """Markdown: for each case its sentence, what failed, its table, and when it was measured."""
+    for case in dict.fromkeys(each.case for each in measured):
+        own = [each for each in measured if each.case == case]
+        good = [each.good for each in own if each.good]
+        found = [row for line in good for row in rows(line)]
         yield f"### {case.capitalize()}: {CASES[case].about}"
         yield ""
-        yield from (f"- {title}" for line in own if (title := titled(line)))
+        yield from (f"- {title}" for line in good if (title := titled(line)))
+        yield from (f"- {failure}" for each in own if (failure := each.failure()))
         if found:
             shown = [column for column in COLUMNS[case] if any(row.get(column.key) is not None for row in found)]
             yield from ("", "| " + " | ".join(column.heading for column in shown) + " |", "|---" * len(shown) + "|")
             yield from ("| " + " | ".join(column.cell(row) for column in shown) + " |" for row in found)
-        yield from ("", "Measured " + "; ".join(dict.fromkeys(line["made"] for line in own)) + ".", "")
+            yield from ("", "Measured " + "; ".join(dict.fromkeys(line["made"] for line in good)) + ".")
+        yield ""
 
 
 def _figures(machine: str, lines: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Figure]]:
     """Throughput and memory over the batch, compile times, and what gradients need over the length of a walk."""
-    walks = [line for line in lines if line["case"] == "throughput" and "error" not in line]
+    walks = _with(lines, "throughput", "steps_per_second", "plain_steps_per_second", "peak_bytes")
     if walks:
         yield "throughput", _throughput(machine, walks)
-        compiled = [line for line in walks if line.get("compile_s")]
-        if compiled:
-            yield "compile", _compile(machine, compiled)
-    gradients = [line for line in lines if line["case"] == "gradient" and "error" not in line]
+    compiled = _with(lines, "throughput", "trace_s", "compile_s", "plain_trace_s", "plain_compile_s")
+    if compiled := [line for line in compiled if line["compile_s"]]:
+        yield "compile", _compile(machine, compiled)
+    gradients = _with(lines, "gradient", "ratio", "temporary_bytes_per_world")
     if gradients:
         yield "gradient", _gradient(machine, gradients)
+
+
+def _with(lines: Sequence[Mapping[str, Any]], case: str, *figures: str) -> list[Mapping[str, Any]]:
+    """The lines of a case that have all these figures, and all its options."""
+    needed = (*CASES[case].options, *figures)
+    return [line for line in lines if line["case"] == case and all(line.get(name) is not None for name in needed)]
 
 
 def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
@@ -144,7 +125,7 @@ def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
     speed, memory = figure.subplots(1, 2)
     for engine in dict.fromkeys(line["engine"] for line in walks):
         own = sorted((line for line in walks if line["engine"] == engine), key=lambda line: line["worlds"])
-        worlds, colour = [line["worlds"] for line in own], _COLOURS[engine]
+        worlds, colour = [line["worlds"] for line in own], _COLOURS.get(engine, INK)
         speed.plot(worlds, [line["steps_per_second"] for line in own], "o-", ms=3, color=colour, label=engine)
         speed.plot(worlds, [line["plain_steps_per_second"] for line in own], "--", lw=1, color=colour)
         memory.plot(worlds, [line["peak_bytes"] / 1e9 for line in own], "o-", ms=3, color=colour, label=engine)

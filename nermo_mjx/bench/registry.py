@@ -19,11 +19,18 @@ class Option:
         default: values measured if none is given.
         allowed: the names it may have; None for a positive number.
         whole: whether the number is whole.
+        before: what was measured before there was this option; the first default if it is None.
     """
 
     default: tuple[Any, ...]
     allowed: tuple[str, ...] | None = None
     whole: bool = False
+    before: Any = None
+
+    @property
+    def unsaid(self) -> Any:
+        """The value of a measurement that does not name this option."""
+        return self.default[0] if self.before is None else self.before
 
     def check(self, name: str, value: Any) -> None:
         """Raises `ParameterError` unless the value is allowed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -60,14 +61,17 @@ def command(
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
         from nermo_mjx.bench.page import add_run
-        from nermo_mjx.runs.files import make_writable
+        from nermo_mjx.runs import RunDirectory, session
+        from nermo_mjx.runs.files import clear_errors
 
-        if into is not None:
-            make_writable(into)
-        with Progress("bench", "measurements", quiet=quiet, compiles=True) as progress:
-            result = run_bench(cases or ("throughput",), given, progress.count)
-        if into is not None:
-            add_run(into, plain(result))
+        # Held while it measures: what took an hour has a place to go to.
+        with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
+            with Progress("bench", "measurements", quiet=quiet, compiles=True) as progress:
+                result = run_bench(cases or ("throughput",), given, progress.count)
+            if held is not None:
+                held.note_session(session())
+                with clear_errors(held.out):
+                    add_run(held.out, plain(result))
     if as_json:
         print_json(result)
     elif not quiet:

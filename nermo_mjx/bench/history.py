@@ -1,0 +1,142 @@
+"""The runs that results.jsonl holds: the newest good figures of each measurement, by machine, and what failed since."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from nermo_mjx.bench.columns import rows, titled
+from nermo_mjx.bench.registry import CASES
+from nermo_mjx.runs.files import replace_file
+
+RESULTS: Final = "results.jsonl"
+#: Heading of runs that ended before they could say where they ran.
+UNKNOWN: Final = "Unknown machine"
+_VERSIONS: Final = ("mujoco", "jax", "python")
+
+
+@dataclasses.dataclass
+class Measured:
+    """What is known of one measurement on one machine.
+
+    Attributes:
+        good: its newest line with figures, and in `made` when it was measured and with what; None if there is none.
+        failed: the newest line with an error, if that is newer.
+    """
+
+    good: dict[str, Any] | None = None
+    failed: dict[str, Any] | None = None
+
+    @property
+    def case(self) -> str:
+        """Name of the measurement."""
+        line = self.good or self.failed
+        assert line is not None
+        return str(line["case"])
+
+    def failure(self) -> str | None:
+        """What failed, when, and of when the figures are, in a sentence; None if nothing did."""
+        if self.failed is None:
+            return None
+        line = {key: value for key, value in self.failed.items() if key not in ("made", "day")}
+        figures = f"; the figures are of {self.good['day']}" if self.good else ""
+        return f"{str(titled(line)).rstrip('.')}. That was on {self.failed['made']}{figures}."
+
+
+@dataclasses.dataclass(frozen=True)
+class History:
+    """What results.jsonl holds.
+
+    Attributes:
+        machines: machine -> its measurements, in the order of the registry.
+        remarks: a sentence on each line that is not shown.
+        lines: readable measurements in the file, however old.
+    """
+
+    machines: dict[str, list[Measured]]
+    remarks: tuple[str, ...]
+    lines: int
+
+
+def append(folder: Path, run: Mapping[str, Any]) -> None:
+    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; what is there stays as it is, byte for byte."""
+    path = folder / RESULTS
+    before = path.read_bytes() if path.exists() else b""
+    if before and not before.endswith(b"\n"):  # cut off by whatever killed the process
+        before += b"\n"
+    replace_file(path, before + json.dumps(run).encode() + b"\n")
+
+
+def read(folder: Path) -> History:
+    """The content of FOLDER/results.jsonl; what cannot be read of it becomes a remark.
+
+    Raises:
+        OSError: there is no such file, or it cannot be read.
+    """
+    found: dict[str, dict[tuple[Any, ...], Measured]] = {}
+    unreadable, remarks, count = list[int](), list[str](), 0
+    for number, text in enumerate((folder / RESULTS).read_bytes().splitlines(), 1):
+        try:
+            run = json.loads(text)
+            machine, made, lines = _machine(run["hardware"]), _made(run), list(run["cases"])
+        except (ValueError, KeyError, TypeError, AttributeError):
+            unreadable.append(number)
+            continue
+        for line in lines:
+            wrong = _wrong(line)
+            if wrong:
+                remarks.append(f"Line {number} of {RESULTS} has a case {wrong}; it is not shown.")
+                continue
+            count += 1
+            known = found.setdefault(machine, {}).setdefault(_key(line), Measured())
+            line = {**line, "made": made, "day": run["date"][:10]}
+            if "error" in line:
+                known.failed = line
+            else:
+                known.good, known.failed = line, None
+    if unreadable:
+        *most, last = map(str, unreadable)
+        named = f"Lines {', '.join(most)} and {last}" if most else f"Line {last}"
+        remarks.insert(0, f"{named} of {RESULTS} cannot be read, and {'are' if most else 'is'} not shown.")
+    order = sorted(found, key=lambda machine: machine == UNKNOWN)
+    return History({machine: _in_order(found[machine]) for machine in order}, tuple(remarks), count)
+
+
+def _machine(about: Mapping[str, Any] | None) -> str:
+    return f"{about['device']}; {about['cores']} x {about['cpu']}" if about else UNKNOWN
+
+
+def _made(run: Mapping[str, Any]) -> str:
+    versions = [f"{name} {run['hardware'][name]}" for name in _VERSIONS] if run["hardware"] else []
+    return ", ".join([run["date"][:10], f"commit {run['commit']}", *versions])
+
+
+def _wrong(line: Any) -> str:
+    """Why a measurement cannot be shown; empty if it can."""
+    name = line.get("case") if isinstance(line, dict) else None
+    if name not in CASES:
+        return f"{name!r} that this version does not know"
+    try:
+        list(rows(line))
+        titled(line)
+    except (KeyError, TypeError, ValueError):
+        return f"{name!r} that cannot be read"
+    return ""
+
+
+def _key(line: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What tells measurements apart; a line from before an option was there has the value that it was measured with."""
+    options = CASES[line["case"]].options
+    return (line["case"], *(line.get(name, option.unsaid) for name, option in options.items()))
+
+
+def _in_order(found: Mapping[tuple[Any, ...], Measured]) -> list[Measured]:
+    order = list(CASES)
+    return [found[key] for key in sorted(found, key=lambda key: (order.index(key[0]), *map(_sortable, key[1:])))]
+
+
+def _sortable(value: Any) -> tuple[int, Any]:
+    return (0, value) if isinstance(value, (int, float)) else (1, str(value))
