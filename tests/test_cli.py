@@ -392,7 +392,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out: [])
+    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
     return made
 
 

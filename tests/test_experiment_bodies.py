@@ -27,7 +27,7 @@ def fakes(monkeypatch):
     made = {name: Fake(name) for name in EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out: [])
+    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
     monkeypatch.setattr(ensemble, "draw", lambda n, seed: {"contact.friction": np.roll(FRICTION, seed)[:n]})
     return made
 
@@ -80,6 +80,16 @@ def test_kept_bodies_are_not_walked_again_and_a_report_is_remade_from_them(fakes
     # A fresh run has none.
     assert line_of(run_experiment("maze", tmp_path, again=True, video=False)).ensemble is None
     assert not (tmp_path / "results" / "maze-bodies.parquet").exists()
+
+
+def test_bodies_outlive_a_damaged_table_of_the_same_settings(fakes, tmp_path):
+    """They are hours of work; with other settings they are none of the new results, and are removed."""
+    result = run_experiment("maze", tmp_path, bodies=4, video=False)
+    result.table.write_text("damaged")
+    assert line_of(run_experiment("maze", tmp_path, video=False)).ensemble == 0.5
+    assert [("bodies" in asked) for asked in fakes["maze"].asked] == [False, True, False]
+    result.table.write_text("damaged")
+    assert line_of(run_experiment("maze", tmp_path, seed=3, video=False)).ensemble is None
 
 
 def test_bodies_come_in_pieces_and_are_numbered_through(fakes, tmp_path, monkeypatch):

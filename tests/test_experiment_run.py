@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from experiment_fake import Fake
+from experiment_fake import RUN, Fake
 
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
@@ -20,6 +20,8 @@ from nermo_mjx.experiments.run import ExperimentError, ExperimentsInterrupted, r
 from nermo_mjx.experiments.table import number
 from nermo_mjx.experiments.videos import Shot, shoot
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
+from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.view import RecordingError, VideoError
 
 NAMES = tuple(EXPERIMENTS)
@@ -32,11 +34,10 @@ def fakes(monkeypatch):
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
 
-    def draw(outcome, lines, out):
-        out.mkdir(exist_ok=True)
+    def draw(outcome, lines, out, *, write):
         files = [out / f"{outcome.experiment}-speed.{form}" for form in ("png", "svg")]
         for file in files:
-            file.write_text("")
+            write(file, b"a picture")
         return files
 
     monkeypatch.setattr(plots, "draw", draw)
@@ -62,12 +63,12 @@ def test_the_directory_holds_what_other_programs_rely_on(fakes, tmp_path):
     result = run_experiment("turning", tmp_path / "out", engine="c", video=False)
     out = tmp_path / "out"
     assert sorted(path.name for path in out.iterdir()) == [
-        "plots", "recordings", "report.json", "report.md", "results",
+        ".lock", ".lock-run", "plots", "recordings", "report.json", "report.md", "results", "run.json",
     ]  # fmt: skip
     assert result.table == out / "results" / "turning.parquet"
     assert [path.name for path in result.recordings] == ["turning-trt-0.8-hz-with-spine.npz"]
     assert [path.name for path in result.plots] == ["turning-speed.png", "turning-speed.svg"]
-    assert not [path for path in out.rglob(".*") if path.is_file()]
+    assert not [path for folder in out.iterdir() if folder.is_dir() for path in folder.glob(".*")]
     assert not result.kept
 
 
@@ -105,7 +106,7 @@ def test_every_world_is_a_row_and_every_column_says_its_unit_meaning_and_role(fa
     assert about["speed"][b"unit"] == b"m/s"
     assert {name: metadata[b"role"].decode() for name, metadata in about.items()} == {
         "profile": "case", "gait": "case", "frequency": "case", "repeat": "index", "speed": "metric",
-        "theory_speed": "metric", "followed": "metric", "status": "status",
+        "theory_speed": "metric", "followed": "metric", "status": "status", "code": "code",
     }  # fmt: skip
     assert all(metadata[b"description"] for metadata in about.values())
 
@@ -209,7 +210,7 @@ def test_the_same_experiment_with_other_settings_is_refused_before_anything_runs
     before = snapshot(tmp_path)
     with pytest.raises(ParameterError, match=r"holds turning .*\(seed: 3 instead of 0\): choose another .*--again"):
         run_experiments(NAMES, tmp_path, video=False)
-    with pytest.raises(ParameterError, match=r"\(engine: c instead of mjx\)"):
+    with pytest.raises(OtherCode, match=r"was made by other code: engine c, not mjx;"):
         run_experiment("turning", tmp_path, seed=3, engine="mjx", video=False)
     assert not fakes["straight-line"].asked
     assert snapshot(tmp_path) == before
@@ -254,7 +255,7 @@ def test_ctrl_c_says_how_to_go_on(fakes, tmp_path):
 
 
 def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
-    def draw(*_):
+    def draw(*_, **__):
         raise ValueError("no such colour")
 
     monkeypatch.setattr(plots, "draw", draw)
@@ -263,12 +264,159 @@ def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
     assert len(report_of(tmp_path)["lines"]) == 5
 
 
-def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path):
+# --- whose files
+
+
+def pictures_of(monkeypatch, *names):
+    """From now on an experiment has these pictures."""
+
+    def draw(outcome, lines, out, *, write):
+        for name in names:
+            write(out / f"{outcome.experiment}-{name}.png", f"{name} of {outcome.recordings[RUN].duration}".encode())
+        return [out / f"{outcome.experiment}-{name}.png" for name in names]
+
+    monkeypatch.setattr(plots, "draw", draw)
+
+
+def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path, monkeypatch):
+    pictures_of(monkeypatch, "speed", "old")
     run_experiment("turning", tmp_path, video=False)
-    for stale in ("plots/turning-old.png", "recordings/turning-old.npz", "plots/maze-old.png"):
-        (tmp_path / stale).write_text("")
+    pictures_of(monkeypatch, "speed")
     run_experiment("turning", tmp_path, video=False, again=True)
-    assert [path.name for path in sorted(tmp_path.rglob("*old*"))] == ["maze-old.png"]
+    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["turning-speed.png"]
+
+
+def test_a_users_files_outlive_a_run_again(fakes, tmp_path):
+    """Whatever they are called; the program removes what it wrote, and nothing else."""
+    run_experiment("turning", tmp_path, video=False)
+    mine = [
+        tmp_path / name
+        for name in ("plots/turning-mine.png", "recordings/turning-mine.npz", "plots/turning-speed.pdf", "videos/a.mp4")
+    ]
+    for path in mine:
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("a user's")
+    run_experiment("turning", tmp_path, video=False, again=True)
+    assert [path.read_text() for path in mine] == ["a user's"] * 4
+    assert not list(tmp_path.rglob("*aside*"))
+
+
+def test_a_users_file_in_the_way_is_moved_aside_with_a_sentence(fakes, tmp_path):
+    said = []
+    run_experiment("turning", tmp_path, video=False)
+    (tmp_path / "plots" / "turning-speed.png").write_text("painted over")
+    (tmp_path / "recordings" / "turning-trt-0.8-hz-with-spine.npz").write_text("another walk")
+    run_experiment("turning", tmp_path, video=False, again=True, notify=said.append)
+    assert said == [
+        "turning: Files were in the way that are not as this program wrote them: moved aside in "
+        f"{tmp_path}, to recordings/turning-trt-0.8-hz-with-spine.npz.aside-1 and 1 more."
+    ]
+    assert (tmp_path / "plots" / "turning-speed.png.aside-1").read_text() == "painted over"
+    assert (tmp_path / "plots" / "turning-speed.png").read_text() == "a picture"
+    aside = tmp_path / "recordings" / "turning-trt-0.8-hz-with-spine.npz.aside-1"
+    assert aside.read_text() == "another walk"
+
+
+def test_a_damaged_table_is_kept_aside(fakes, tmp_path):
+    result = run_experiment("turning", tmp_path, video=False)
+    result.table.write_text("half a table")
+    run_experiment("turning", tmp_path, video=False)
+    assert result.table.with_name("turning.parquet.aside-1").read_text() == "half a table"
+
+
+def test_files_of_an_earlier_release_are_moved_aside_if_they_are_not_drawn_alike(fakes, tmp_path, monkeypatch):
+    """It did not note what it wrote."""
+    run_experiment("turning", tmp_path, video=False)
+    forget_code(tmp_path)
+    run_experiment("turning", tmp_path, video=False, accept_new_code=True)
+    assert not list(tmp_path.rglob("*aside*"))
+    forget_code(tmp_path)
+    pictures_of(monkeypatch, "speed")
+    run_experiment("turning", tmp_path, video=False, accept_new_code=True)
+    assert [path.name for path in tmp_path.rglob("*aside*")] == ["turning-speed.png.aside-1"]
+
+
+# --- which code
+
+
+def forget_code(out):
+    """Make a directory look like one of an earlier release: no kind, no codes, no note of the files written."""
+    (out / "run.json").unlink()
+    for path in (out / "results").glob("*.json"):
+        entry = json.loads(path.read_text())
+        path.write_text(json.dumps({key: value for key, value in entry.items() if key not in ("files", "code")}))
+
+
+def as_version(monkeypatch, version):
+    """From now on the package has another version."""
+    monkeypatch.setattr("nermo_mjx.runs.code.__version__", version)
+
+
+def code_of(out, name):
+    """What the column `code` of a table says."""
+    return set(pq.read_table(out / "results" / f"{name}.parquet").column("code").to_pylist())
+
+
+def test_every_row_names_the_code_that_made_it(fakes, tmp_path):
+    run_experiment("turning", tmp_path, engine="c", video=False)
+    ((name, code),) = codes_of(tmp_path).items()
+    assert code_of(tmp_path, "turning") == {name}
+    assert code.engine == "c"
+    assert report_of(tmp_path)["experiments"]["turning"]["code"] == name
+    assert name in (tmp_path / "report.md").read_text()
+
+
+def test_what_other_code_made_is_refused_before_anything_runs(fakes, tmp_path, monkeypatch):
+    run_experiment("turning", tmp_path, video=False)
+    before = snapshot(tmp_path)
+    as_version(monkeypatch, "9.9.9")
+    with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
+        run_experiments(NAMES, tmp_path, video=False)
+    assert snapshot(tmp_path) == before
+    assert not fakes["straight-line"].asked
+
+
+def test_accepted_code_goes_on_and_the_report_tells_the_rows_apart(fakes, tmp_path, monkeypatch):
+    said = []
+    run_experiment("turning", tmp_path, video=False)
+    as_version(monkeypatch, "9.9.9")
+    options = {"video": False, "accept_new_code": True, "notify": said.append}
+    result = run_experiments(["turning", "maze"], tmp_path, **options)
+    assert [each.kept for each in result.results] == [True, False]
+    assert re.match(r"turning: kept as run on .* by other code \(nermo-mjx .*, not 9\.9\.9\); --again", said[0])
+    former, new = codes_of(tmp_path)
+    assert (code_of(tmp_path, "turning"), code_of(tmp_path, "maze")) == ({former}, {new})
+    (sentence,) = report_of(tmp_path)["differences"]
+    assert f"code: {new} instead of {former}" in sentence
+
+
+def test_other_code_runs_again_when_it_is_asked_to(fakes, tmp_path, monkeypatch):
+    run_experiment("turning", tmp_path, video=False)
+    as_version(monkeypatch, "9.9.9")
+    assert not run_experiment("turning", tmp_path, video=False, again=True).kept
+    assert code_of(tmp_path, "turning") == {list(codes_of(tmp_path))[1]}
+
+
+def test_a_directory_of_an_earlier_release_is_refused_until_it_is_accepted(fakes, tmp_path):
+    run_experiment("turning", tmp_path, video=False)
+    forget_code(tmp_path)
+    with pytest.raises(OtherCode, match="does not say which code made it"):
+        run_experiment("turning", tmp_path, video=False)
+    assert run_experiment("turning", tmp_path, video=False, accept_new_code=True).kept
+
+
+def test_a_directory_keeps_the_engine_it_was_begun_with(fakes, tmp_path):
+    run_experiment("turning", tmp_path, engine="mjx", video=False)
+    run_experiment("maze", tmp_path, video=False)
+    assert fakes["maze"].asked[0]["engine"] == "mjx"
+    run_experiment("maze", tmp_path, video=False, again=True)
+    assert fakes["maze"].asked[1]["engine"] != "mjx", "what is run again is run as on a new directory"
+
+
+def test_one_process_runs_experiments_in_a_directory(fakes, tmp_path):
+    with RunDirectory(tmp_path, "experiments"), pytest.raises(DirectoryError, match="another process works in"):
+        run_experiment("turning", tmp_path, video=False)
+    assert not fakes["turning"].asked
 
 
 # --- settings
@@ -319,7 +467,7 @@ def test_a_quick_run_is_one_repeat_and_no_video(fakes, tmp_path, monkeypatch):
         ({"out": "file"}, "file is a file: a directory is needed."),
         ({"out": "file/out"}, "cannot write in "),
         ({"out": "/sys/kernel/nermo"}, "cannot write in /sys/kernel/nermo: "),
-        ({"out": "sweep"}, "sweep holds the results of a sweep; choose another directory."),
+        ({"out": "sweep"}, "sweep holds a sweep, and not published experiments: choose another directory."),
     ],
 )
 def test_wrong_settings_are_refused_before_anything_runs(fakes, tmp_path, options, sentence):
@@ -327,7 +475,7 @@ def test_wrong_settings_are_refused_before_anything_runs(fakes, tmp_path, option
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / "sweep.yaml").write_text("")
     options = {"name": "turning", "out": "out", "video": False} | options
-    with pytest.raises(ParameterError, match=re.escape(sentence)):
+    with pytest.raises((ParameterError, WrongDirectory), match=re.escape(sentence)):
         run_experiment(options.pop("name"), tmp_path / options.pop("out"), **options)
     assert not fakes["turning"].asked
     assert not list(tmp_path.glob("out/results/*"))

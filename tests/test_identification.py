@@ -14,6 +14,8 @@ from nermo_mjx.experiments.identification.space import ALL, FREE, START, UNCERTA
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS, figures, objective
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
+from nermo_mjx.runs.files import WrongDirectory
 
 
 def test_a_residual_counts_tolerances_of_the_logarithm():
@@ -189,6 +191,65 @@ def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, m
     monkeypatch.setattr(Setup, "defaults", lambda self: {"contact.friction": 0.9})
     with pytest.raises(ParameterError, match="other settings: choose another directory"):
         report.run_identification(tmp_path, **settings)
+
+
+def killed(pretended, out, **options):
+    """An identification that was killed after three generations; its settings."""
+    settings = {**SMALL, "generations": 4, "bodies": 0, "engine": "c", **options}
+    pretended.dies_after = 3
+    with pytest.raises(KeyboardInterrupt):
+        report.run_identification(out, **settings)
+    pretended.dies_after, pretended.calls = None, 0
+    return settings
+
+
+def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended, tmp_path, monkeypatch):
+    """Each line says which code walked it; none is walked twice."""
+    settings = killed(pretended, tmp_path)
+    monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
+    with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
+        report.run_identification(tmp_path, **settings)
+    assert not pretended.calls
+    content = report.run_identification(tmp_path, **settings, accept_new_code=True)
+    codes = [json.loads(line).get("code") for line in (tmp_path / "candidates.jsonl").read_text().splitlines()[1:]]
+    former, new = codes_of(tmp_path)
+    assert codes == [former] * 3 + [new] * pretended.calls
+    assert content["codes"] == [former, new]
+    assert f"code {former}, {new};" in (tmp_path / "identification.md").read_text()
+
+
+def test_another_engine_does_not_go_on_and_auto_is_the_one_begun_with(pretended, tmp_path):
+    settings = killed(pretended, tmp_path, engine="mjx")
+    with pytest.raises(OtherCode, match="engine mjx, not c"):
+        report.run_identification(tmp_path, **settings | {"engine": "c"})
+    assert report.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
+
+
+def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(pretended, tmp_path):
+    """Its first line has engine, versions and model, too; its candidates are of no known code."""
+    settings = killed(pretended, tmp_path)
+    (tmp_path / "run.json").unlink()
+    path = tmp_path / "candidates.jsonl"
+    first, *rest = (json.loads(line) for line in path.read_text().splitlines())
+    rows = [first | {"engine": "c", "jax": "0.0", "model": "a"}, *({**row, "code": None} for row in rest)]
+    for row in rows:
+        row.pop("code", None)
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"points": [[0.1, 0')
+    with pytest.raises(OtherCode, match="does not say which code made it"):
+        report.run_identification(tmp_path, **settings)
+    report.run_identification(tmp_path, **settings, accept_new_code=True)
+    again = [json.loads(line) for line in path.read_text().splitlines() if not line.endswith("[[0.1, 0")]
+    assert again[: len(rows)] == rows, "what was there stays as it was"
+    assert len(again) == len(rows) + pretended.calls
+
+
+def test_one_process_identifies_in_a_directory(pretended, tmp_path):
+    with RunDirectory(tmp_path, "identification"), pytest.raises(DirectoryError, match="another process works in"):
+        report.run_identification(tmp_path, **SMALL)
+    (tmp_path / "sweep.yaml").write_text("")
+    with pytest.raises(WrongDirectory, match="holds a sweep, and not an identification"):
+        report.run_identification(tmp_path, **SMALL)
+    assert not pretended.calls
 
 
 def test_the_files_of_an_ensemble_agree(pretended, tmp_path):

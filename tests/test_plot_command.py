@@ -21,6 +21,8 @@ from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
 from nermo_mjx.experiments.plots.draw import draw
 from nermo_mjx.experiments.published import REASONS
+from nermo_mjx.experiments.written import Written
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.landscape import run_landscape
@@ -152,7 +154,10 @@ def test_a_tunings_figures_are_remade_with_the_landscape_it_keeps(walker: FakeWa
 def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     """From the stored tables and recordings: the pictures that the run itself would draw."""
     outcome, out = walked(), tmp_path / "experiments"
-    Directory(out).save(outcome, {"settings": {}, "engine": "fake", "wall_seconds": 1.0})
+    with RunDirectory(out, "experiments") as held:
+        about = {"settings": {}, "engine": "fake", "code": "0a1b2c3d", "wall_seconds": 1.0}
+        Directory(out).save(outcome, about, Written(held, {}))
+        held.note_session({})
     result = plot(out)
     assert result.exit_code == 0, result.stderr
     lines = compare(outcome, EXPERIMENTS["straight-line"].figures, REASONS.get("straight-line", {}))

@@ -42,12 +42,14 @@ _WIDEST = 72
 @click.option("--quick", is_flag=True, help="A look: fewer cases, no videos; a minute.")
 @click.option("--no-video", is_flag=True, help="Draw no videos.")
 @click.option("--again", is_flag=True, help="Run again, and replace, what DIR holds of it.")
+@options.accept_new_code
 @options.assigned("A parameter of the body, such as contact.friction; repeatable.")
 @options.engine
 @options.report
 def command(
     name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
-    no_video: bool, again: bool, assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
+    no_video: bool, again: bool, accept_new_code: bool, assignments: tuple[str, ...], engine: str, as_json: bool,
+    quiet: bool,
 ) -> None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
@@ -63,7 +65,8 @@ def command(
             result = run_experiments(
                 EXPERIMENTS if name == ALL else [name], out, engine=engine,
                 profiles=PROFILES if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
-                values=values, bodies=bodies, video=not no_video, again=again, progress=stages.share, notify=stages.say,
+                values=values, bodies=bodies, video=not no_video, again=again,
+                accept_new_code=accept_new_code, progress=stages.share, notify=stages.say,
             )  # fmt: skip
     if as_json:
         run = {each.name: {"kept": each.kept} for each in result.results}

@@ -29,6 +29,7 @@ Examples:
 @options.number("--sweeps", "Of the ensemble, at most.", click.IntRange(1), default=5)
 @options.number("--tolerance", "Objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @options.number("--seed", "Of all of them.", click.IntRange(0), default=0)
+@options.accept_new_code
 @options.engine
 @options.report
 def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any) -> None:

@@ -54,6 +54,12 @@ def engine(function: F) -> F:
     return choice("--engine", ENGINES, about)(function)
 
 
+def accept_new_code(function: F) -> F:
+    """`--accept-new-code`."""
+    about = "Go on with a directory of other code or another engine; the column code tells its rows apart."
+    return click.option("--accept-new-code", is_flag=True, help=about)(function)
+
+
 def physics(function: F) -> F:
     """`--physics`."""
     return choice("--physics", PHYSICS, "fast: 1.6 to 2 times the speed, speeds within 1.5 %.")(function)

@@ -2,10 +2,11 @@
 
 DIR/results/<experiment>.parquet    one row a world; the settings and the provenance are in the schema's metadata
 DIR/results/<experiment>-bodies.parquet   the same of identified bodies, if they were asked for
-DIR/results/<experiment>.json       its lines of the report, and what was run
+DIR/results/<experiment>.json       its lines of the report, what was run, and which files the program wrote of it
 DIR/recordings/<experiment>-*.npz   runs that plots and videos show
 DIR/plots/, DIR/videos/             made from the above
 DIR/report.json, DIR/report.md      all experiments that the directory holds
+DIR/run.json                        which code made the rows (their column `code`), and each session
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from typing import Any
 
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.table import outcome_of, table_of
-from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, parquet_bytes, replace_file
+from nermo_mjx.experiments.written import Written
+from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, replace_file
 from nermo_mjx.sweep.store import read_chunk
 from nermo_mjx.sweep.summary import to_json
 from nermo_mjx.view.recording import Recording
@@ -35,7 +36,7 @@ class Stored:
 
     Attributes:
         outcome: its table; recordings are read when they are looked at.
-        about: `settings`, `engine`, `wall_seconds`, and `started`, `command`, `versions`, `machine` of the run.
+        about: `settings`, `engine`, `code`, `wall_seconds`, and `started`, `command`, `versions`, `machine` of the run.
         table: the file of the table; recordings: those of the recordings.
     """
 
@@ -51,17 +52,6 @@ class Directory:
     def __init__(self, out: str | os.PathLike[str]) -> None:
         self.out = Path(out)
 
-    def prepare(self) -> None:
-        """Make the directory, and see that it can be written and holds nothing else.
-
-        Raises:
-            ParameterError: it cannot, or it is a sweep's.
-        """
-        if (self.out / "sweep.yaml").exists():
-            raise ParameterError(f"{self.out} holds the results of a sweep; choose another directory.")
-        make_writable(self.out)
-        make_writable(self.out / "results")
-
     def write(self, path: Path, content: bytes) -> None:
         """Replace a file of the directory, whole or not at all.
 
@@ -75,34 +65,41 @@ class Directory:
         """A path for links within the directory."""
         return Path(os.path.relpath(path, self.out)).as_posix()
 
-    def save(self, outcome: Outcome, about: Mapping[str, Any]) -> Stored:
-        """Store an experiment's results in the place of former ones; the table comes last, and makes them valid."""
+    def save(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
+        """Store an experiment's results in the place of former ones; the table comes last, and makes them valid.
+
+        Args:
+            about: `code`, `settings`, `engine`, `wall_seconds` and the session.
+            written: the experiment's files.
+        """
         table = self._table(outcome.experiment)
-        with clear_errors(self.out):
-            table.unlink(missing_ok=True)
-            self._bodies(outcome.experiment).unlink(missing_ok=True)
-            for leftover in (*self._recordings(outcome.experiment), self.out / "videos" / f"{outcome.experiment}.mp4"):
-                leftover.unlink(missing_ok=True)
+        written.clear(table)
+        written.remove([name for name in written.known if name.startswith(("recordings/", "videos/"))])
         files: dict[str, Path] = {}
         for name, recording in outcome.recordings.items():
             path = self.out / "recordings" / f"{outcome.experiment}-{_slug(name, outcome.experiment)}.npz"
             files[name] = path if path not in files.values() else path.with_stem(f"{path.stem}-{len(files)}")
-            recording.save(files[name])
+            written.make(files[name], recording.save)
         notes = {**about, "recordings": {name: path.name for name, path in files.items()}}
-        self.write(table, parquet_bytes(table_of(outcome, {"about": to_json(notes).decode()})))
-        stored = self.load(outcome.experiment)
-        if stored is None:
-            raise DirectoryError(f"{table} was written but cannot be read back: run the same command again.")
-        return stored
+        written.write(table, _content(outcome, notes))
+        # At once, and without the lines of former results: a process that is killed now knows its own files again.
+        self.write_entry(outcome.experiment, {"files": written.known})
+        return _read_back(self.load(outcome.experiment), table)
 
-    def save_bodies(self, outcome: Outcome, about: Mapping[str, Any]) -> Stored:
-        """Store what the identified bodies gave, beside the experiment's own results."""
+    def save_bodies(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
+        """Store what the identified bodies gave, beside the experiment's own results; arguments as for `save`."""
         path = self._bodies(outcome.experiment)
-        self.write(path, parquet_bytes(table_of(outcome, {"about": to_json({**about, "recordings": {}}).decode()})))
-        stored = self.load_bodies(outcome.experiment)
-        if stored is None:
-            raise DirectoryError(f"{path} was written but cannot be read back: run the same command again.")
-        return stored
+        written.write(path, _content(outcome, {**about, "recordings": {}}))
+        self.note_files(outcome.experiment, written.known)
+        return _read_back(self.load_bodies(outcome.experiment), path)
+
+    def discard_bodies(self, experiment: str, written: Written) -> None:
+        """Remove what the identified bodies gave, or move it aside if it is not as it was written."""
+        written.clear(self._bodies(experiment))
+
+    def holds_rows(self) -> bool:
+        """Whether it has a table of any experiment."""
+        return any((self.out / "results").glob("*.parquet"))
 
     def load(self, experiment: str) -> Stored | None:
         """What the directory holds of an experiment; None if that is nothing, or damaged."""
@@ -126,25 +123,35 @@ class Directory:
         return Stored(outcome_of(table, _Recordings(files)), about, path, tuple(files.values()))
 
     def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
-        """Store an experiment's lines and what was run."""
+        """Store an experiment's lines, what was run, and `files`, see `written`."""
         self.write(self.out / "results" / f"{experiment}.json", to_json(entry))
 
     def entry(self, experiment: str) -> dict[str, Any] | None:
-        """What `write_entry` stored, or None."""
+        """What `write_entry` stored of an experiment that has lines, or None."""
+        entry = self._entry(experiment)
+        return entry if "lines" in entry else None
+
+    def written(self, experiment: str) -> dict[str, str]:
+        """Path -> digest of the files that the program wrote of an experiment; empty for those of earlier releases."""
+        files = self._entry(experiment).get("files", {})
+        return files if isinstance(files, dict) else {}
+
+    def note_files(self, experiment: str, files: Mapping[str, str]) -> None:
+        """Note which files the program wrote of an experiment, and leave the rest of its entry as it is."""
+        self.write_entry(experiment, {**self._entry(experiment), "files": files})
+
+    def _entry(self, experiment: str) -> dict[str, Any]:
         try:
             entry = json.loads((self.out / "results" / f"{experiment}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            return None
-        return entry if isinstance(entry, dict) and "lines" in entry else None
+            return {}
+        return entry if isinstance(entry, dict) else {}
 
     def _table(self, experiment: str) -> Path:
         return self.out / "results" / f"{experiment}.parquet"
 
     def _bodies(self, experiment: str) -> Path:
         return self.out / "results" / f"{experiment}-bodies.parquet"
-
-    def _recordings(self, experiment: str) -> list[Path]:
-        return list((self.out / "recordings").glob(f"{experiment}-*.npz"))
 
 
 class _Recordings(Mapping[str, Recording]):
@@ -164,6 +171,16 @@ class _Recordings(Mapping[str, Recording]):
 
     def __len__(self) -> int:
         return len(self._files)
+
+
+def _content(outcome: Outcome, about: Mapping[str, Any]) -> bytes:
+    return parquet_bytes(table_of(outcome, {"about": to_json(about).decode()}, about["code"]))
+
+
+def _read_back(stored: Stored | None, path: Path) -> Stored:
+    if stored is None:
+        raise DirectoryError(f"{path} was written but cannot be read back: run the same command again.")
+    return stored
 
 
 def _slug(name: str, experiment: str) -> str:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
 from nermo_mjx.experiments.published import REASONS
+from nermo_mjx.experiments.written import Written
 from nermo_mjx.plotting.files import FORMATS
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable
-
-IDENTIFICATION: Final = "identification.json"
 
 
 def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
@@ -32,14 +32,21 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
     from nermo_mjx.experiments.plots.draw import draw
 
     directory, drawn = Directory(out), list[Path]()
-    folder = directory.out / "plots" if folder is None else folder
-    for name, experiment in EXPERIMENTS.items():
-        stored = directory.load(name)
-        if stored is not None:
-            lines = compare(stored.outcome, experiment.figures, REASONS.get(name, {}))
-            make_writable(folder)
-            with clear_errors(folder):
-                drawn += draw(stored.outcome, lines, folder, formats)
+    own = directory.out / "plots"
+    found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
+    # Into its own folder it draws as a run does: it keeps track of the files that are the program's.
+    with RunDirectory(out, "experiments") if folder in (None, own) else contextlib.nullcontext() as held:
+        for name, stored in found.items():
+            lines = compare(stored.outcome, EXPERIMENTS[name].figures, REASONS.get(name, {}))
+            if held is None:
+                assert folder is not None
+                make_writable(folder)
+                with clear_errors(folder):
+                    drawn += draw(stored.outcome, lines, folder, formats)
+            else:
+                written = Written(held, directory.written(name))
+                drawn += draw(stored.outcome, lines, own, formats, write=written.write)
+                directory.note_files(name, written.known)
     if not drawn:
         raise DirectoryError(f"{out} holds no experiment whose table and recordings can be read: run it again.")
     return drawn
@@ -50,8 +57,9 @@ def redraw_identification(
 ) -> list[Path]:
     """Draw the pictures of an identification's directory; arguments and errors as for `redraw`."""
     from nermo_mjx.experiments.identification.plots import draw
+    from nermo_mjx.experiments.identification.report import RESULT
 
-    path = Path(out) / IDENTIFICATION
+    path = Path(out) / RESULT
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -52,7 +52,7 @@ def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict
         "lines": lines,
         "summary": {**counts(lines), "by_kind": counts_by_kind(lines), "by_experiment": by_experiment},
         "experiments": {
-            name: {key: value for key, value in entry.items() if key not in ("experiment", "lines")}
+            name: {key: value for key, value in entry.items() if key not in ("experiment", "lines", "files")}
             for name, entry in entries.items()
         },
         "differences": _differences(entries),
@@ -153,4 +153,4 @@ def _conditions(entry: Mapping[str, Any]) -> dict[str, Any]:
     versions: Mapping[str, str] = entry["versions"]
     named: Sequence[str] = ("nermo-mjx", "mujoco", "jax")
     made = {f"version of {package}": versions.get(package, "unknown") for package in named}
-    return {**entry["settings"], "engine": entry["engine"], **made}
+    return {**entry["settings"], "engine": entry["engine"], "code": entry.get("code", "unknown"), **made}

@@ -160,13 +160,13 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
         rows.append(
             [
                 each.name, str(about["cases"]), said(settings["profiles"]).replace("_", " "), str(settings["repeats"]),
-                str(settings["seed"]), str(about["worlds"]), went, about["engine"], said(settings["values"]),
-                f"{about['wall_seconds']:.0f} s", _moment(about["started"]),
+                str(settings["seed"]), str(about["worlds"]), went, about["engine"], about.get("code", MISSING),
+                said(settings["values"]), f"{about['wall_seconds']:.0f} s", _moment(about["started"]),
             ]
         )  # fmt: skip
-    headings = ["experiment", "cases", "profiles", "repeats", "seed", "worlds", "went", "engine", "parameters",
-                "took", "on"]  # fmt: skip
-    yield table(headings, rows, "lrlrrrlllrl")
+    headings = ["experiment", "cases", "profiles", "repeats", "seed", "worlds", "went", "engine", "code",
+                "parameters", "took", "on"]  # fmt: skip
+    yield table(headings, rows, "lrlrrrllllrl")
     for each in chosen:
         if content["experiments"][each.name]["settings"]["quick"]:
             yield f"- {each.name} was a quick run: {each.quick}."

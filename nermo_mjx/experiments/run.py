@@ -27,10 +27,10 @@ from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.published.shares import shipped
 from nermo_mjx.experiments.settings import Settings, check_bodies, checked, differences
 from nermo_mjx.experiments.videos import shoot
+from nermo_mjx.experiments.written import Written
 from nermo_mjx.physics.engine import resolve_engine
-from nermo_mjx.robot import ParameterError
-from nermo_mjx.runs.provenance import session
-from nermo_mjx.version import __version__
+from nermo_mjx.robot import ParameterError, load_robot
+from nermo_mjx.runs import CodeStamp, RunDirectory, codes_of, engine_of, session, stamp
 from nermo_mjx.view import RecordingError, VideoError
 
 Progress = Callable[[str, float], None]
@@ -98,6 +98,7 @@ def run_experiments(
     bodies: int | None = None,
     video: bool = True,
     again: bool = False,
+    accept_new_code: bool = False,
     progress: Progress | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> ExperimentsResult:
@@ -106,7 +107,7 @@ def run_experiments(
     Args:
         names: of `EXPERIMENTS`.
         out: the directory; see `nermo_mjx.experiments.directory`.
-        engine: `auto`, `c` or `mjx`.
+        engine: `auto`, `c` or `mjx`; `auto` is the one that the directory was made with, if it has one.
         profiles: of `PROFILES`.
         repeats: worlds of each case, from starts that differ by a seeded shift; by default 3, or 1 in a quick run.
         seed: of the shifts.
@@ -116,14 +117,16 @@ def run_experiments(
             then says of each line in which share of them it holds. None uses those that the directory holds, or the
             shares that ship with the package if nothing but the default was asked for.
         video: make the videos.
-        again: run again, and replace, what the directory holds of these experiments.
+        again: run again, and replace, what the directory holds of these experiments, whichever code made it.
+        accept_new_code: go on in a directory that other code made; the tables' column `code` tells the rows apart.
         progress: called with what is being done and the share of it.
         notify: called with a sentence on anything out of the ordinary.
 
     Raises:
         ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
+        OtherCode: other code made what the directory holds; nothing has run.
         ExperimentError: an experiment failed; what was done before is kept.
-        DirectoryError: the directory cannot be written any more.
+        DirectoryError: the directory holds something else, is in use, or cannot be written.
         ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
@@ -133,13 +136,19 @@ def run_experiments(
     _check_settable(chosen, settings)
     resolve_engine(engine)
     directory = Directory(out)
-    directory.prepare()
-    work = _Work(directory, settings, engine, drawn, video and not quick, progress or _ignore, notify or _ignore)
-    # All are looked up before anything runs: a refusal costs no simulation.
-    kept = {each.name: None if again else work.kept(each) for each in chosen}
-    with _stoppable(directory.out):
+    with RunDirectory(out, "experiments") as held, _stoppable(directory.out):
+        if engine == "auto" and not again:
+            engine = engine_of(directory.out) or engine
+        code = stamp(load_robot().fingerprint, resolve_engine(engine))
+        work = _Work(held, directory, settings, code, drawn, again, video and not quick, progress or _ignore,
+                     notify or _ignore)  # fmt: skip
+        # All are looked up before anything runs: a refusal costs no simulation.
+        kept = {each.name: None if again else work.kept(each) for each in chosen}
+        held.take_code(code, holds_rows=directory.holds_rows(), accept=again or accept_new_code)
+        if drawn is not None or None in kept.values():
+            held.note_session(session(experiments=list(kept)))
         results = tuple(work.run(each, kept[each.name]) for each in chosen)
-    return ExperimentsResult(directory.out, results, report.collect(directory, EXPERIMENTS))
+        return ExperimentsResult(directory.out, results, report.collect(directory, EXPERIMENTS))
 
 
 def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
@@ -154,10 +163,12 @@ def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
 class _Work:
     """What all experiments of one call share."""
 
+    held: RunDirectory
     directory: Directory
     settings: Settings
-    engine: str
+    code: CodeStamp
     bodies: Mapping[str, np.ndarray] | None
+    again: bool
     video: bool
     progress: Progress
     notify: Callable[[str], None]
@@ -167,11 +178,7 @@ class _Work:
         stored = self.directory.load(chosen.name)
         if stored is None:
             return None
-        held = stored.about["settings"]
-        wanted = self.settings.as_dict()
-        if self.engine != "auto":
-            held, wanted = held | {"engine": stored.about["engine"]}, wanted | {"engine": self.engine}
-        differing = differences(held, wanted)
+        differing = differences(stored.about["settings"], self.settings.as_dict())
         if differing:
             raise ParameterError(
                 f"{self.directory.out} holds {chosen.name} run with other settings ({'; '.join(differing)}): choose "
@@ -181,14 +188,14 @@ class _Work:
 
     def run(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Simulate, or take what is kept; then everything that is made from it."""
+        written = Written(self.held, self.directory.written(chosen.name))
         if kept is None:
-            stored = self._simulate(chosen)
+            stored = self._simulate(chosen, written)
         else:
             stored = kept
-            made = kept.about["versions"].get("nermo-mjx")
-            other = "" if made == __version__ else f" with version {made}, while this is {__version__}"
-            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{other}; --again runs it anew.")
-        several = self._ensemble(chosen, stored)
+            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{self._other_code(kept)}; --again runs "
+                        "it anew.")  # fmt: skip
+        several = self._ensemble(chosen, stored, written)
         shares = several.shares if several else None
         lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}), shares)
         former = self.directory.entry(chosen.name) if kept is not None else None
@@ -196,52 +203,66 @@ class _Work:
             name: (former or {}).get(name, []) for name in _MADE_LATER
         }
         entry["bodies"] = several.bodies if several else None
-        self._publish(chosen, entry)
-        plots = self._plots(chosen, stored.outcome, lines)
+        self._publish(chosen, entry, written)
+        plots = self._plots(chosen, stored.outcome, lines, written)
         entry["plots"] = [self.directory.relative(plot) for plot in plots]
-        entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"])
-        self._publish(chosen, entry)
+        entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"], written)
+        self._publish(chosen, entry, written)
+        if written.aside:
+            self.notify(f"{chosen.name}: {written.sentence()}")
         return ExperimentResult(
             chosen.name, self.directory.out, stored.outcome, tuple(lines), stored.table, tuple(plots),
             stored.recordings, tuple(self.directory.out / video["file"] for video in entry["videos"]),
             kept is not None, tuple(entry["notes"]),
         )  # fmt: skip
 
-    def _simulate(self, chosen: Experiment) -> Stored:
-        asked = self.settings
-        about = session(settings=asked.as_dict(), engine=resolve_engine(self.engine))
+    def _other_code(self, kept: Stored) -> str:
+        """How the code that made what is kept differs from this one, for a sentence; empty if it does not."""
+        made = codes_of(self.directory.out).get(kept.about.get("code", ""))
+        if made is None:
+            return " by code that is not known"
+        return f" by other code ({unlike})" if (unlike := made.unlike(self.code)) else ""
+
+    def _about(self, **more: Any) -> dict[str, Any]:
+        """What is noted beside a table, but for how long it took."""
+        return session(settings=self.settings.as_dict(), engine=self.code.engine, code=self.code.id, **more)
+
+    def _simulate(self, chosen: Experiment, written: Written) -> Stored:
+        asked, about = self.settings, self._about()
         begun = time.monotonic()
         with self._explained(chosen):
             outcome = chosen.run(
-                engine=self.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed, quick=asked.quick,
-                values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
+                engine=self.code.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed,
+                quick=asked.quick, values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
             )  # fmt: skip
-        return self.directory.save(outcome, about | {"wall_seconds": time.monotonic() - begun})
+        bodies = self.directory.load_bodies(chosen.name)
+        if self.again or bodies is None or bodies.about["settings"] != about["settings"]:
+            self.directory.discard_bodies(chosen.name, written)
+        return self.directory.save(outcome, about | {"wall_seconds": time.monotonic() - begun}, written)
 
-    def _ensemble(self, chosen: Experiment, stored: Stored) -> ensemble.Ensemble | None:
+    def _ensemble(self, chosen: Experiment, stored: Stored, written: Written) -> ensemble.Ensemble | None:
         """The shares of the identified bodies: those asked for, those that the directory holds, or the package's."""
         held = self.directory.load_bodies(chosen.name)
         if self.bodies is not None:
             # What is set for all worlds is set for the bodies, too.
             bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
             if held is None or held.about["drawn"] != ensemble.fingerprint(bodies):
-                held = self._simulate_bodies(chosen, bodies)
+                held = self._simulate_bodies(chosen, bodies, written)
         if held is not None:
             return ensemble.of_outcome(held.outcome, chosen.figures)
         settings = stored.about["settings"]
         return None if settings["quick"] or settings["values"] else shipped(chosen.name)
 
-    def _simulate_bodies(self, chosen: Experiment, bodies: Mapping[str, np.ndarray]) -> Stored:
+    def _simulate_bodies(self, chosen: Experiment, bodies: Mapping[str, np.ndarray], written: Written) -> Stored:
         asked, count = self.settings, body_count(bodies)
-        drawn = {"bodies": count, "drawn": ensemble.fingerprint(bodies)}
-        about = session(settings=asked.as_dict(), engine=resolve_engine(self.engine), **drawn)
+        about = self._about(bodies=count, drawn=ensemble.fingerprint(bodies))
         begun = time.monotonic()
         with self._explained(chosen):
             outcome = ensemble.walked(
                 chosen, bodies, lambda share: self.progress(f"{chosen.name}, {count} bodies", share),
-                engine=self.engine, seed=asked.seed, quick=asked.quick, values=dict(asked.values),
+                engine=self.code.engine, seed=asked.seed, quick=asked.quick, values=dict(asked.values),
             )  # fmt: skip
-        return self.directory.save_bodies(outcome, about | {"wall_seconds": time.monotonic() - begun})
+        return self.directory.save_bodies(outcome, about | {"wall_seconds": time.monotonic() - begun}, written)
 
     @contextlib.contextmanager
     def _explained(self, chosen: Experiment) -> Iterator[None]:
@@ -258,23 +279,22 @@ class _Work:
             error.add_note(text)
             raise
 
-    def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
+    def _publish(self, chosen: Experiment, entry: dict[str, Any], written: Written) -> None:
         """Store an experiment's entry, and the report of all that the directory holds."""
-        self.directory.write_entry(chosen.name, entry)
+        self.directory.write_entry(chosen.name, entry | {"files": written.known})
         report.write(self.directory, EXPERIMENTS)
 
-    def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line]) -> list[Path]:
+    def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line], written: Written) -> list[Path]:
         from nermo_mjx.experiments.plots.draw import draw
 
         self.progress(f"{chosen.name}, plots", 0.0)
-        folder = self.directory.out / "plots"
-        plots = draw(outcome, lines, folder)
-        for stale in set(folder.glob(f"{chosen.name}-*")) - set(plots):
-            stale.unlink()
+        plots = draw(outcome, lines, self.directory.out / "plots", write=written.write)
+        made = {self.directory.relative(plot) for plot in plots}
+        written.remove([name for name in written.known if name.startswith("plots/") and name not in made])
         return plots
 
     def _videos(
-        self, chosen: Experiment, outcome: Outcome, made: list[dict[str, Any]]
+        self, chosen: Experiment, outcome: Outcome, made: list[dict[str, Any]], written: Written
     ) -> tuple[list[dict[str, Any]], list[str]]:
         """The video's file, content and speed, and what to note if there is none though there should be."""
         if made and all((self.directory.out / video["file"]).exists() for video in made):
@@ -283,8 +303,12 @@ class _Work:
         if not self.video or shows is None:
             return [], []
         path = self.directory.out / "videos" / f"{chosen.name}.mp4"
+
+        def make(path: Path) -> float:
+            return shoot(outcome, chosen.shot, path, lambda share: self.progress(f"{chosen.name}, video", share))
+
         try:
-            speed = shoot(outcome, chosen.shot, path, lambda share: self.progress(f"{chosen.name}, video", share))
+            speed = written.make(path, make)
         except (VideoError, RecordingError) as error:
             note = f"There is no video of {chosen.name}. {error}"
             self.notify(note)

@@ -1,6 +1,6 @@
 """An outcome as a Parquet table and back, and its cases summed up over their repeats.
 
-Roles of the columns: `case` (what tells the cases apart), `index` (repeat), `metric`, `status`.
+Roles of the columns: `case` (what tells the cases apart), `index` (repeat), `metric`, `status`, `code` (that made it).
 """
 
 from __future__ import annotations
@@ -20,28 +20,33 @@ from nermo_mjx.view.recording import Recording
 
 REPEAT: Final = "repeat"
 PROFILE: Final = "profile"
+CODE: Final = "code"
 MISSING: Final = "–"
 
 
-def table_of(outcome: Outcome, about: Mapping[str, Any]) -> pa.Table:
+def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
     """The table of an outcome, one row a world.
 
     Args:
         about: what to note in the schema's metadata.
+        code: short name of the code that made it.
     """
     columns, cases = Columns(), case_columns(outcome)
     for name, values in outcome.columns.items():
         role = "case" if name in cases else {REPEAT: "index", "status": "status"}.get(name, "metric")
         column = outcome.about.get(name, Column("1", name.replace("_", " ")))
         columns.add(name, np.asarray(values), role, column.unit or "1", column.doc)
+    rows = len(next(iter(outcome.columns.values())))
+    columns.add(CODE, np.full(rows, code), CODE, "1", "the code that made the row, see run.json")
     return columns.table({"experiment": outcome.experiment, **about})
 
 
 def outcome_of(table: pa.Table, recordings: Mapping[str, Recording]) -> Outcome:
     """The outcome that `table_of` made a table of; its recordings are kept beside it."""
+    fields = [field for field in table.schema if meta(field)["role"] != CODE]
     # Texts become texts again, and not objects.
-    columns = {name: np.array(table.column(name).to_pylist()) for name in table.column_names}
-    about = {field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in table.schema}
+    columns = {field.name: np.array(table.column(field.name).to_pylist()) for field in fields}
+    about = {field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields}
     return Outcome(table.schema.metadata[b"experiment"].decode(), columns, about, recordings)
 
 

@@ -1,7 +1,7 @@
 """What a run leaves: one room for directories of every kind, who writes them, and which code made what they hold."""
 
 from nermo_mjx.runs.code import CodeStamp, stamp
-from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, kind_of
+from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, engine_of, kind_of
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.provenance import machine, session, versions
 
@@ -11,6 +11,7 @@ __all__ = [
     "OtherCode",
     "RunDirectory",
     "codes_of",
+    "engine_of",
     "kind_of",
     "machine",
     "session",

@@ -24,8 +24,10 @@ RUN: Final = "run.json"
 _SIGNS: Final = {
     "sweep.yaml": "sweep",
     "tuning.yaml": "tuning",
+    "landscape.yaml": "landscape",
     "landscape.json": "landscape",
     "candidates.jsonl": "identification",
+    "identification.json": "identification",
     "report.json": "experiments",
     "results.jsonl": "benchmarks",
 }
@@ -177,6 +179,12 @@ def codes_of(out: Path) -> dict[str, CodeStamp]:
     """The codes that made what a directory holds, by their short names, in the order in which they came."""
     found = {name: known(fields) for name, fields in read_record(out).get("codes", {}).items()}
     return {name: stamp for name, stamp in found.items() if stamp is not None}
+
+
+def engine_of(out: Path) -> str | None:
+    """The engine of the code that came last to a directory; None if it knows none."""
+    codes = codes_of(out)
+    return next(reversed(codes.values())).engine if codes else None
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs.files import clear_errors
+
+#: The file in an identification's directory.
+FILE: Final = "candidates.jsonl"
 
 
 class CandidateFile:
@@ -16,15 +22,17 @@ class CandidateFile:
 
     Args:
         path: the file; made if it does not exist.
-        about: settings of the search, engine and versions; with others the speeds would not be the same.
+        about: settings of the search, and of the robot; with others the candidates would not be the same.
+        code: short name of the code that adds candidates, see `nermo_mjx.runs.code`.
 
     Raises:
         ParameterError: the file belongs to another search.
-        OSError: it cannot be read or written.
+        DirectoryError: it cannot be written.
+        OSError: it cannot be read.
     """
 
-    def __init__(self, path: Path, about: dict[str, object]) -> None:
-        self.path = path
+    def __init__(self, path: Path, about: dict[str, object], code: str) -> None:
+        self.path, self.code = path, code
         self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
         text = path.read_text() if path.exists() else ""
         lines = text.splitlines()
@@ -32,16 +40,14 @@ class CandidateFile:
         if not lines:
             self._append(about)
             return
-        if json.loads(lines[0]) != about:
+        # Earlier releases noted versions and engine here as well; whether they fit is the directory's to say.
+        begun = _parsed(lines[0])
+        if {name: begun.get(name) for name in about} != about:
             raise ParameterError(f"{path} belongs to a search with other settings: choose another directory.")
         if not text.endswith("\n"):  # cut off by whatever killed the search: what comes next needs its own line
             with open(path, "a") as file:
                 file.write("\n")
-        for line in lines[1:]:
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:
-                continue
+        for row in candidates(lines[1:]):
             points = np.array(row["points"], float)
             self._known[points.tobytes()] = np.array(row["speed"], float), np.array(row["walked"], bool)
 
@@ -51,10 +57,27 @@ class CandidateFile:
 
     def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
         """See `search.Memory.keep`."""
-        self._append({"points": points.tolist(), "speed": speed.tolist(), "walked": walked.tolist()})
+        found = {"points": points.tolist(), "speed": speed.tolist(), "walked": walked.tolist()}
+        self._append({"code": self.code, **found})
 
     def _append(self, row: dict[str, object]) -> None:
-        with open(self.path, "a") as file:
+        with clear_errors(self.path.parent), open(self.path, "a") as file:
             file.write(json.dumps(row) + "\n")
             file.flush()
             os.fsync(file.fileno())
+
+
+def candidates(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
+    """The generations in the lines after the first; one that is cut off was being written when the search died."""
+    for line in lines:
+        row = _parsed(line)
+        if {"points", "speed", "walked"} <= set(row):
+            yield row
+
+
+def _parsed(line: str) -> dict[str, Any]:
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return {}
+    return row if isinstance(row, dict) else {}

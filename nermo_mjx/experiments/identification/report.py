@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE
 from nermo_mjx.experiments.identification.ensemble_report import csv_text, ensemble_content, ensemble_section
-from nermo_mjx.experiments.identification.memory import CandidateFile
+from nermo_mjx.experiments.identification.memory import FILE, CandidateFile
 from nermo_mjx.experiments.identification.plots import draw
 from nermo_mjx.experiments.identification.search import Identified, identify, walks
 from nermo_mjx.experiments.identification.space import FREE, START
@@ -23,8 +23,8 @@ from nermo_mjx.experiments.table import MISSING, number
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
-from nermo_mjx.runs.provenance import session
+from nermo_mjx.runs import RunDirectory, codes_of, engine_of, session, stamp
+from nermo_mjx.runs.files import clear_errors
 from nermo_mjx.sweep.summary import to_json
 
 FORMULA: Final = (
@@ -39,6 +39,8 @@ TARGET_HEADINGS: Final = (
 PARAMETER_HEADINGS: Final = (
     ("parameter", "left"), ("start", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
 )  # fmt: skip
+#: The file that a finished identification has.
+RESULT: Final = "identification.json"
 #: Nearer to a bound than this share of the range of its logarithm, a parameter lies at it.
 _AT_BOUND: Final = 0.01
 
@@ -54,41 +56,55 @@ def run_identification(
     sweeps: int = 5,
     tolerance: float = TOLERANCE,
     seed: int = 0,
+    accept_new_code: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> dict[str, Any]:
     """Identify, and write the result into a directory; a search that was stopped there goes on.
 
-    Args: see `identification.identify`.
+    Args:
+        out: the directory.
+        engine: of the simulations; `auto` is the one that the directory was begun with, if it was.
+        accept_new_code: go on with candidates of other code; the file's `code` tells them apart.
+
+    The others are those of `identification.identify`.
 
     Returns:
         Content of identification.json.
 
     Raises:
-        ParameterError: wrong arguments, or a directory that cannot be written or holds an identification.
-        DirectoryError: the directory cannot be written any more.
+        ParameterError: wrong arguments, or a directory that holds a finished identification, or another search.
+        OtherCode: other code made the candidates that the directory holds.
+        DirectoryError: the directory holds something else, is in use, or cannot be written.
     """
-    folder = Path(out)
-    _prepare(folder)
     resolve_engine(engine)
+    folder = Path(out)
     search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
     settings: dict[str, Any] = {**search, "bodies": bodies, "sweeps": sweeps, "tolerance": tolerance}
-    about = session(settings=settings, engine=resolve_engine(engine))
-    begun = time.monotonic()
-    robot = {"model": walks().load().fingerprint, "defaults": walks().defaults()}
-    with clear_errors(folder):
-        header = {**search, "engine": about["engine"], **about["versions"], **robot}
-        memory = CandidateFile(folder / "candidates.jsonl", header)
-    found = identify(engine=engine, **settings, memory=memory, progress=progress)
-    content = {**_content(found), **robot, **about, "wall_seconds": time.monotonic() - begun}
-    with clear_errors(folder):
+    with RunDirectory(folder, "identification") as held:
+        if (folder / RESULT).exists():
+            raise ParameterError(f"{folder} holds an identification; choose another directory.")
+        if engine == "auto":
+            engine = engine_of(folder) or engine
+        robot = {"model": walks().load().fingerprint, "defaults": walks().defaults()}
+        code = stamp(robot["model"], resolve_engine(engine))
+        held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
+        about = session(settings=settings, engine=code.engine)
+        held.note_session(about)
+        begun = time.monotonic()
+        with clear_errors(folder):
+            memory = CandidateFile(folder / FILE, {**search, "defaults": robot["defaults"]}, code.id)
+        found = identify(engine=code.engine, **settings, memory=memory, progress=progress)
+        codes = {"codes": list(codes_of(folder))}
+        content = {**_content(found), **robot, **about, **codes, "wall_seconds": time.monotonic() - begun}
         # The result first: whatever happens to the plots, the search is not lost.
-        replace_file(folder / "identification.json", to_json(content))
+        held.write(RESULT, to_json(content))
         if content["ensemble"] and content["ensemble"]["size"]:
-            replace_file(folder / "ensemble.csv", csv_text(content).encode())
-        content["plots"] = [path.relative_to(folder).as_posix() for path in draw(content, folder / "plots")]
-        replace_file(folder / "identification.json", to_json(content))
-        replace_file(folder / "identification.md", _page(content).encode())
-    return content
+            held.write("ensemble.csv", csv_text(content).encode())
+        with clear_errors(folder):
+            content["plots"] = [path.relative_to(folder).as_posix() for path in draw(content, folder / "plots")]
+        held.write(RESULT, to_json(content))
+        held.write("identification.md", _page(content).encode())
+        return content
 
 
 def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
@@ -111,12 +127,6 @@ def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
         default = ", ".join(dict.fromkeys(f"{value:g}" for value in free["default"]))
         rows.append([names, default, value, f"{free['low']:g} to {free['high']:g}", free["why"]])
     return rows
-
-
-def _prepare(folder: Path) -> None:
-    if (folder / "identification.json").exists():
-        raise ParameterError(f"{folder} holds an identification; choose another directory.")
-    make_writable(folder)
 
 
 def _content(found: Identified) -> dict[str, Any]:
@@ -210,7 +220,7 @@ In a sweep file:
   {search["population"]} by CMA-ES from the best of them; both in the logarithms of the parameters.
 - Seed {search["seed"]}, engine {content["engine"]}, {content["wall_seconds"]:.0f} s, begun on {content["started"]}.
 - Command: `{content["command"]}`
-- Model {content["model"]}; versions: {versions}
+- Model {content["model"]}, code {", ".join(content["codes"])}; versions: {versions}
 - Machine: {machine}
 """
 

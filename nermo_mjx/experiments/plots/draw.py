@@ -26,7 +26,14 @@ DRAWERS: Final[dict[str, Drawer]] = {
 }
 
 
-def draw(outcome: Outcome, lines: Sequence[Line], out: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
+def draw(
+    outcome: Outcome,
+    lines: Sequence[Line],
+    out: Path,
+    formats: Sequence[str] = FORMATS,
+    *,
+    write: Callable[[Path, bytes], None] = replace_file,
+) -> list[Path]:
     """Draw the pictures of one experiment, each as PNG and SVG.
 
     What the outcome does not have (a profile, a case, a recording) is left out of the pictures, and a picture of
@@ -37,6 +44,7 @@ def draw(outcome: Outcome, lines: Sequence[Line], out: Path, formats: Sequence[s
         lines: of its report; they hold what the publication says, which is drawn beside what was simulated.
         out: folder of the files, which are called EXPERIMENT-PICTURE.png and .svg.
         formats: of `png` and `svg`.
+        write: how a file is written.
 
     Returns:
         The files, in the order drawn. Each is written whole or not at all, and the same outcome gives the same bytes.
@@ -45,7 +53,7 @@ def draw(outcome: Outcome, lines: Sequence[Line], out: Path, formats: Sequence[s
     files: list[Path] = []
     for name, figure in pictures(outcome, lines):
         with matplotlib.rc_context(STYLE):
-            files += write_figure(figure, out, f"{outcome.experiment}-{name}", replace_file, formats)
+            files += write_figure(figure, out, f"{outcome.experiment}-{name}", write, formats)
     return files
 
 
