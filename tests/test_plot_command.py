@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from pathlib import Path
@@ -23,6 +24,7 @@ from nermo_mjx.experiments.plots.draw import draw
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.written import Written
 from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.lock import hold
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.landscape import run_landscape
@@ -49,7 +51,26 @@ def sweep(swept: Path, tmp_path: Path) -> Path:
 
 
 def content(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
+    """The files of a folder but its lock."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != ".lock"}
+
+
+def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    held = hold(tmp_path / "there")
+    try:
+        result = plot(sweep, "--out", tmp_path / "there", "--format", "png")
+        assert result.exit_code == 1
+        assert f"another process works in {tmp_path / 'there'}; wait for it" in result.stderr
+        assert not content(tmp_path / "there")
+    finally:
+        os.close(held)
+    assert plot(sweep, "--out", tmp_path / "there", "--format", "png").exit_code == 0
+
+
+def test_a_sweep_that_is_being_written_is_drawn(sweep: Path) -> None:
+    with RunDirectory(sweep, "sweep"):
+        assert plot(sweep, "--format", "png").exit_code == 0
 
 
 def test_a_sweeps_figures_are_remade_to_the_last_byte(sweep: Path, swept: Path) -> None:
@@ -64,7 +85,7 @@ def test_a_sweeps_figures_are_remade_to_the_last_byte(sweep: Path, swept: Path) 
 def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> None:
     report = json.loads(plot(sweep, "--out", tmp_path / "new", "--format", "png", "--json").stdout)
     assert report["kind"] == "sweep"
-    assert sorted(report["files"]) == sorted(map(str, (tmp_path / "new").iterdir()))
+    assert {Path(file).name for file in report["files"]} == set(content(tmp_path / "new"))
     assert {Path(file).suffix for file in report["files"]} == {".png"}
 
 
@@ -81,7 +102,7 @@ def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
 
 def test_columns_of_choice(sweep: Path, tmp_path: Path) -> None:
     result = plot(sweep, "--x", "frequency", "--y", "spine.phase", "--color", "roll_std", "--out", tmp_path / "a")
-    assert [path.name for path in sorted((tmp_path / "a").iterdir())] == [
+    assert sorted(content(tmp_path / "a")) == [
         f"roll_std-over-frequency-and-spine.phase.{form}" for form in ("png", "svg")
     ]
     assert result.exit_code == 0
@@ -111,8 +132,8 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     result = plot(tmp_path / "empty")
     assert result.exit_code == 2
     assert (
-        "has none of sweep.yaml, tuning.yaml, report.json, identification.json, landscape.yaml and results.jsonl"
-        in (result.stderr)
+        "is no directory of results: it holds neither a sweep, a tuning, a landscape, published experiments, an "
+        "identification nor benchmarks." in result.stderr
     )
     assert plot(tmp_path / "missing").exit_code == 2
     shutil.rmtree(sweep / "results")
@@ -164,6 +185,11 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     made = draw(outcome, lines, tmp_path / "drawn")
     assert len(made) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")
+    # A picture that a user has changed is kept.
+    picture = next((out / "plots").glob("*.png"))
+    picture.write_text("painted over")
+    assert plot(out).exit_code == 0
+    assert picture.with_name(f"{picture.name}.aside-1").read_text() == "painted over"
     (out / "results" / "straight-line.parquet").write_text("damaged")
     result = plot(out)
     assert result.exit_code == 1

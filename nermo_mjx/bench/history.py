@@ -54,11 +54,13 @@ class History:
         machines: machine -> its measurements, in the order of the registry.
         remarks: a sentence on each line that is not shown.
         lines: readable measurements in the file, however old.
+        commits: that were measured, the oldest first.
     """
 
     machines: dict[str, list[Measured]]
     remarks: tuple[str, ...]
     lines: int
+    commits: tuple[str, ...]
 
 
 def append(folder: Path, run: Mapping[str, Any]) -> None:
@@ -77,7 +79,7 @@ def read(folder: Path) -> History:
         OSError: there is no such file, or it cannot be read.
     """
     found: dict[str, dict[tuple[Any, ...], Measured]] = {}
-    unreadable, remarks, count = list[int](), list[str](), 0
+    unreadable, remarks, commits, count = list[int](), list[str](), dict[str, None](), 0
     for number, text in enumerate((folder / RESULTS).read_bytes().splitlines(), 1):
         try:
             run = json.loads(text)
@@ -85,6 +87,7 @@ def read(folder: Path) -> History:
         except (ValueError, KeyError, TypeError, AttributeError):
             unreadable.append(number)
             continue
+        commits[str(run["commit"])] = None
         for line in lines:
             wrong = _wrong(line)
             if wrong:
@@ -102,7 +105,7 @@ def read(folder: Path) -> History:
         named = f"Lines {', '.join(most)} and {last}" if most else f"Line {last}"
         remarks.insert(0, f"{named} of {RESULTS} cannot be read, and {'are' if most else 'is'} not shown.")
     order = sorted(found, key=lambda machine: machine == UNKNOWN)
-    return History({machine: _in_order(found[machine]) for machine in order}, tuple(remarks), count)
+    return History({machine: _in_order(found[machine]) for machine in order}, tuple(remarks), count, tuple(commits))
 
 
 def _machine(about: Mapping[str, Any] | None) -> str:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable
+import contextlib
+import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import EXPERIMENTS, FORMATS
+from nermo_mjx.cli.choices import FORMATS
 from nermo_mjx.cli.completing import FileKind
 from nermo_mjx.cli.group import Failure, WrongUse
+from nermo_mjx.cli.kinds import kind_of_directory
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.recordings import load_recording
 
@@ -23,15 +25,6 @@ Examples:
   nermo-mjx plot runs/quickstart --x frequency --y spine.phase --color slip
   nermo-mjx plot walk.npz --out plots --format png
 """
-#: What tells the kinds of directories apart, and their names.
-_MARKS = {
-    "sweep": ("sweep.yaml",),
-    "tuning": ("tuning.yaml",),
-    "experiments": ("report.json", *(f"results/{name}.parquet" for name in EXPERIMENTS)),
-    "identification": ("identification.json",),
-    "landscape": ("landscape.yaml",),
-    "benchmarks": ("results.jsonl",),
-}
 
 
 @click.command("plot", epilog=EPILOG)
@@ -64,77 +57,58 @@ def command(
     give a heat map, two metrics with a better side a Pareto front, all else a
     scatter. --color alone, a metric, gives the usual figures of it.
     """
-    kind = _kind_of(path)
-    if kind != "sweep" and (x, y, color) != (None, None, None):
-        raise WrongUse(f"--x, --y and --color choose columns of a sweep, but {path} is {_ARTICLES[kind]}.")
-    if kind == "recording" and out is None:
+    kind = kind_of_directory(path) if path.is_dir() or not path.exists() else None
+    if (kind is None or kind.name != "sweep") and (x, y, color) != (None, None, None):
+        called = "a recording" if kind is None else f"the directory of {kind.called}"
+        raise WrongUse(f"--x, --y and --color choose columns of a sweep, but {path} is {called}.")
+    if kind is None and out is None:
         raise WrongUse(f"{path} is a recording: say with --out DIR where its figures go.")
     formats = FORMATS if form is None else (form,)
     notes: list[str] = []
     with stdout_reserved():
-        if kind == "sweep":
-            from nermo_mjx.sweep.redraw import redraw as redraw_sweep
-
-            files = redraw_sweep(path, out, x=x, y=y, color=color, formats=formats, notify=notes.append)
-        elif kind == "recording":
+        if kind is None:
             assert out is not None
             files = _plot_recording(path, out, formats, notes)
         else:
-            files = _redraw(kind)(path, out, formats=formats)
+            chosen = {"x": x, "y": y, "color": color, "notify": notes.append} if kind.name == "sweep" else {}
+            with _drawing_into(path / "plots" if out is None else out):
+                files = kind.load(kind.redraw)(path, out, formats=formats, **chosen)
     for note in notes if not quiet else []:
         click.echo(f"plot: {note}", err=True)
     if as_json:
-        print_json({"path": path, "kind": kind, "files": files, "notes": notes})
+        print_json({"path": path, "kind": kind.name if kind else "recording", "files": files, "notes": notes})
     elif not quiet:
         for file in files:
             click.echo(f"wrote {file}")
 
 
-_ARTICLES = {
-    "recording": "a recording", "tuning": "a tuning's directory", "experiments": "a directory of experiments",
-    "identification": "an identification's directory", "landscape": "a landscape's directory",
-    "benchmarks": "a directory of benchmarks",
-}  # fmt: skip
-
-
-def _kind_of(path: Path) -> str:
-    """What a path holds, by its content."""
-    if not path.exists():
-        raise WrongUse(f"{path}: there is no such file or directory.")
-    if not path.is_dir():
-        return "recording"
-    for kind, marks in _MARKS.items():
-        if any((path / mark).exists() for mark in marks):
-            return kind
-    if (path / "landscape.parquet").exists():
-        raise WrongUse(f"{path} holds a landscape of an earlier version: nermo-mjx landscape draws it again.")
-    names = [mark for each in _MARKS.values() for mark in each[:1]]
-    raise WrongUse(
-        f"{path} is no directory that figures can be made of: it has none of {', '.join(names[:-1])} and {names[-1]}."
-    )
-
-
-def _redraw(kind: str) -> Callable[..., list[Path]]:
-    module, name = {
-        "tuning": ("nermo_mjx.tune.redraw", "redraw"),
-        "landscape": ("nermo_mjx.tune.landscape.run", "redraw"),
-        "experiments": ("nermo_mjx.experiments.redraw", "redraw"),
-        "identification": ("nermo_mjx.experiments.redraw", "redraw_identification"),
-        "benchmarks": ("nermo_mjx.bench.page", "redraw"),
-    }[kind]
-    draw: Callable[..., list[Path]] = getattr(importlib.import_module(module), name)
-    return draw
-
-
 def _plot_recording(path: Path, out: Path, formats: Any, notes: list[str]) -> list[Path]:
-    from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
+    from nermo_mjx.runs.files import clear_errors, replace_file
     from nermo_mjx.view.plots.draw import draw_recording
 
     recording = load_recording(path)
-    make_writable(out)
-    with clear_errors(out):
+    with _drawing_into(out), clear_errors(out):
         drawn = draw_recording(recording, out, write=replace_file, formats=formats)
     notes += drawn.notes
     if not drawn.files:
         raise Failure(f"there is nothing to draw of {path}: {' '.join(drawn.notes)}")
     return drawn.files
+
+
+@contextlib.contextmanager
+def _drawing_into(folder: Path) -> Iterator[None]:
+    """Hold a folder of figures, so that two commands do not draw into it at once; it is made if it is missing.
+
+    Raises:
+        DirectoryError: another one does, or it cannot be written.
+    """
+    from nermo_mjx.runs.files import clear_errors, make_writable
+    from nermo_mjx.runs.lock import hold
+
+    make_writable(folder)
+    with clear_errors(folder):
+        held = hold(folder)
+    try:
+        yield
+    finally:
+        os.close(held)

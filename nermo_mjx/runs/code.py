@@ -58,6 +58,9 @@ class CodeStamp:
         """For a JSON file."""
         return dataclasses.asdict(self)
 
+    def __str__(self) -> str:
+        return ", ".join(form.format(self.fields()[name]) for name, form in _CALLED.items())
+
     def unlike(self, other: CodeStamp) -> str:
         """How this stamp differs from another, as "engine c, not warp"; empty where it does not."""
         own, theirs = self.fields(), other.fields()

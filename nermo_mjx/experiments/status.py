@@ -1,0 +1,75 @@
+"""How far a directory of experiments is, and that of an identification."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+from nermo_mjx.experiments.catalogue import EXPERIMENTS
+from nermo_mjx.experiments.directory import Directory, Stored
+from nermo_mjx.runs import engine_of
+from nermo_mjx.runs.directory import read_record
+from nermo_mjx.runs.status import Status, last_command
+
+
+def status(out: Path) -> Status:
+    """Which experiments a directory holds, of those that it was asked for."""
+    directory, sessions = Directory(out), read_record(out).get("sessions", [])
+    found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
+    bodies = {name: stored for name in found if (stored := directory.load_bodies(name)) is not None}
+    asked = {name: None for session in sessions for name in session.get("experiments", [])} or found
+    missing = [name for name in asked if name not in found or directory.entry(name) is None]
+    rows = sum(_rows(stored) for stored in (*found.values(), *bodies.values()))
+    notes = [_note(name, stored, bodies.get(name)) for name, stored in found.items()]
+    notes += [f"{name} is not finished." for name in missing]
+    complete = bool(found) and not missing
+    engines = dict.fromkeys(stored.about["engine"] for stored in found.values())
+    return Status(
+        "runs", rows, rows if complete else None, complete,
+        f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out),
+        engine=", ".join(engines) or engine_of(out), sessions=[stored.about for stored in found.values()],
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def identification_status(out: Path) -> Status:
+    """How many candidates an identification has walked."""
+    from nermo_mjx.experiments.identification.memory import FILE, candidates
+    from nermo_mjx.experiments.identification.report import RESULT
+
+    lines = (out / FILE).read_text().splitlines() if (out / FILE).exists() else []
+    # A batch that was not full has some of its points twice.
+    done = len({tuple(point) for row in candidates(lines[1:]) for point in row["points"]})
+    try:
+        content: dict[str, Any] = json.loads((out / RESULT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        content = {}
+    complete = bool(content)
+    engine = engine_of(out) or content.get("engine") or (_engine(lines[0]) if lines else None)
+    return Status(
+        "candidates", done, done if complete else None, complete,
+        f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out), engine,
+        sessions=[content] if content else [],
+    )  # fmt: skip
+
+
+def _rows(stored: Stored) -> int:
+    return len(next(iter(stored.outcome.columns.values())))
+
+
+def _note(name: str, stored: Stored, bodies: Stored | None) -> str:
+    besides = f", and {_rows(bodies)} of identified bodies" if bodies is not None else ""
+    made = stored.about
+    code = f", code {made['code']}" if "code" in made else ""
+    return f"{name}: {_rows(stored)} runs{besides}, of {made['started'][:16]}, engine {made['engine']}{code}."
+
+
+def _engine(first: str) -> str | None:
+    """The engine that the first line of candidates names, as those of earlier releases do."""
+    try:
+        engine = json.loads(first).get("engine")
+    except (ValueError, AttributeError):
+        return None
+    return str(engine) if engine else None

@@ -1,0 +1,52 @@
+"""How far a directory is: what each kind says about itself, and how to go on with it. Nothing here writes."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from nermo_mjx.runs.directory import read_record
+
+
+@dataclasses.dataclass(frozen=True)
+class Status:
+    """How far a directory is.
+
+    Attributes:
+        unit: what its rows are, such as "runs".
+        rows_done: rows that it holds.
+        rows: rows that it will have; None while that is decided by what is found.
+        complete: whether all that it was begun for is there.
+        command: goes on, or makes the figures again where nothing is left to do; empty if it is not known.
+        engine: that made the rows; None if it is not known.
+        code: short names of what made the rows, where the directory has no codes of its own.
+        sessions: that made it, where run.json has none.
+        notes: sentences.
+    """
+
+    unit: str
+    rows_done: int
+    rows: int | None
+    complete: bool
+    command: str
+    engine: str | None = None
+    code: tuple[str, ...] = ()
+    sessions: Sequence[Mapping[str, Any]] = ()
+    notes: tuple[str, ...] = ()
+
+
+def last_command(out: Path) -> str:
+    """The command of the last session that worked on a directory, with the place where it is now; empty if unknown."""
+    sessions = read_record(out).get("sessions", [])
+    words = shlex.split(sessions[-1].get("command", "")) if sessions else []
+    if not words or not words[1:]:
+        return ""
+    if Path(words[0]).name in ("nermo-mjx", "__main__.py"):
+        words[0] = "nermo-mjx"
+    for option in ("--out", "--into"):
+        if option in words[:-1]:
+            words[words.index(option) + 1] = str(out)
+    return shlex.join(words)

@@ -1,0 +1,206 @@
+"""`nermo-mjx status`: each kind of directory says what it holds, of this release and the former; nothing changes."""
+
+from __future__ import annotations
+
+import json
+import re
+import types
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from experiment_fake import Fake
+from sweep_fake import SPEC, FakeSimulator
+from tune_fake import SPEC as TUNE_SPEC
+from tune_fake import FakeProblem
+
+from nermo_mjx.bench.page import add_run
+from nermo_mjx.cli import main
+from nermo_mjx.experiments.catalogue import EXPERIMENTS
+from nermo_mjx.experiments.identification import report, search
+from nermo_mjx.experiments.identification.targets import CASES
+from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.run import ExperimentsInterrupted, run_experiments
+from nermo_mjx.runs import RunDirectory, codes_of, stamp
+from nermo_mjx.sweep import run_sweep
+from nermo_mjx.tune import Tuning, run_tuning
+from nermo_mjx.tune.landscape import run_landscape
+
+KEYS = {"kind", "rows", "rows_done", "code", "engine", "complete"}
+
+
+def status(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, ["status", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def said(out: Path) -> dict[str, Any]:
+    """What `--json` gives; neither it nor the text for people changes anything."""
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    result, text = status(out, "--json"), status(out)
+    assert (result.exit_code, text.exit_code) == (0, 0), result.stderr + text.stderr
+    assert before == {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    content: dict[str, Any] = json.loads(result.stdout)
+    assert set(content) == KEYS
+    return content
+
+
+def known(content: dict[str, Any]) -> tuple[Any, ...]:
+    """What does not depend on the machine."""
+    return tuple(content[key] for key in ("kind", "rows", "rows_done", "complete"))
+
+
+def test_a_sweep_says_how_far_it_is_and_how_to_go_on(tmp_path: Path) -> None:
+    out = tmp_path / "a sweep"
+    run_sweep(SPEC, out, chunk=8, simulator=FakeSimulator())
+    assert known(said(out)) == ("sweep", 36, 36, True)
+    assert re.search(r"a sweep, 36 runs, complete\n", status(out).stdout)
+    (out / "results" / "chunk-00001.parquet").unlink()
+    there = said(out)["rows_done"]
+    assert 0 < there < 36
+    text = status(out).stdout
+    assert f"{out}: a sweep, {there} of 36 runs, not complete" in text
+    assert f"go on    nermo-mjx sweep '{out}/sweep.yaml' --out '{out}'\n" in text
+    (out / "results" / "chunk-00002.parquet").write_text("half")
+    assert said(out)["rows_done"] < there
+    assert "results/chunk-00002.parquet is damaged" in status(out).stdout
+
+
+def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:
+    with RunDirectory(tmp_path, "sweep") as held:
+        code = stamp("a model", "c")
+        held.take_code(code, holds_rows=False)
+        held.note_session({"started": "2026-01-01T00:00:00", "command": "nermo-mjx sweep a.yaml --out elsewhere"})
+        content = said(tmp_path)
+        assert known(content) == ("sweep", None, 0, False)
+        assert content["code"] == [code.id]
+        text = status(tmp_path).stdout
+        assert f"code     {code.id}: nermo-mjx {code.package}, sources {code.sources}, model a model, engine c" in text
+        assert "2026-01-01T00:00" in text
+        assert "nermo-mjx sweep a.yaml --out elsewhere" in text
+
+
+def test_a_sweep_of_the_previous_release_is_read(tmp_path: Path) -> None:
+    """Its run.json has neither kind nor codes; its chunks know the engine."""
+    run_sweep(SPEC, tmp_path, chunk=8, simulator=FakeSimulator())
+    sessions = [{"started": "2026-01-01T00:00:00+0000", "command": "nermo-mjx sweep a", "versions": {"jax": "0.1"},
+                 "machine": {"host": "far", "cores": 4}}]  # fmt: skip
+    (tmp_path / "run.json").write_text(json.dumps({"sessions": sessions * 5}))
+    content = said(tmp_path)
+    assert known(content) == ("sweep", 36, 36, True)
+    assert content["code"] == []
+    assert content["engine"]
+    text = status(tmp_path).stdout
+    assert "code     not known, as of earlier releases" in text
+    assert "session  and 2 earlier" in text
+    assert text.count("2026-01-01T00:00, jax 0.1, on far, 4 cores") == 3
+
+
+def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
+    tuning = Tuning.from_dict(TUNE_SPEC | {"starts": 2, "iterations": 3})
+    run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
+    assert known(said(tmp_path)) == ("tuning", 8, 8, True)
+    (tmp_path / "history.parquet").unlink()
+    assert known(said(tmp_path)) == ("tuning", 8, 0, False)
+    assert f"go on    nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
+
+
+def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> None:
+    tuning = Tuning.from_dict(TUNE_SPEC)
+    points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning), points=9).table.num_rows
+    assert known(said(tmp_path)) == ("landscape", points, points, True)
+    assert "session  20" in status(tmp_path).stdout
+    (tmp_path / "landscape.parquet").unlink()
+    (tmp_path / "batches").mkdir()
+    np.savez(tmp_path / "batches" / "a-5-000000.npz", value=np.zeros(5))
+    assert known(said(tmp_path)) == ("landscape", None, 5, False)
+
+
+@pytest.fixture
+def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
+    """Experiments that simulate and draw nothing."""
+    made = {name: Fake(name) for name in EXPERIMENTS}
+    for name, fake in made.items():
+        monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
+    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    return made
+
+
+def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
+    fakes: dict[str, Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["/usr/bin/nermo-mjx", "experiment", "all", "--out", "elsewhere", "--no-video"])
+    fakes["maze"].error = KeyboardInterrupt()
+    with pytest.raises(ExperimentsInterrupted):
+        run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
+    content = said(tmp_path)
+    assert known(content) == ("experiments", None, 12, False)
+    assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
+    text = status(tmp_path).stdout
+    assert "maze is not finished." in text
+    assert f"go on    nermo-mjx experiment all --out {tmp_path} --no-video\n" in text
+    fakes["maze"].error = None
+    run_experiments(["turning", "maze"], tmp_path, video=False)
+    assert known(said(tmp_path)) == ("experiments", 24, 24, True)
+    assert f"figures  nermo-mjx plot {tmp_path}\n" in status(tmp_path).stdout
+    # As the previous release left it.
+    (tmp_path / "run.json").unlink()
+    content = said(tmp_path)
+    assert known(content) == ("experiments", 24, 24, True)
+    assert (content["engine"], content["code"]) == ("c", [])
+
+
+def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = 0
+
+    class Walker:
+        def __init__(self, setup: Any, engine: str) -> None:
+            self.setup = setup
+
+        def run(self, values: dict[str, np.ndarray], run: Any) -> Any:
+            nonlocal calls
+            calls += 1
+            if calls == 3:
+                raise KeyboardInterrupt
+            speed = np.resize(0.05 + 0.01 * np.arange(len(CASES)), len(values["servo.kp"]))
+            return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"))
+
+    monkeypatch.setattr(search, "Simulator", Walker)
+    settings = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
+    with pytest.raises(KeyboardInterrupt):
+        report.run_identification(tmp_path, **settings)
+    content = said(tmp_path)
+    assert known(content) == ("identification", None, 9, False)
+    assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
+    report.run_identification(tmp_path, **settings)
+    assert known(said(tmp_path)) == ("identification", 21, 21, True)
+
+
+def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Path) -> None:
+    hardware = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
+    for commit, figures in (("abc", {"steps_per_second": 3.0}), ("def", {"error": "no memory"})):
+        line = {"case": "throughput", "engine": "c", "worlds": 64, **figures}
+        add_run(tmp_path, {"date": "2026-01-01", "commit": commit, "hardware": hardware, "cases": [line]})
+    content = said(tmp_path)
+    assert known(content) == ("benchmarks", 2, 2, True)
+    assert (content["engine"], content["code"]) == ("c", ["abc", "def"])
+    assert "failed: no memory. That was on 2026-01-01, commit def" in status(tmp_path).stdout
+
+
+def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for name, sentence in (("missing", "there is no such file or directory."), ("file", "is no directory of results"),
+                           (".", "is no directory of results: it holds neither a sweep, ")):  # fmt: skip
+        result = status(tmp_path / name)
+        assert result.exit_code == 2
+        assert sentence in result.stderr
+    (tmp_path / "run.json").write_text('{"kind": "training"}')
+    assert "holds a training, which this version of nermo-mjx does not know" in status(tmp_path).stderr
+    (tmp_path / "run.json").write_text('{"kind": ')
+    result = status(tmp_path)
+    assert result.exit_code == 1
+    assert "run.json cannot be read" in result.stderr
