@@ -25,6 +25,7 @@ from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main, options
 from nermo_mjx.cli.output import plain
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.version import __version__
 
 COMMANDS = (
@@ -443,6 +444,28 @@ def test_an_experiment_that_fails_or_is_stopped_says_what_is_kept(fakes: dict[st
     assert result.exit_code == 1
     assert result.stderr.endswith("To go on, run the same command again.\n")
     assert len(json.loads((tmp_path / "report.json").read_text())["lines"]) == 15
+
+
+def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
+    fakes: dict[str, Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1 where another process works, which may be waited for; 2 where other code made it, until that is accepted."""
+    run = ("experiment", "turning", "--out", tmp_path, "--no-video", "--quiet")
+    with RunDirectory(tmp_path, "experiments"):
+        result = call(*run)
+    assert (result.exit_code, result.stderr) == (
+        1, f"nermo-mjx: another process works in {tmp_path}; wait for it, or choose another directory.\n",
+    )  # fmt: skip
+    assert call(*run).exit_code == 0
+    monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
+    result = call(*run)
+    assert result.exit_code == 2
+    assert re.search(r"was made by other code: nermo-mjx \S+, not 9\.9\.9; .*--accept-new-code", result.stderr)
+    assert result.stderr.count("\n") == 1
+    assert call(*run, "--accept-new-code").exit_code == 0
+    assert len(fakes["turning"].asked) == 1
+    assert call(*run, "--again").exit_code == 0
+    assert len(fakes["turning"].asked) == 2
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +66,7 @@ def _made(status: Status, codes: Mapping[str, CodeStamp]) -> Iterator[tuple[str,
         yield "code", ", ".join(status.code) or "not known, as of earlier releases"
 
 
-def _worked(sessions: list[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """The newest sessions: when, with what, where, by which command."""
     if len(sessions) > _SHOWN:
         yield "session", f"and {len(sessions) - _SHOWN} earlier"

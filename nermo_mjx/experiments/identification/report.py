@@ -85,17 +85,17 @@ def run_identification(
             raise ParameterError(f"{folder} holds an identification; choose another directory.")
         if engine == "auto":
             engine = engine_of(folder) or engine
-        robot = {"model": walks().load().fingerprint, "defaults": walks().defaults()}
-        code = stamp(robot["model"], resolve_engine(engine))
+        model, defaults = walks().load().fingerprint, walks().defaults()
+        code = stamp(model, resolve_engine(engine))
         held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
         begun = time.monotonic()
         with clear_errors(folder):
-            memory = CandidateFile(folder / FILE, {**search, "defaults": robot["defaults"]}, code.id)
+            memory = CandidateFile(folder / FILE, {**search, "defaults": defaults}, code.id)
         found = identify(engine=code.engine, **settings, memory=memory, progress=progress)
-        codes = {"codes": list(codes_of(folder))}
-        content = {**_content(found), **robot, **about, **codes, "wall_seconds": time.monotonic() - begun}
+        made = {"model": model, "defaults": defaults, "codes": list(codes_of(folder))}
+        content = {**_content(found), **made, **about, "wall_seconds": time.monotonic() - begun}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))
         if content["ensemble"] and content["ensemble"]["size"]:
