@@ -317,6 +317,18 @@ def test_a_users_file_in_the_way_is_moved_aside_with_a_sentence(fakes, tmp_path)
     assert aside.read_text() == "another walk"
 
 
+def test_a_directory_may_be_named_from_here_and_moved(fakes, tmp_path, monkeypatch):
+    """Its files know their own as well as in a directory that is named from the root."""
+    monkeypatch.chdir(tmp_path)
+    run_experiment("turning", "here", video=False)
+    Path("here").rename("there")
+    Path("there/plots/turning-speed.png").write_text("painted over")
+    assert run_experiment("turning", "there", video=False).kept
+    assert [path.as_posix() for path in Path("there").rglob("*aside*")] == ["there/plots/turning-speed.png.aside-1"]
+    assert not run_experiment("turning", "there", video=False, again=True).kept
+    assert len(list(Path("there").rglob("*aside*"))) == 1
+
+
 def test_a_damaged_table_is_kept_aside(fakes, tmp_path):
     result = run_experiment("turning", tmp_path, video=False)
     result.table.write_text("half a table")

@@ -30,14 +30,14 @@ class Written:
         self.aside: list[str] = []
 
     def write(self, path: Path, content: bytes) -> None:
-        """Replace a file, whole or not at all.
+        """Replace a file, by its path with the directory's; whole or not at all.
 
         Raises:
             DirectoryError: it cannot be written.
         """
         if self._digest_of(path) not in (None, self.known.get(self._name(path)), digest(content)):
             self._move_aside(path)
-        self.held.write(path, content)
+        self.held.write(self._name(path), content)
         self.known[self._name(path)] = digest(content)
 
     def make(self, path: Path, maker: Callable[[Path], T]) -> T:
@@ -81,7 +81,7 @@ class Written:
         return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
 
     def _move_aside(self, path: Path) -> None:
-        moved = self.held.move_aside(path)
+        moved = self.held.move_aside(self._name(path))
         if moved is not None:
             self.aside.append(self._name(moved))
 
