@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.history import RESULTS, Measured, append, read
 from nermo_mjx.bench.registry import CASES
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, STYLE, horizontal_grid
+from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, horizontal_grid
 from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
 
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
@@ -39,8 +37,9 @@ def draw_page(folder: Path) -> None:
         text += [remark, ""]
     for number, (machine, measured) in enumerate(history.machines.items(), 1):
         text += [f"## {machine}", "", *_tables(measured)]
-        for name in _draw(machine, measured, number, folder / "plots", FORMATS):
-            text += [f"![{name}](plots/{name}_{number}.png)", ""]
+        for path in _draw(machine, measured, number, folder / "plots", FORMATS):
+            if path.suffix == ".png":
+                text += [f"![{path.stem.removesuffix(f'_{number}')}](plots/{path.name})", ""]
     replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
 
 
@@ -66,19 +65,13 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
     make_writable(folder)
     with clear_errors(folder):
         drawn = [_draw(*each, number, folder, formats) for number, each in enumerate(history.machines.items(), 1)]
-    return [path for files in drawn for path in itertools.chain.from_iterable(files.values())]
+    return [path for files in drawn for path in files]
 
 
-def _draw(
-    machine: str, measured: Sequence[Measured], number: int, folder: Path, formats: Sequence[str]
-) -> dict[str, list[Path]]:
-    """The files of each figure of a machine, by the figure's name."""
-    files = {}
-    with rc_context(STYLE):
-        for name, figure in _figures(machine, [each.good for each in measured if each.good]):
-            lay_out(figure)
-            files[name] = write_figure(figure, folder, f"{name}_{number}", replace_file, formats)
-    return files
+def _draw(machine: str, measured: Sequence[Measured], number: int, folder: Path, formats: Sequence[str]) -> list[Path]:
+    """The files of the figures of a machine."""
+    figures = _figures(machine, [each.good for each in measured if each.good])
+    return write_figures(((f"{name}_{number}", figure) for name, figure in figures), folder, replace_file, formats)
 
 
 def _tables(measured: Sequence[Measured]) -> Iterator[str]:

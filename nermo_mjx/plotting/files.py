@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
+
+from nermo_mjx.plotting.style import STYLE
 
 FORMATS: Final = ("png", "svg")
 _DPI: Final = 200
@@ -28,6 +31,28 @@ def lay_out(figure: Figure) -> None:
     figure.set_layout_engine("none")
     for ax in figure.axes:  # the layout's last digits differ from run to run, and with them the files' bytes
         ax.set_position(np.round(ax.get_position(original=True).bounds, 6).tolist())
+
+
+def write_figures(
+    figures: Iterable[tuple[str, Figure]],
+    folder: Path,
+    write: Callable[[Path, bytes], None] | None = None,
+    formats: Sequence[str] = FORMATS,
+) -> list[Path]:
+    """Write figures in the house's style, each as soon as it is made, and return the files in the order drawn.
+
+    Args:
+        figures: name -> figure, such as a generator that makes one after the other.
+        folder: where the files go; made if it is missing.
+        write, formats: see `write_figure`.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files: list[Path] = []
+    with rc_context(STYLE):
+        for name, figure in figures:
+            lay_out(figure)
+            files += write_figure(figure, folder, name, write, formats)
+    return files
 
 
 def write_figure(

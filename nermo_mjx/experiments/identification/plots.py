@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.experiments.identification.ensemble_plot import ensemble_figure
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE, STYLE
+from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE
 from nermo_mjx.runs.files import replace_file
 
 #: Costs above this share of the start's are cut off: candidates that fell say only that they fell.
@@ -26,15 +25,14 @@ def draw(content: Mapping[str, Any], folder: Path, formats: Sequence[str] = FORM
     Raises:
         OSError: they cannot be written.
     """
-    files: list[Path] = []
-    with matplotlib.rc_context(STYLE):
-        figures = {"search": _search(content), "residuals": _residuals(content)}
-        if (ensemble := content.get("ensemble")) and ensemble["size"]:
-            figures["ensemble"] = ensemble_figure(ensemble)
-        for name, figure in figures.items():
-            lay_out(figure)
-            files += write_figure(figure, folder, f"identification-{name}", replace_file, formats)
-    return files
+    return write_figures(_figures(content), folder, replace_file, formats)
+
+
+def _figures(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
+    yield "identification-search", _search(content)
+    yield "identification-residuals", _residuals(content)
+    if (ensemble := content.get("ensemble")) and ensemble["size"]:
+        yield "identification-ensemble", ensemble_figure(ensemble)
 
 
 def _search(content: Mapping[str, Any]) -> Figure:

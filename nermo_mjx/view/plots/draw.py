@@ -6,11 +6,9 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import matplotlib
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
-from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view.plots.body import ground_path, orientation
 from nermo_mjx.view.plots.feet import leg_paths, over_ground
@@ -47,16 +45,16 @@ def draw_recording(
         write: how a file is written; `Path.write_bytes` if it is None.
         formats: of `png` and `svg`.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    files, notes = list[Path](), list[str]()
-    with matplotlib.rc_context(STYLE):
+    notes: list[str] = []
+
+    def figures() -> Iterator[tuple[str, Figure]]:
         for name, figure in _figures(Walk(recording), robot):
             if isinstance(figure, str):
                 notes.append(f"There is no {name}: {figure}")
             else:
-                lay_out(figure)
-                files += write_figure(figure, folder, name, write, formats)
-    return Drawn(files, notes)
+                yield name, figure
+
+    return Drawn(write_figures(figures(), folder, write, formats), notes)
 
 
 def _figures(walk: Walk, robot: Robot | None) -> Iterator[tuple[str, Figure | str]]:
