@@ -21,7 +21,7 @@ from nermo_mjx.experiments.table import number
 from nermo_mjx.experiments.videos import Shot, shoot
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
-from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.files import TEMPORARY, WrongDirectory
 from nermo_mjx.view import RecordingError, VideoError
 
 NAMES = tuple(EXPERIMENTS)
@@ -284,6 +284,14 @@ def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path, mon
     pictures_of(monkeypatch, "speed")
     run_experiment("turning", tmp_path, video=False, again=True)
     assert [path.name for path in (tmp_path / "plots").iterdir()] == ["turning-speed.png"]
+
+
+def test_what_a_killed_process_left_half_written_is_removed(fakes, tmp_path):
+    run_experiment("turning", tmp_path, video=False)
+    for folder in ("results", "plots"):
+        (tmp_path / folder / f".turning.17{TEMPORARY}").write_text("half")
+    run_experiment("turning", tmp_path, video=False)
+    assert not list(tmp_path.rglob(f"*{TEMPORARY}"))
 
 
 def test_a_users_files_outlive_a_run_again(fakes, tmp_path):

@@ -31,6 +31,7 @@ from nermo_mjx.experiments.written import Written
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.runs import CodeStamp, RunDirectory, codes_of, engine_of, session, stamp
+from nermo_mjx.runs.directory import remove_leftovers
 from nermo_mjx.view import RecordingError, VideoError
 
 Progress = Callable[[str, float], None]
@@ -137,6 +138,8 @@ def run_experiments(
     resolve_engine(engine)
     directory = Directory(out)
     with RunDirectory(out, "experiments") as held, _stoppable(directory.out):
+        for folder in ("results", "plots"):
+            remove_leftovers(directory.out / folder)
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = stamp(load_robot().fingerprint, resolve_engine(engine))
