@@ -65,14 +65,13 @@ class FakeSimulator:
         )
 
 
-def work(out, log="", chunk=4, delay=0.25, hosts=None, patience=60.0):
-    """A process to be killed, or one of several: runs the sweep, and ends as the command does."""
+def work(out, log="", chunk=4, delay=0.25):
+    """A process to be killed: runs the sweep, and ends as the command does."""
     from nermo_mjx.sweep import SweepError, SweepInterrupted, run_sweep
 
     try:
         simulator = FakeSimulator(delay=delay, log=log)
-        result = run_sweep(SPEC, out, chunk=chunk, hosts=hosts, patience=patience, simulator=simulator)
-        print(f"{result.chunks_run} chunks", "summed up" if result.summary else "", flush=True)
+        run_sweep(SPEC, out, chunk=chunk, simulator=simulator)
         code = 0
     except SweepInterrupted as stopped:
         print(stopped, flush=True)
@@ -84,14 +83,7 @@ def work(out, log="", chunk=4, delay=0.25, hosts=None, patience=60.0):
     os._exit(code)  # no waiting for threads
 
 
-# sweep_fake.py OUT LOG, or sweep_fake.py OUT COORDINATOR PROCESSES PROCESS_ID PATIENCE
+# sweep_fake.py OUT LOG
 if __name__ == "__main__":
-    if len(sys.argv) == 3:
-        Path(sys.argv[2]).write_text("")
-        work(*sys.argv[1:])
-    else:
-        from nermo_mjx.sweep import join
-
-        address, count, index = sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
-        hosts = join(address, count, index, notify=print, timeout=20)
-        work(sys.argv[1], delay=0.15, hosts=hosts, patience=float(sys.argv[5]))
+    Path(sys.argv[2]).write_text("")
+    work(*sys.argv[1:])

@@ -22,9 +22,9 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.cli import main
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep import DirectoryError, SpecError, SweepError, SweepInterrupted, files, read_table, run_sweep
+from nermo_mjx.runs import files
+from nermo_mjx.sweep import DirectoryError, SpecError, SweepError, SweepInterrupted, read_table, run_sweep
 from nermo_mjx.sweep.store import Store
-from nermo_mjx.sweep.writer import Writer
 
 
 @pytest.fixture(scope="module")
@@ -107,11 +107,11 @@ def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatc
 # --- no room, no permission
 
 
-def full(path, content, suffix=".tmp", *, kept, replace=files.replace_file):
+def full(path, content, *, kept, replace=files.replace_file):
     """A disk on which only files whose name has a part of `kept` find room; of the others half is written."""
     if any(name in str(path) for name in kept):
-        return replace(path, content, suffix)
-    path.with_name(f".{path.name}{suffix}").write_bytes(content[: len(content) // 2])
+        return replace(path, content)
+    path.with_name(f".{path.name}{files.TEMPORARY}").write_bytes(content[: len(content) // 2])
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
@@ -128,8 +128,8 @@ def full(path, content, suffix=".tmp", *, kept, replace=files.replace_file):
 def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, kept, left):
     """At the beginning, in the middle of a chunk, in the summary, and in the figures."""
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.store.replace_file", lambda *args: full(*args, kept=kept))
-        patch.setattr("nermo_mjx.runs.files.replace_file", lambda *args: full(*args, kept=kept))
+        for module in ("runs.directory", "runs.files", "sweep.run"):
+            patch.setattr(f"nermo_mjx.{module}.replace_file", lambda *args: full(*args, kept=kept))
         with pytest.raises(DirectoryError) as caught:
             run_sweep(SPEC | {"plots": True}, tmp_path, chunk=4, simulator=FakeSimulator())
     assert str(caught.value) == (
@@ -269,25 +269,22 @@ def test_chunks_are_written_while_the_next_one_is_simulated(tmp_path, monkeypatc
     assert max(behind) == 2  # the one that is written, and the next
 
 
-def test_an_error_of_the_writer_reaches_whoever_hands_in_work():
-    """At the next task, or at the end; what comes after it is not run."""
+@pytest.mark.parametrize("broken", [0, 8])
+def test_an_error_of_the_writer_ends_the_sweep(tmp_path, monkeypatch, reference, broken):
+    """While the next chunk but one is not begun yet, or at the end; what was computed by then is kept."""
+    write, simulator = Store.write_chunk, FakeSimulator()
 
-    def fail():
-        raise DirectoryError("no room")
+    def fails(store, chunk, table):
+        if chunk == broken:
+            raise DirectoryError("no room")
+        write(store, chunk, table)
 
-    def hand_in():
-        with Writer() as writer:
-            writer.put(lambda: ran.append(1))
-            writer.put(fail)
-            for _ in range(3):
-                writer.put(lambda: ran.append(2))
-
-    ran = []
-    with pytest.raises(DirectoryError, match="no room"), Writer() as writer:
-        writer.put(fail)
-    with pytest.raises(DirectoryError, match="no room"):
-        hand_in()
-    assert ran == [1]
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write_chunk", fails)
+        with pytest.raises(DirectoryError, match="no room"):
+            run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator)
+    assert len(simulator.batches) == min(broken + 2, 9)
+    goes_on(tmp_path, reference, 9 - len(simulator.batches) + 1)
 
 
 def kill_at_random(out, process, chance, startup):

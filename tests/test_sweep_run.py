@@ -14,7 +14,7 @@ import pytest
 from sweep_fake import AMPLITUDES, FREQUENCIES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.robot import identified
-from nermo_mjx.sweep import DirectoryError, SpecError, Sweep, SweepInterrupted, read_table, run_sweep
+from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 
 
@@ -123,16 +123,6 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, given, m
     with pytest.raises(SpecError, match=message):
         run_sweep(SPEC, tmp_path / "out", simulator=FakeSimulator(), **given)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_directory_keeps_its_engine(tmp_path):
-    """Rows of two engines never stand in one table."""
-    with pytest.raises(SweepInterrupted):
-        run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=1))
-    with pytest.raises(DirectoryError, match="begun with the engine 'fake', not 'c'"):
-        run_sweep(SPEC, tmp_path, engine="c", simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match="begun with the engine 'fake', not 'other'"):
-        run_sweep(SPEC, tmp_path, simulator=FakeSimulator(engine="other"))
 
 
 def test_progress_grows_to_one_and_counts_what_was_resumed(tmp_path):

@@ -168,7 +168,7 @@ def test_a_directory_that_cannot_be_written_is_one_sentence():
 def test_a_file_in_the_place_of_the_directory_is_one_sentence(tmp_path):
     """`--out` that names a file is refused in words."""
     (tmp_path / "out").write_text("")
-    with pytest.raises(DirectoryError, match="cannot write in"):
+    with pytest.raises(DirectoryError, match="out is a file: a directory is needed"):
         run_sweep(SPEC, tmp_path / "out", simulator=FakeSimulator())
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import importlib.util
 import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +18,7 @@ from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 if TYPE_CHECKING:
+    from nermo_mjx.runs.workers import Workers
     from nermo_mjx.sweep import SweepResult
 
 EPILOG = """\b
@@ -42,9 +47,9 @@ class Shard(click.ParamType):
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))
 @options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
-@click.option("--coordinator", metavar="ADDR", help="ADDRESS:PORT of process 0, for several plain hosts.")
-@options.number("--processes", "How many run this command, one a host.", click.IntRange(1))
-@options.number("--process-id", "Which of them this is, from 0.", click.IntRange(0))
+@options.choice("--workers", ("local", "ray"), "Who simulates: this machine, or a Ray cluster.")
+@click.option("--ray-address", metavar="ADDR", help="ADDRESS:PORT of a Ray cluster, or auto; else one is started here.")
+@options.accept_new_code
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
 @options.report
 def command(
@@ -54,9 +59,9 @@ def command(
     seed: int | None,
     chunk: int | None,
     shard: tuple[int, int] | None,
-    coordinator: str | None,
-    processes: int | None,
-    process_id: int | None,
+    workers: str,
+    ray_address: str | None,
+    accept_new_code: bool,
     list_parameters: bool,
     as_json: bool,
     quiet: bool,
@@ -67,29 +72,26 @@ def command(
     holds a part of the same sweep, only the rest is run: after Ctrl-C or a
     crash, give the same command again.
 
-    Several hosts that share DIR share the work: under SLURM by srun, else by
-    --coordinator, --processes and --process-id, or by --shard.
+    --workers ray shares the work with a cluster's machines, which need not
+    see DIR; the jobs of an array that share DIR do so by --shard.
     """
     if list_parameters:
         _list_parameters(spec, as_json)
         return
     if spec is None or out is None:
         raise click.UsageError("A sweep needs SPEC.yaml and --out DIR (or use --list-parameters).")
-    named = [coordinator, processes, process_id]
-    if shard is not None and any(each is not None for each in named):
-        raise click.UsageError("--shard and --coordinator, --processes, --process-id exclude each other.")
     with stdout_reserved():
-        from nermo_mjx.sweep import Sweep, join, run_sweep
+        from nermo_mjx.sweep import Sweep, run_sweep
 
         sweep = Sweep.from_file(spec)
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
         say = None if quiet else _say
-        hosts = join(coordinator, processes, process_id, notify=say) if shard is None else None
-        others_report = hosts is not None and hosts.index > 0
-        with Progress("sweep", "runs", quiet=quiet or others_report, compiles=True) as progress:
+        progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
+        with _workers(workers, ray_address, say) as crew, progress:
             result = run_sweep(
-                sweep, out, engine=engine, chunk=chunk, shard=shard, hosts=hosts, warn=say,
+                sweep, out, engine=engine, chunk=chunk, shard=shard, accept_new_code=accept_new_code, warn=say,
+                workers=crew,
                 progress=lambda p: progress.share(p.fraction, p.rows_done, p.rows),
             )  # fmt: skip
     if as_json:
@@ -97,6 +99,21 @@ def command(
         print_json({**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary})
     elif not quiet:
         _print_summary(result)
+
+
+def _workers(kind: str, address: str | None, say: Callable[[str], None] | None) -> AbstractContextManager[Workers]:
+    """Who simulates."""
+    if kind == "local":
+        if address is not None:
+            raise click.UsageError("--ray-address is given without --workers ray.")
+        from nermo_mjx.runs.workers import LocalWorkers
+
+        return contextlib.nullcontext(LocalWorkers())
+    if importlib.util.find_spec("ray") is None:
+        raise click.UsageError("--workers ray needs Ray: install nermo-mjx with its extra ray, or ray itself, by pip.")
+    from nermo_mjx.runs.ray_workers import RayWorkers
+
+    return RayWorkers(address, say)
 
 
 def _say(sentence: str) -> None:
@@ -107,9 +124,6 @@ def _print_summary(result: SweepResult) -> None:
     summary = result.summary
     if not result.complete:
         click.echo(f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}")
-        return
-    if not summary:
-        click.echo(f"All {result.rows:,} runs are in {result.out}; process 0 sums up.")
         return
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"

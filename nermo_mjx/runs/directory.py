@@ -16,7 +16,15 @@ from types import TracebackType
 from typing import Any, Final
 
 from nermo_mjx.runs.code import CodeStamp, known
-from nermo_mjx.runs.files import TEMPORARY, DirectoryError, WrongDirectory, clear_errors, make_writable, replace_file
+from nermo_mjx.runs.files import (
+    TEMPORARY,
+    DirectoryError,
+    WrongDirectory,
+    clear_errors,
+    make_writable,
+    replace_file,
+    sync_folder,
+)
 from nermo_mjx.runs.lock import hold
 
 RUN: Final = "run.json"
@@ -87,8 +95,11 @@ class RunDirectory:
         with clear_errors(self.out):
             replace_file(self.out / path, content)
 
-    def move_aside(self, path: str | Path) -> Path | None:
+    def move_aside(self, path: str | Path, folder: str | None = None) -> Path | None:
         """Give a file or folder of the directory a name that says it is out of use; its new path, None if it is absent.
+
+        Args:
+            folder: of the directory, for what readers of the folder it is in would take for one of theirs.
 
         Raises:
             DirectoryError: it cannot be renamed.
@@ -96,17 +107,22 @@ class RunDirectory:
         source = self.out / path
         if not source.exists():
             return None
-        count = 1
-        while (target := source.with_name(f"{source.name}.aside-{count}")).exists():
-            count += 1
+        into = source.parent if folder is None else self.out / folder
         with clear_errors(self.out):
+            into.mkdir(exist_ok=True)
+            count = 1
+            while (target := into / f"{source.name}.aside-{count}").exists():
+                count += 1
             source.rename(target)
+            sync_folder(into)
+            sync_folder(source.parent)
         return target
 
     def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False) -> None:
         """Note that this code is about to add rows, or refuse: the rows of one directory are made by one code.
 
-        Of several processes that begin together, the first one's code counts.
+        Of several processes that begin together, the first one's code counts. Who holds a directory without rows alone
+        begins it anew.
 
         Args:
             stamp: of the code that runs here.
@@ -118,6 +134,8 @@ class RunDirectory:
         """
         with self._record() as record:
             codes = record.setdefault("codes", {})
+            if self.shard is None and not holds_rows:
+                codes.clear()
             if stamp.id not in codes:
                 begun = known(next(reversed(codes.values()), None))
                 if begun is not None and not accept:

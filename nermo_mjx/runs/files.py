@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -32,7 +33,7 @@ def make_writable(folder: Path) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise WrongDirectory(f"{folder} is a file: a directory is needed.")
-    probe = folder / f".probe-{os.getpid()}"
+    probe = folder / f".probe-{secrets.token_hex(8)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe.touch()
@@ -48,8 +49,8 @@ def replace_file(path: Path, content: bytes) -> None:
         OSError: it cannot be written; what was there is still there.
     """
     path.parent.mkdir(exist_ok=True)
-    # Two processes may write the same file: their temporary files are told apart.
-    temporary = path.parent / f".{path.name}.{os.getpid()}{TEMPORARY}"
+    # Two processes may write the same file, also of two machines where both have the same number.
+    temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}{TEMPORARY}"
     try:
         with open(temporary, "wb") as file:
             file.write(content)
@@ -68,7 +69,7 @@ def create_file(path: Path, content: bytes) -> None:
     Raises:
         OSError: it cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.new-{os.getpid()}{TEMPORARY}")
+    temporary = path.with_name(f".{path.name}.new-{secrets.token_hex(8)}{TEMPORARY}")
     replace_file(temporary, content)
     try:
         os.link(temporary, path)

@@ -2,7 +2,6 @@
 
 from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.sweep.chunks import SweepError
-from nermo_mjx.sweep.hosts import Hosts, HostsError, join
 from nermo_mjx.sweep.plots import draw_plots
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
@@ -15,8 +14,6 @@ from nermo_mjx.sweep.tally import Progress
 
 __all__ = [
     "DirectoryError",
-    "Hosts",
-    "HostsError",
     "Progress",
     "Results",
     "Rows",
@@ -27,7 +24,6 @@ __all__ = [
     "SweepInterrupted",
     "SweepResult",
     "draw_plots",
-    "join",
     "machine",
     "read_table",
     "run_sweep",

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import math
 import re
-import time
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import Run, Simulator
+from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.provenance import session
+from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
 from nermo_mjx.sweep.layout import batch_size, batch_values, listed, rows_digest
 from nermo_mjx.sweep.reading import SpecError
-from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.store import ChunkNote, DirectoryError, Store
+from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.simulating import BatchSimulator, Simulated
+from nermo_mjx.sweep.store import ChunkNote, Store
 from nermo_mjx.sweep.table import chunk_table
 from nermo_mjx.sweep.tally import Tally
-from nermo_mjx.sweep.writer import Writer
-
-#: Seconds between two looks at what other processes have done.
-LOOK = 2.0
-
 
 #: How JAX, CUDA and Warp say that a batch does not fit.
 _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", re.IGNORECASE)
@@ -33,57 +30,40 @@ class SweepError(RuntimeError):
     """A sweep that cannot be finished; the message is one sentence that says why, and how to go on."""
 
 
-class SimulatorLike(Protocol):
-    """What a sweep needs of a simulator; see `nermo_mjx.rollout.Simulator`."""
-
-    def run(
-        self,
-        values: Mapping[str, np.ndarray],
-        run: Run,
-        *,
-        progress: Callable[[float], None] | None = None,
-        notify: Callable[[str], None] | None = None,
-    ) -> Any: ...
-
-
 class Work:
     """The chunks of a sweep, and which of them are done.
 
     Attributes:
         store: where they are kept.
+        rows: of the whole sweep.
         layout: rows of each chunk.
+        tally: is told of what is done.
         done: which ones are finished, (chunks,) bool.
         mine: which ones this process runs, (chunks,) bool.
+        engines: of the finished chunks.
         steps, seconds: physics steps of the finished chunks, and the time they took, summed [s].
-        chunks_run: how many this process has simulated.
+        chunks_run: how many this process has had simulated.
     """
 
-    def __init__(
-        self, store: Store, rows: Sample, layout: list[np.ndarray], tally: Tally, *, watches: bool = False
-    ) -> None:
-        """
-        Args:
-            rows: of the whole sweep.
-            tally: is told of what is done.
-            watches: whether it counts what other processes do, too.
-        """
+    def __init__(self, store: Store, rows: Sample, layout: list[np.ndarray], tally: Tally) -> None:
         self.store, self.rows, self.layout, self.tally = store, rows, layout, tally
-        self._watches, self._looked = watches, time.monotonic()
-        part, parts = store.part or (0, 1)
-        self.mine = np.arange(len(layout)) % parts == part
-        self.done = np.zeros(len(layout), bool)
-        self.engine: str | None = None
-        self.steps = self.seconds = 0.0
+        shard, shards = store.shard or (0, 1)
+        self.mine = np.arange(len(layout)) % shards == shard
         self.chunks_run = 0
+        self._forget()
 
     def survey(self, warn: Callable[[str], None] | None) -> None:
         """Look at every chunk's file; one with a flaw counts as missing, which is told if this process runs it."""
-        self.done[:] = False
-        self.engine, self.steps, self.seconds = None, 0.0, 0.0
+        self._forget()
         flawed: dict[str, list[int]] = {}
-        for k, flaw in self.look().items():
-            if self.mine[k]:
-                flawed.setdefault(flaw, []).append(k)
+        for k in sorted(self.store.present()):
+            if k < len(self.layout):
+                note, flaw, foreign = self.store.inspect(k, self.layout[k])
+                if note is not None:
+                    self._finish(k, note)
+                elif self.mine[k] and flaw:
+                    flawed.setdefault(flaw, []).append(k)
+                    self._foreign |= {k} if foreign else set()
         for flaw, chunks in flawed.items():
             named = f"chunk {chunks[0]} of {self.store.out}"
             if len(chunks) > 1:
@@ -91,22 +71,10 @@ class Work:
             if warn:
                 warn(f"{named} {flaw}, and is run again.")
 
-    def look(self) -> dict[int, str]:
-        """Look for chunks that have come, from whichever process; what is wrong with those that do not count."""
-        flawed = {}
-        for k in sorted(self.store.present()):
-            if k < len(self.layout) and not self.done[k]:
-                note, flaw = self.store.inspect(k, self.layout[k])
-                if note is not None:
-                    self._finish(k, note)
-                elif flaw:
-                    flawed[k] = flaw
-        return flawed
-
     def effort(self) -> dict[str, Any]:
         """Engine, physics steps and the time they took, over all sessions."""
         return {
-            "engine": self.engine,
+            "engine": ", ".join(self.engines),
             "chunks": int(self.done.sum()),
             "steps": int(self.steps),
             "wall_seconds": round(self.seconds, 3),
@@ -117,95 +85,107 @@ class Work:
         """How many rows some chunks hold."""
         return sum(len(self.layout[k]) for k in chunks.tolist())
 
-    def simulate(self, engine: str, simulator: SimulatorLike | None, notify: Callable[[str], None] | None) -> None:
-        """Simulate the missing chunks of this process; each is written while the next one is simulated.
+    def missing(self) -> str:
+        """Which chunks are not there, and how to run them, in a sentence; empty if none is missing."""
+        chunks = np.flatnonzero(~self.done)
+        if not len(chunks):
+            return ""
+        named = f"chunk{'s' if len(chunks) > 1 else ''} {listed(chunks)}"
+        own, shards = self.store.shard or (0, 1)
+        others = sorted(set((chunks % shards).tolist()) - {own})
+        shares = " and ".join(f"--shard {shard}/{shards}" for shard in others)
+        return (f"{named} ({self.rows_of(chunks):,} runs) of {len(self.layout):,} are missing; unless they are being "
+                f"run, run them with {shares}.")  # fmt: skip
+
+    def simulate(self, simulator: BatchSimulator, workers: Workers, accept_new_code: bool) -> None:
+        """Have the missing chunks of this process simulated; each is written while the next one is simulated.
 
         Raises:
+            SpecError: a parameter is refused.
             SweepError: a simulation failed.
-            DirectoryError: a chunk cannot be written, or the engine is not that of the directory.
+            DirectoryError: a chunk cannot be written, or the rows that are there were made by other code.
         """
         self.tally.finish(np.flatnonzero(self.done).tolist(), resumed=not self.chunks_run)
-        self._tell()
+        self.tally.tell()
         missing = np.flatnonzero(self.mine & ~self.done).tolist()
         if not missing:
             return
-        engine = self._same_engine(engine)
-        simulator = simulator or Simulator(self.store.sweep.setup, engine)
-        worlds = batch_size(self.layout)
-        part = "" if self.store.part is None else "{}/{}".format(*self.store.part)
-        self.store.note_session(session(engine=engine, shard=part, chunks=len(missing)))
-        with Writer() as writer:
-            for k in missing:
-                # The program is compiled once, for the first chunk.
-                writer.put(self._run(k, simulator, worlds, None if self.chunks_run else notify))
+        stamp = workers.begin(simulator)
+        self.store.take_code(stamp, accept=accept_new_code)
+        shard = "" if self.store.shard is None else "{}/{}".format(*self.store.shard)
+        about = session(engine=simulator.engine, code=stamp.id, shard=shard, chunks=len(missing))
+        self.store.directory.note_session(about)
+        with ThreadPoolExecutor(1, "sweep-writer") as writer:
+            written: Future[None] | None = None
+            for k, result in self._results(missing, workers):
+                before, written = written, writer.submit(self._write, k, result, stamp)
                 self.chunks_run += 1
                 self.tally.finish([k])
-                self._tell()
+                self.tally.tell()
+                if before is not None:
+                    before.result()
+            if written is not None:
+                written.result()
 
-    def _run(
-        self, k: int, simulator: SimulatorLike, worlds: int, notify: Callable[[str], None] | None
-    ) -> Callable[[], None]:
-        """Simulate a chunk, and return what stores it."""
-        started, rows = time.perf_counter(), self.rows.take(self.layout[k])
-        values = batch_values(self.store.sweep, rows, worlds)
+    def _results(self, chunks: list[int], workers: Workers) -> Iterator[tuple[int, Simulated]]:
+        """Results of chunks, as they come."""
+        worlds = batch_size(self.layout)
+
+        def tasks() -> Iterator[tuple[int, Mapping[str, np.ndarray]]]:
+            for k in chunks:
+                yield k, batch_values(self.store.sweep, self.rows.take(self.layout[k]), worlds)
+
         try:
-            result = simulator.run(
-                values, self.store.sweep.run, progress=lambda done: self._tell(k, done), notify=notify
-            )
-        except ParameterError as error:
-            raise SpecError(f"{self._named(k)} is refused: {error}") from error
-        except Exception as error:
-            raise SweepError(_failure(self._named(k), error, self.store)) from error
-        self._same_engine(result.engine)
-        note = ChunkNote(result.engine, result.steps * worlds, round(time.perf_counter() - started, 3))
-        return lambda: self._write(k, rows, result, note)
+            yield from workers.results(tasks(), self.tally.tell)
+        except TaskFailed as failed:
+            error, named = failed.__cause__, f"chunk {failed.key} (rows {listed(self.layout[failed.key])})"
+            if isinstance(error, ParameterError):
+                raise SpecError(f"{named} is refused: {error}") from error
+            raise SweepError(self._failure(named, error)) from error
+        except WorkersLost as lost:
+            raise SweepError(
+                f"{lost} What is finished is kept in {self.store.out}: run the same command again."
+            ) from None
 
-    def _write(self, k: int, rows: Rows, result: Any, note: ChunkNote) -> None:
+    def _write(self, k: int, result: Simulated, stamp: CodeStamp) -> None:
         index = self.layout[k]
-        metrics = {name: np.asarray(values)[: len(index)] for name, values in result.metrics.items()}
+        metrics = {name: values[: len(index)] for name, values in result.metrics.items()}
         about = {
-            "engine": note.engine,
+            "engine": stamp.engine,
+            "code": stamp.id,
             "chunk": k,
             "chunks": len(self.layout),
             "rows": rows_digest(index),
-            "steps": note.steps,
-            "wall_seconds": note.seconds,
+            "steps": result.steps,
+            "wall_seconds": result.seconds,
         }
-        status = np.asarray(result.status)[: len(index)]
-        self.store.write_chunk(k, chunk_table(self.store.sweep, rows, index, metrics, status, about))
-        self._finish(k, note)
+        table = chunk_table(
+            self.store.sweep, self.rows.take(index), index, metrics, result.status[: len(index)], stamp.id, about
+        )
+        if k in self._foreign:
+            self.store.move_chunk_aside(k)
+        self.store.write_chunk(k, table)
+        self._finish(k, ChunkNote(stamp.engine, result.steps, result.seconds))
 
-    def _tell(self, k: int | None = None, share: float = 0.0) -> None:
-        """Report progress, a share of one chunk included."""
-        if self._watches and time.monotonic() - self._looked > LOOK:
-            self.look()
-            self.tally.finish(np.flatnonzero(self.done & ~self.mine).tolist())
-            self._looked = time.monotonic()
-        self.tally.tell(k, share)
+    def _forget(self) -> None:
+        self.done = np.zeros(len(self.layout), bool)
+        self.engines: list[str] = []
+        self.steps = self.seconds = 0.0
+        self._foreign: set[int] = set()
 
     def _finish(self, k: int, note: ChunkNote) -> None:
-        if self.done[k]:
-            return
         self.done[k] = True
-        self.engine = self.engine or note.engine
+        if note.engine not in self.engines:
+            self.engines.append(note.engine)
         self.steps += note.steps
         self.seconds += note.seconds
 
-    def _same_engine(self, engine: str) -> str:
-        """The engine that the directory was begun with, if it agrees with the wanted one."""
-        if self.engine is not None and engine not in ("auto", self.engine):
-            raise DirectoryError(f"{self.store.out} was begun with the engine '{self.engine}', not '{engine}': go on with "
-                             f"'{self.engine}', or choose another directory.")  # fmt: skip
-        return self.engine or engine
-
-    def _named(self, k: int) -> str:
-        return f"chunk {k} (rows {listed(self.layout[k])})"
-
-
-def _failure(chunk: str, error: Exception, store: Store) -> str:
-    """What happened in a chunk, in a sentence."""
-    reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
-    short = isinstance(error, MemoryError) or _NO_MEMORY.search(reason) is not None
-    remedy = "take a smaller --chunk in another directory" if short else "run the same command again when it is mended"
-    return (f"{chunk} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
-            f"{store.out}: {remedy}.")  # fmt: skip
+    def _failure(self, chunk: str, error: BaseException | None) -> str:
+        """What happened in a chunk, in a sentence."""
+        reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
+        short = isinstance(error, MemoryError) or _NO_MEMORY.search(reason) is not None
+        remedy = (
+            "take a smaller --chunk in another directory" if short else "run the same command again when it is mended"
+        )
+        return (f"{chunk} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
+                f"{self.store.out}: {remedy}.")  # fmt: skip

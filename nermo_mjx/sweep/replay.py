@@ -33,7 +33,7 @@ class SweepRow:
         row: position in the sweep.
         line: its parameters and draws.
         begin, end: when measuring begins, and when the run ends, if not at a distance [s].
-        engine: the engine that the directory was begun with; None if it has no finished chunk.
+        engine: the engine that made the row, or else the directory's first rows; None if it has no finished chunk.
         chunk: rows of the chunk that holds the row, (n,).
         stored: the row as the table has it, by column; None if it is not there.
         outdated: whether it is not there because its chunk was made by another sweep, or with other defaults.
@@ -121,6 +121,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     k = next(k for k, index in enumerate(layout) if row in index)
     table = read_chunk(Store(out, sweep).chunk_path(k))  # never entered: it only reads
     stored = table if table is not None and _holds(table, sweep, layout[k]) else None
+    if stored is not None:
+        engine = stored.schema.metadata[b"engine"].decode()
     line = rows.take(np.array([row]))
     known = sweep.setup.defaults() | sweep.constants | {name: float(each[0]) for name, each in line.values.items()}
     begin, end = sweep.run.seconds(known["frequency"], known["tracking.clock_ratio"])

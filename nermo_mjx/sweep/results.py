@@ -18,7 +18,7 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep.store import read_chunk
 
 #: Schema metadata that differs between the chunks of one table.
-CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds")
+CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds", b"engine", b"code")
 #: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
 HELD = 32_000_000
 
@@ -107,7 +107,8 @@ class Results:
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
     """The result table of a sweep's directory, as far as it is finished, in the order of its rows.
 
-    Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status).
+    Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status,
+    code). Where several releases made the rows, what one of them did not know is null in its rows.
 
     Raises:
         DirectoryError: no readable chunk is there.
@@ -118,7 +119,7 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(chunks[0].schema)
     chunks = [chunk.replace_schema_metadata(metadata) for chunk in chunks]
-    return pa.concat_tables(chunks).sort_by("row").combine_chunks()
+    return pa.concat_tables(chunks, promote_options="default").sort_by("row").combine_chunks()
 
 
 def _common(schema: pa.Schema) -> dict[bytes, bytes]:
@@ -134,6 +135,8 @@ def _read(files: Sequence[Path], names: Sequence[str]) -> Iterator[Part]:
     for path in files:
         with _clear(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
             table = file.read(columns=[*names, "row"], use_threads=False)
+        for name in set(names) - set(table.column_names):  # an earlier release made this chunk, and did not know it
+            table = table.append_column(name, pa.nulls(len(table), pa.float64()))
         yield Part(table.column("row").to_numpy(), table)
 
 

@@ -11,22 +11,22 @@ from typing import Any
 
 import pyarrow as pa
 
-from nermo_mjx.runs.files import clear_errors
+from nermo_mjx.physics import resolve_engine
+from nermo_mjx.runs.files import clear_errors, replace_file
 from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
-from nermo_mjx.sweep.chunks import SimulatorLike, Work
-from nermo_mjx.sweep.hosts import Hosts
+from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import draw_plots
-from nermo_mjx.sweep.presence import PATIENCE, Presence
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
 from nermo_mjx.sweep.summary import summarize, to_json
 from nermo_mjx.sweep.tally import Progress, Tally
-from nermo_mjx.sweep.waiting import lost, missing, wait_for_others
 
 #: How often a chunk is run that is damaged each time it is read again.
 ATTEMPTS = 2
@@ -42,10 +42,10 @@ class SweepResult:
 
     Attributes:
         out: its directory.
-        summary: content of summary.json; empty while chunks of other shards are missing, and on hosts but the first.
+        summary: content of summary.json; empty while chunks of other shards are missing.
         plots: files of the figures.
         complete: whether the directory holds every row of the sweep.
-        chunks_run: chunks that this call simulated.
+        chunks_run: chunks that this call had simulated.
         rows_done, rows: finished rows and all rows of the sweep.
         missing: which chunks are missing and how to run them, in words; empty if none is.
     """
@@ -75,8 +75,8 @@ def run_sweep(
     warn: Callable[[str], None] | None = None,
     chunk: int | None = None,
     shard: tuple[int, int] | None = None,
-    hosts: Hosts | None = None,
-    patience: float = PATIENCE,
+    accept_new_code: bool = False,
+    workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
 ) -> SweepResult:
     """Run every variant of a sweep into a directory, or go on with what it holds.
@@ -87,31 +87,32 @@ def run_sweep(
     Args:
         spec: a `Sweep`, a dict with the fields of a sweep file, or the path of one.
         out: the directory; see `nermo_mjx.sweep.store`.
-        engine: engine of the simulator. A directory keeps the engine it was begun with.
+        engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
         progress: called now and then with a `Progress`.
         notify: called with a sentence when something takes long (compilation).
         warn: called with a sentence when something in the directory is damaged, and is run again.
         chunk: rows simulated and stored together; a directory keeps the size it was begun with.
-        shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same however it was split.
-        hosts: which of several processes this is, from `nermo_mjx.sweep.hosts.join`; each takes its share as by
-            `shard`, then waits for the others. The first one sums up.
-        patience: seconds without a sign of life after which another process counts as lost.
+        shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same however it was split. The
+            shard that finds the table complete sums up.
+        accept_new_code: go on with a directory that other code or another engine began; the table's column `code`
+            tells the rows apart.
+        workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: stands in for `Simulator(spec.setup, engine)`.
 
     Raises:
         SpecError: the sweep is wrong; nothing has been written.
+        OtherCode: other code, another model or another engine made rows of the directory.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        SweepError: a simulation failed, or the other processes are lost; what is finished is kept.
+        SweepError: a simulation failed, or all workers are lost; what is finished is kept.
         SweepInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     sweep = spec if isinstance(spec, Sweep) else _as_sweep(spec)
-    _check(chunk, shard, hosts)
-    hosts = None if hosts is None or hosts.count == 1 else hosts
-    part = shard if hosts is None else (hosts.index, hosts.count)
-    rows = Sample(sweep)
+    _check(chunk, shard)
+    rows, workers = Sample(sweep), LocalWorkers() if workers is None else workers
     seconds = simulated_seconds(sweep, rows)
-    size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), 1 if part is None else part[1])
-    with Store(out, dataclasses.replace(sweep, chunk=size), part) as store, _interruptible(store) as interruption:
+    parts = workers.parts * (1 if shard is None else shard[1])
+    size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), parts)
+    with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
 
         def report(share: Progress) -> None:
             interruption.check()
@@ -119,53 +120,51 @@ def run_sweep(
                 progress(share)
 
         layout = layout_of(seconds, store.sweep.chunk or size)
-        first = hosts is None or hosts.index == 0
-        begin, step = (0, 1) if part is None or (hosts is not None and first) else part  # the first host counts all
-        counted = range(begin, len(layout), step)
-        work = Work(store, rows, layout, Tally(layout, seconds, counted, report), watches=hosts is not None and first)
-        with Presence(store.out, hosts, patience) if hosts is not None else contextlib.nullcontext() as presence:
-            _finish(work, engine, simulator, presence, notify, warn)
+        first, step = shard or (0, 1)
+        work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
+        work.survey(warn)
+        simulates = BatchSimulator(sweep.setup, sweep.run, _engine(engine, simulator, work), simulator, notify)
+        _finish(work, simulates, workers, accept_new_code, warn)
         complete = bool(work.done.all())
-        summary, plots = _sum_up(work) if complete and first else ({}, [])
+        summary, plots = _sum_up(work) if complete else ({}, [])
         return SweepResult(
             out=store.out, summary=summary, plots=plots, complete=complete, chunks_run=work.chunks_run,
-            rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=missing(work),
+            rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
         )  # fmt: skip
 
 
-def _check(chunk: int | None, shard: tuple[int, int] | None, hosts: Hosts | None) -> None:
+def _check(chunk: int | None, shard: tuple[int, int] | None) -> None:
     if chunk is not None and chunk < 1:
         raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
     if shard is not None and not 0 <= shard[0] < shard[1]:
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
-    if shard is not None and hosts is not None:
-        raise SpecError("shard and hosts both say which part of the sweep is run: give one of them.")
+
+
+def _engine(wanted: str, simulator: SimulatorLike | None, work: Work) -> str:
+    """Name of the engine that really runs."""
+    if simulator is not None:
+        return str(getattr(simulator.engine, "name", simulator.engine))
+    begun = work.store.begun_with() or next(iter(work.engines), "auto")
+    return wanted if wanted != "auto" else begun if begun != "auto" else resolve_engine(wanted)
 
 
 def _finish(
     work: Work,
-    engine: str,
-    simulator: SimulatorLike | None,
-    presence: Presence | None,
-    notify: Callable[[str], None] | None,
+    simulator: BatchSimulator,
+    workers: Workers,
+    accept_new_code: bool,
     warn: Callable[[str], None] | None,
 ) -> None:
-    """Run what is missing of this process's part, and see that it is really there."""
-    work.survey(warn)
+    """Run what is missing of this process's share, and see that it is really there."""
     for _ in range(ATTEMPTS):
         known = work.done.all()
-        work.simulate(engine, simulator, notify)
-        if presence is not None:
-            wait_for_others(work, presence)
+        work.simulate(simulator, workers, accept_new_code)
         if known:
             return
         work.survey(warn)
         if work.done[work.mine].all():
-            break
-    else:
-        raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
-    if presence is not None and not work.done.all():
-        raise lost(work)
+            return
+    raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
 
 
 def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
@@ -174,11 +173,11 @@ def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
     files = [store.chunk_path(k) for k in range(len(work.layout))]
     results = Results.of_files(files, len(work.rows))
     summary = {**summarize(results), **work.effort()}
-    store.write(store.out / "summary.json", to_json(summary))
+    store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []
     with clear_errors(store.out):
-        return summary, draw_plots(results, store.plots, write=store.write)
+        return summary, draw_plots(results, store.plots, write=replace_file)
 
 
 def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:

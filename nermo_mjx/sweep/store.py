@@ -1,28 +1,29 @@
 """A sweep's directory: chunks of the result table, what they belong to, and who may write them.
 
 DIR/sweep.yaml                    the resolved sweep
-DIR/run.json                      versions, machine and command of each session that worked on it
+DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
+DIR/results.aside/                chunks that other defaults made, when they are run again
 DIR/summary.json, DIR/plots/      made from the table when it is complete
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import re
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nermo_mjx.runs.directory import remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file, parquet_bytes, replace_file
-from nermo_mjx.runs.lock import hold
-from nermo_mjx.runs.provenance import with_session
+from nermo_mjx.runs.code import CodeStamp
+from nermo_mjx.runs.directory import RunDirectory, codes_of, remove_leftovers
+from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file, parquet_bytes
 from nermo_mjx.sweep.difference import differences
 from nermo_mjx.sweep.layout import rows_digest
 from nermo_mjx.sweep.reading import SpecError
@@ -39,10 +40,14 @@ class ChunkNote(NamedTuple):
 
 
 class ChunkState(NamedTuple):
-    """A chunk's note if it is finished; else what is wrong with its file, empty if there is none."""
+    """A chunk's note if it is finished; else what is wrong with its file, empty if there is none.
+
+    `foreign` tells a whole file that is not this sweep's from a damaged one.
+    """
 
     note: ChunkNote | None
     flaw: str = ""
+    foreign: bool = False
 
 
 class Store:
@@ -51,40 +56,37 @@ class Store:
     Args:
         out: the directory; made if it does not exist.
         sweep: what the directory is for.
-        part: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
+        shard: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
 
     Raises:
         DirectoryError: the directory holds another sweep, is in use, or cannot be written.
     """
 
-    def __init__(self, out: str | os.PathLike[str], sweep: Sweep, part: tuple[int, int] | None = None) -> None:
-        self.out, self.sweep, self.part = Path(out), sweep, part
+    def __init__(self, out: str | os.PathLike[str], sweep: Sweep, shard: tuple[int, int] | None = None) -> None:
+        self.out, self.sweep, self.shard = Path(out), sweep, shard
+        self.directory = RunDirectory(out, "sweep", shard)
         self.results, self.plots = self.out / "results", self.out / "plots"
         self._digest = sweep.digest().encode()
-        self._locks: list[int] = []
 
     def __enter__(self) -> Store:
-        with clear_errors(self.out):
-            self.results.mkdir(parents=True, exist_ok=True)
-            try:
-                self._lock()
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(self.directory)
+            with clear_errors(self.out):
+                self.results.mkdir(exist_ok=True)
                 self._claim()
-                for folder in (self.out, self.results, self.plots):
-                    if self.part is None:
-                        remove_leftovers(folder)
-            except BaseException:
-                self._unlock()
-                raise
+                for folder in (self.results, self.plots) if self.shard is None else ():
+                    remove_leftovers(folder)
+            stack.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._unlock()
+        self.directory.__exit__(kind, error, trace)
 
     def chunk_path(self, chunk: int) -> Path:
         """Where a chunk's rows are kept."""
-        return self.results / f"chunk-{chunk:05d}.parquet"
+        return self.results / _name(chunk)
 
     def present(self) -> set[int]:
         """The chunks that have a file, whatever is in it."""
@@ -107,29 +109,26 @@ class Store:
             return ChunkState(None, "is damaged")
         about = pq.read_metadata(pa.BufferReader(content)).metadata
         if about[b"sweep"] != self._digest:
-            return ChunkState(None, "was made by another sweep, or with other defaults")
+            return ChunkState(None, "was made by another sweep, or with other defaults", foreign=True)
         if about[b"rows"].decode() != rows_digest(rows):
-            return ChunkState(None, "holds other rows")
+            return ChunkState(None, "holds other rows", foreign=True)
         return ChunkState(ChunkNote(about[b"engine"].decode(), float(about[b"steps"]), float(about[b"wall_seconds"])))
 
     def write_chunk(self, chunk: int, table: pa.Table) -> None:
         """Store a chunk whole: whoever looks sees all of it or nothing of it."""
-        self.write(self.chunk_path(chunk), seal(parquet_bytes(table)))
+        self.directory.write(f"results/{_name(chunk)}", seal(parquet_bytes(table)))
 
-    def write(self, path: Path, content: bytes) -> None:
-        """Replace a file of the directory by new content, atomically and durably."""
-        with clear_errors(self.out):
-            replace_file(path, content)
+    def move_chunk_aside(self, chunk: int) -> None:
+        """Take a chunk's file out of the table, and keep it."""
+        self.directory.move_aside(f"results/{_name(chunk)}", "results.aside")
 
-    def note_session(self, session: dict[str, Any]) -> None:
-        """Add what runs here, and where, to run.json; several processes take turns."""
-        path = self.out / "run.json"
-        with clear_errors(self.out):
-            held = hold(self.out, ".lock-run", wait=True)
-            try:
-                self.write(path, with_session(path, session))
-            finally:
-                os.close(held)
+    def begun_with(self) -> str | None:
+        """The engine of the code that last took the directory; None if it does not say."""
+        return next((stamp.engine for stamp in reversed(codes_of(self.out).values())), None)
+
+    def take_code(self, stamp: CodeStamp, *, accept: bool) -> None:
+        """See `RunDirectory.take_code`."""
+        self.directory.take_code(stamp, holds_rows=bool(self.present()), accept=accept)
 
     def _claim(self) -> None:
         """Make the directory this sweep's, or refuse. A directory keeps the chunks it was begun with."""
@@ -138,7 +137,7 @@ class Store:
             if any(self.results.glob("*.parquet")):
                 raise self._foreign("results of an unknown sweep (it has no sweep.yaml); choose another directory")
             create_file(path, self.sweep.to_yaml().encode())
-        # Even if it was written just now: another part may have been faster, and have chosen other chunks.
+        # Even if it was written just now: another shard may have been faster, and have chosen other chunks.
         try:
             begun = Sweep.from_file(path)
         except SpecError as error:
@@ -153,16 +152,6 @@ class Store:
     def _foreign(self, content: str) -> DirectoryError:
         return DirectoryError(f"{self.out} holds {content}.")
 
-    def _lock(self) -> None:
-        """An exclusive lock; parts share the first one and hold a second one of their own."""
-        self._locks.append(hold(self.out, shared=self.part is not None))
-        if self.part is not None:
-            self._locks.append(hold(self.out, f".lock-{self.part[0]}-of-{self.part[1]}"))
-
-    def _unlock(self) -> None:
-        while self._locks:
-            os.close(self._locks.pop())
-
 
 def read_chunk(path: Path) -> pa.Table | None:
     """A chunk file, every page checked; None where it is absent or damaged."""
@@ -170,3 +159,7 @@ def read_chunk(path: Path) -> pa.Table | None:
         return pq.read_table(path, page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException, ValueError):
         return None
+
+
+def _name(chunk: int) -> str:
+    return f"chunk-{chunk:05d}.parquet"

@@ -1,6 +1,6 @@
 """The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
 
-Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`.
+Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ def chunk_table(
     index: np.ndarray,
     metrics: Mapping[str, np.ndarray],
     status: np.ndarray,
+    code: str,
     about: Mapping[str, Any],
 ) -> pa.Table:
     """The table of one chunk.
@@ -55,6 +56,7 @@ def chunk_table(
     Args:
         rows: the runs of the chunk, and `index` their positions in the sweep, (n,).
         metrics: name -> (n,) results; status: (n,) texts, "ok" where a run went well.
+        code: short name of the code that made them.
         about: what to note about the chunk in the schema's metadata (engine, steps, ...).
     """
     columns = Columns()
@@ -72,6 +74,7 @@ def chunk_table(
     for name in sorted(metrics, key=list(METRICS).index):
         columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
+    columns.add("code", np.full(len(index), code), "code", "1", "which code made the row, as run.json names it")
     return columns.table({"sweep": sweep.digest(), "sampler": sweep.sampler, **about})
 
 

@@ -13,8 +13,8 @@ class Progress:
     """How far a sweep is.
 
     Attributes:
-        fraction: share of the work that is done, by simulated time, 0 to 1; resumed chunks count as done. It is this
-            process's share of the work, but process 0 of several hosts counts all of it.
+        fraction: share of the work that is done, by simulated time, 0 to 1; resumed chunks count as done; of a shard
+            it is that shard's share.
         rows_done, rows: finished rows and all rows of the same work.
         resumed: rows that an earlier session had finished.
     """

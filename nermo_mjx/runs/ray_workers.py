@@ -1,0 +1,252 @@
+"""Workers on a Ray cluster: a warm computer on each node or GPU, a task for whoever is free, and the lost replaced.
+
+A computer is an actor. Where there are GPUs and the engine can use them, each has one, and its share of the node's
+cores; else one has a whole node, as MuJoCo C and XLA divide a batch among all cores of their process. Nodes may join
+and leave at any time; a task whose worker is lost goes to another one. Only this process writes.
+"""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import dataclasses
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from types import TracebackType
+from typing import Any, Final
+
+from nermo_mjx.runs.code import CodeStamp
+from nermo_mjx.runs.workers import Computer, TaskFailed, Tell, WorkersLost
+
+#: What Ray reads when it is imported: it reports no usage.
+QUIET: Final = {"RAY_USAGE_STATS_ENABLED": "0"}
+#: A cluster that is started here listens on 127.0.0.1 alone. The switch is made for Windows and macOS; on Linux Ray
+#: replaces a given address of 127.0.0.1 by the machine's.
+LOOPBACK: Final = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+#: Seconds between two looks at which nodes there are, and for which nobody may be there before it is given up.
+LOOK, PATIENCE = 1.0, 300.0
+#: How often a task's worker may be lost, and how often a node's workers may fail to start.
+ATTEMPTS: Final = 3
+#: Threads that JAX needs on a CPU, see `nermo_mjx.runtime.SAFE_THREADS`.
+_THREADS: Final = 8
+
+
+class _Actor:
+    """A computer on a node."""
+
+    def __init__(self, cores: int) -> None:
+        # JAX reads both when it starts. It would take 75 % of a GPU's memory at once, and as many threads as there are
+        # cores, of which this one has a share.
+        os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+        os.environ.setdefault("PJRT_NPROC", str(max(cores, _THREADS)))
+
+    def begin(self, computer: Computer, wanted: CodeStamp) -> str:
+        """Make the computer ready; how its code differs from the wanted one, empty if it does not."""
+        stamp = computer.stamp()
+        if stamp == wanted:
+            computer.warm()
+            self._computer = computer
+        return stamp.unlike(wanted)
+
+    def compute(self, task: Any) -> Any:
+        return self._computer(task)
+
+
+@dataclasses.dataclass
+class _Worker:
+    """An actor, the node it is on, and the task that it computes, if it is not being made ready."""
+
+    actor: Any
+    node: str
+    key: int | None = None
+    task: Any = None
+
+
+class RayWorkers:
+    """Actors of a Ray cluster; use it in a `with` statement, in the main process of a run.
+
+    Args:
+        address: of the cluster, "ADDRESS:PORT" or "auto"; by default that in `$RAY_ADDRESS`, or else one of this
+            machine alone is started, and ended with the `with` statement.
+        say: called with a sentence when a node is not used, or a worker is lost.
+        patience: seconds to wait for a node while there is none.
+
+    Raises:
+        WorkersLost: on entry: there is no such cluster.
+    """
+
+    def __init__(
+        self, address: str | None = None, say: Callable[[str], None] | None = None, patience: float = PATIENCE
+    ) -> None:
+        self.address = address or os.environ.get("RAY_ADDRESS") or None
+        self._say, self._patience = say or (lambda sentence: None), patience
+        self._computer: Computer | None = None
+        self._stamp: CodeStamp | None = None
+        self._workers: list[_Worker] = []
+        self._busy: dict[Any, _Worker] = {}
+        #: By the nodes' ids: names for sentences, failures to start a worker there, and why a node is not used.
+        self._names: dict[str, str] = {}
+        self._failures: collections.Counter[str] = collections.Counter()
+        self._refused: dict[str, str] = {}
+        self._looked = self._seen = -math.inf
+
+    def __enter__(self) -> RayWorkers:
+        os.environ.update(QUIET if self.address else QUIET | LOOPBACK)
+        import ray
+        import ray.util.scheduling_strategies
+
+        self._ray = ray
+        # Ray lets SIGTERM end the process at once; whoever writes ends what is half done first.
+        main = threading.current_thread() is threading.main_thread()
+        before = signal.getsignal(signal.SIGTERM) if main else None
+        more: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
+        try:
+            ray.init(self.address or "local", log_to_driver=False, logging_level="ERROR", **more)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+            raise WorkersLost(f"no Ray cluster at {self.address or 'this machine'}: {reason}.") from error
+        finally:
+            if main:
+                signal.signal(signal.SIGTERM, before)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._end_all()
+        self._ray.shutdown()
+
+    @property
+    def parts(self) -> int:
+        """See `nermo_mjx.runs.workers.Workers`."""
+        return max(1, sum(max(1, int(each["Resources"].get("GPU", 0))) for each in self._nodes()))
+
+    def begin(self, computer: Computer) -> CodeStamp:
+        """See `Workers`; the code of this process is the one that all must have."""
+        if computer is not self._computer:
+            self._computer, self._stamp = computer, computer.stamp()
+            self._end_all()
+        assert self._stamp is not None
+        return self._stamp
+
+    def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
+        """See `Workers`; how far a task is remains unknown until it is done."""
+        coming, again, lost = iter(tasks), collections.deque[tuple[int, Any]](), collections.Counter[int]()
+        self._seen = time.monotonic()
+        while True:
+            self._staff()
+            busy = set(map(id, self._busy.values()))
+            for worker in [each for each in self._workers if id(each) not in busy]:
+                given = again.popleft() if again else next(coming, None)
+                if given is not None:
+                    worker.key, worker.task = given
+                    self._busy[worker.actor.compute.remote(worker.task)] = worker
+            if not any(worker.key is not None for worker in self._busy.values()) and not again:
+                # Nobody computes: either all is done, or nobody is there yet to be given what is left.
+                given = next(coming, None)
+                if given is None:
+                    return
+                again.append(given)
+            self._check_patience()
+            if not self._busy:
+                time.sleep(LOOK)
+                continue
+            for reference in self._ray.wait(list(self._busy), timeout=LOOK)[0]:
+                worker = self._busy.pop(reference)
+                key, task, worker.key, worker.task = worker.key, worker.task, None, None
+                try:
+                    result = self._ray.get(reference)
+                except self._ray.exceptions.RayTaskError as error:
+                    cause = getattr(error, "cause", None) or error
+                    if key is not None:
+                        raise TaskFailed(key, cause) from cause
+                    self._failed(worker, _first_line(cause))
+                except self._ray.exceptions.RayError as error:
+                    kind = type(error).__name__
+                    self._failed(worker, _first_line(error) if key is None else kind, starting=key is None)
+                    if key is not None:
+                        lost[key] += 1
+                        if lost[key] >= ATTEMPTS:
+                            cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({kind})")
+                            raise TaskFailed(key, cause) from error
+                        again.append((key, task))
+                else:
+                    if key is not None:
+                        yield key, result
+                    elif result:
+                        self._refuse(worker, f"it has other code: {result}")
+
+    def _staff(self) -> None:
+        """Start workers on nodes that lack some; forget those of nodes that are gone."""
+        if time.monotonic() - self._looked < LOOK:
+            return
+        self._looked = time.monotonic()
+        assert self._stamp is not None
+        for node in self._nodes():
+            name, resources = node["NodeID"], node["Resources"]
+            self._names[name] = f"{node['NodeManagerHostname']} ({node['NodeManagerAddress']})"
+            cores, gpus = int(resources.get("CPU", 0)), int(resources.get("GPU", 0)) if self._stamp.engine != "c" else 0
+            wanted = 0 if name in self._refused else gpus or min(cores, 1)
+            for _ in range(wanted - sum(worker.node == name for worker in self._workers)):
+                self._start(name, max(1, cores // wanted), 1 if gpus else 0)
+
+    def _start(self, node: str, cores: int, gpus: int) -> None:
+        there = self._ray.util.scheduling_strategies.NodeAffinitySchedulingStrategy(node, soft=False)
+        kind = self._ray.remote(_Actor).options(num_cpus=cores, num_gpus=gpus, scheduling_strategy=there)
+        worker = _Worker(kind.remote(cores), node)
+        self._workers.append(worker)
+        self._busy[worker.actor.begin.remote(self._computer, self._stamp)] = worker
+
+    def _failed(self, worker: _Worker, reason: str, *, starting: bool = True) -> None:
+        """A worker is lost; a node on which none can start is not used."""
+        if not starting:
+            self._say(
+                f"a worker on {self._names[worker.node]} is lost, and what it computed is computed again: {reason}."
+            )
+        elif worker.node in {node["NodeID"] for node in self._nodes()}:
+            self._failures[worker.node] += 1
+            if self._failures[worker.node] >= ATTEMPTS:
+                self._refuse(worker, f"no worker starts there: {reason}")
+                return
+        self._drop(worker)
+
+    def _refuse(self, worker: _Worker, reason: str) -> None:
+        if worker.node not in self._refused:
+            self._refused[worker.node] = f"node {self._names[worker.node]} is not used: {reason}."
+            self._say(self._refused[worker.node])
+        self._drop(worker)
+
+    def _drop(self, worker: _Worker) -> None:
+        self._workers.remove(worker)
+        self._end(worker)
+
+    def _end(self, worker: _Worker) -> None:
+        with contextlib.suppress(Exception):  # it may be gone, or never have come
+            self._ray.kill(worker.actor)
+
+    def _end_all(self) -> None:
+        for worker in self._workers:
+            self._end(worker)
+        for known in (self._workers, self._busy, self._failures, self._refused):
+            known.clear()
+        self._looked = -math.inf
+
+    def _check_patience(self) -> None:
+        """Give up where nobody has been there for long, or nobody is left who may come."""
+        if self._workers:
+            self._seen = time.monotonic()
+        alone = all(node["NodeID"] in self._refused for node in self._nodes()) if self._refused else False
+        if not self._workers and (alone or time.monotonic() - self._seen > self._patience):
+            raise WorkersLost(" ".join(self._refused.values()) or f"no node came within {self._patience:.0f} s.")
+
+    def _nodes(self) -> list[dict[str, Any]]:
+        return [node for node in self._ray.nodes() if node["Alive"]]
+
+
+def _first_line(error: BaseException) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return f"{type(error).__name__}{f': {lines[0]}' if lines else ''}".rstrip(".")[:300]

@@ -1,0 +1,97 @@
+"""Who computes the tasks of a run: one seam, with this process on one side and a cluster on the other (`ray_workers`).
+
+The process that drives a run hands in tasks and gets results as they come, in any order; it alone writes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Protocol
+
+from nermo_mjx.runs.code import CodeStamp
+
+#: Told how far a task is: its key, and the share done, 0 to 1.
+Tell = Callable[[int, float], None]
+
+
+class Computer(Protocol):
+    """What computes tasks, one after the other, warm after the first.
+
+    It travels to other machines as it is before its first task; what makes it warm is made there.
+    """
+
+    def warm(self) -> None:
+        """Make ready what computes; an error says why it cannot here."""
+        ...
+
+    def stamp(self) -> CodeStamp:
+        """Of the code that computes where this is called."""
+        ...
+
+    def __call__(self, task: Any, progress: Callable[[float], None] | None = None) -> Any:
+        """The result of a task."""
+        ...
+
+
+class Workers(Protocol):
+    """Compute the tasks of one run: `begin`, then `results`, as often as there are tasks."""
+
+    @property
+    def parts(self) -> int:
+        """How many tasks are computed at once, as far as is known before they begin."""
+        ...
+
+    def begin(self, computer: Computer) -> CodeStamp:
+        """Make ready; the stamp of the code that computes.
+
+        Raises:
+            WorkersLost: there is nobody who could compute.
+        """
+        ...
+
+    def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
+        """Results by the keys of their tasks, in any order; tasks are asked for when someone is free.
+
+        Args:
+            tasks: each with a key of its own.
+            tell: is told how far a task is, where that is known.
+
+        Raises:
+            TaskFailed: a task cannot be computed.
+            WorkersLost: nobody is left who computes.
+        """
+        ...
+
+
+class TaskFailed(RuntimeError):
+    """A task that raised an error, wherever it ran; the error is the cause."""
+
+    def __init__(self, key: int, error: Exception) -> None:
+        super().__init__(f"task {key} failed: {error}")
+        self.key, self.__cause__ = key, error
+
+
+class WorkersLost(RuntimeError):
+    """Nobody is left who computes; the message says why."""
+
+
+class LocalWorkers:
+    """This process computes, one task after the other."""
+
+    parts = 1
+
+    def begin(self, computer: Computer) -> CodeStamp:
+        """See `Workers`; raises what the computer raises."""
+        computer.warm()
+        self._computer = computer
+        return computer.stamp()
+
+    def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
+        """See `Workers`."""
+        for key, task in tasks:
+            try:
+                result = self._computer(task, functools.partial(tell, key))
+            except Exception as error:
+                raise TaskFailed(key, error) from error
+            yield key, result

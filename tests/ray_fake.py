@@ -1,0 +1,115 @@
+"""What runs on Ray, each in a process of its own, on this machine's loopback interface; prints what happened as JSON.
+
+ray_fake.py nodes OUT LOG: the sweep of `sweep_fake` on three nodes, of which one is killed; then another one comes. LOG
+gets a line for each batch that is begun: the process, and the frequency, amplitude and phase of its first row.
+ray_fake.py driver OUT LOG: the same on a cluster of one node, to be killed.
+ray_fake.py tasks: a cluster of one node, computers that it takes and does not take, and where it listens.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import sys
+
+from sweep_fake import SPEC, FakeSimulator
+
+from nermo_mjx.runs import ray_workers, stamp
+from nermo_mjx.runs.workers import TaskFailed, WorkersLost
+
+
+class LoggingSimulator(FakeSimulator):
+    """Tells which batch it begins; not before, as it travels."""
+
+    def run(self, values, run, **more):
+        first = [float(values[name][0]) for name in ("frequency", "spine.amplitude", "spine.phase")]
+        with open(self.log, "a") as file:
+            file.write(json.dumps([os.getpid(), *first]) + "\n")
+        log, self.log = self.log, None
+        try:
+            return super().run(values, run, **more)
+        finally:
+            self.log = log
+
+
+def nodes(out, log):
+    """A sweep while nodes come and go."""
+    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
+    from ray.cluster_utils import Cluster
+
+    from nermo_mjx.sweep import run_sweep
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    others, said = [cluster.add_node(num_cpus=1) for _ in range(2)], []
+
+    def disturb(progress):
+        """After a third of the rows one node is killed, after two thirds another one comes."""
+        if progress.rows_done >= 12 and len(others) == 2:
+            cluster.remove_node(others.pop(), allow_graceful=False)
+        if progress.rows_done >= 24 and len(others) == 1:
+            others.extend([cluster.add_node(num_cpus=1), None])
+
+    simulator = LoggingSimulator(delay=0.3, log=log)
+    try:
+        with ray_workers.RayWorkers(cluster.address, said.append) as workers:
+            result = run_sweep(SPEC, out, chunk=1, workers=workers, simulator=simulator, progress=disturb)
+    finally:
+        cluster.shutdown()
+    print(json.dumps({"complete": result.complete, "said": said, "chunks_run": result.chunks_run}))
+
+
+def driver(out, log):
+    """A sweep whose driver can be killed."""
+    from nermo_mjx.sweep import run_sweep
+
+    with ray_workers.RayWorkers() as workers:
+        result = run_sweep(SPEC, out, chunk=1, workers=workers, simulator=LoggingSimulator(delay=0.3, log=log))
+    print(json.dumps({"complete": result.complete, "chunks_run": result.chunks_run}))
+
+
+class Doubling:
+    """Doubles numbers; of other code on the cluster, cold there, or neither."""
+
+    def __init__(self, flaw=None):
+        self.flaw, self.home = flaw, os.getpid()
+
+    def stamp(self):
+        here = stamp("numbers", "c")
+        return dataclasses.replace(here, package="9.9.9") if self.flaw == "code" and os.getpid() != self.home else here
+
+    def warm(self):
+        if self.flaw == "cold":
+            raise RuntimeError("no engine here")
+
+    def __call__(self, task, progress=None):
+        if task == self.flaw:
+            raise ZeroDivisionError(f"not {task}")
+        if (self.flaw, task) == ("dies", 3):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return 2 * task
+
+
+def tasks():
+    """What becomes of tasks, by the flaw of their computer."""
+    ended, said = {}, []
+    import psutil
+
+    with ray_workers.RayWorkers(say=said.append) as workers:
+        for flaw in (None, 3, "dies", "code", "cold"):
+            workers.begin(Doubling(flaw))
+            try:
+                ended[str(flaw)] = dict(workers.results(((k, k) for k in range(6)), print))
+            except TaskFailed as error:
+                ended[str(flaw)] = f"{error.key}: {error.__cause__!r}"
+            except WorkersLost as error:
+                ended[str(flaw)] = str(error)
+        own = psutil.Process()
+        sockets = [each for process in (own, *own.children(recursive=True)) for each in process.net_connections("tcp")]
+        addresses = {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
+    print(json.dumps({"ended": ended, "said": said, "addresses": sorted(addresses)}))
+
+
+if __name__ == "__main__":
+    {"nodes": nodes, "driver": driver, "tasks": tasks}[sys.argv[1]](*sys.argv[2:])

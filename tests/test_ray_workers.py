@@ -1,0 +1,148 @@
+"""A sweep on a Ray cluster: the table of one process, whoever computed it, and however many were lost meanwhile."""
+
+from __future__ import annotations
+
+import collections
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from sweep_fake import SPEC, FakeSimulator
+
+from nermo_mjx.cli import main
+from nermo_mjx.runs.workers import LocalWorkers
+from nermo_mjx.sweep import read_table, run_sweep
+from nermo_mjx.version import __version__
+
+FAKE = Path(__file__).with_name("ray_fake.py")
+WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ray():
+    """Skips where Ray is not installed."""
+    return pytest.importorskip("ray", reason="Ray is not installed: pip install 'nermo-mjx[ray]'")
+
+
+def started(*arguments):
+    """A process of `ray_fake.py`."""
+    environment = os.environ | {"PYTHONPATH": str(FAKE.parents[1])}
+    return subprocess.Popen(
+        [sys.executable, FAKE, *map(str, arguments)], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
+    )  # fmt: skip
+
+
+def told(process):
+    """What a process of `ray_fake.py` says in the end."""
+    out, log = process.communicate(timeout=300)
+    assert process.returncode == 0, log[-3000:]
+    return json.loads(out.splitlines()[-1])
+
+
+def computed(log):
+    """How often each chunk was begun, and by how many processes in all."""
+    lines = [json.loads(line) for line in log.read_text().splitlines()]
+    return collections.Counter(tuple(first) for _, *first in lines), {line[0] for line in lines}
+
+
+def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_path):
+    """Three nodes, one killed, one added: bit for bit, and only what the lost one was at is computed again."""
+    undisturbed = run_sweep(SPEC, tmp_path / "one", simulator=FakeSimulator()).table
+    ended = told(started("nodes", tmp_path / "out", tmp_path / "log"))
+    assert (ended["complete"], ended["chunks_run"]) == (True, 36)
+    assert read_table(tmp_path / "out").equals(undisturbed)
+    (sentence,) = ended["said"]
+    assert re.fullmatch(r"a worker on \S+ \(\S+\) is lost \(\w+\); what it computed is computed again\.", sentence)
+    times, processes = computed(tmp_path / "log")
+    assert len(times) == 36
+    assert sum(times.values()) <= 37, "the one chunk in flight"
+    assert len(processes) >= 3
+
+
+def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path):
+    """SIGKILL of the process that writes: no worker of it is left, and at most what was not written yet is lost."""
+    undisturbed = run_sweep(SPEC, tmp_path / "one", simulator=FakeSimulator()).table
+    process = started("driver", tmp_path / "out", tmp_path / "log")
+    began = time.monotonic()
+    while len(list(tmp_path.glob("out/results/*.parquet"))) < 8:
+        assert process.poll() is None, process.communicate()[1][-3000:]
+        assert time.monotonic() - began < 200
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    kept = len(list(tmp_path.glob("out/results/*.parquet")))
+    assert told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"] == 36 - kept
+    assert read_table(tmp_path / "out").equals(undisturbed)
+    times, processes = computed(tmp_path / "log")
+    assert len(times) == 36
+    assert sum(times.values()) <= 36 + 3, "one computed, one on its way, one being written"
+    assert len(processes) == 2
+
+
+def test_tasks_and_nodes_that_fail_are_named(tmp_path):
+    """What fails in a task, kills its worker again and again, has other code, or cannot run, is one sentence each."""
+    told_by = told(started("tasks"))
+    ended = told_by["ended"]
+    assert ended["None"] == {str(k): 2 * k for k in range(6)}
+    assert ended["3"] == "3: ZeroDivisionError('not 3')"
+    assert re.fullmatch(r"3: RuntimeError\('its worker was lost 3 times \(\w+\)'\)", ended["dies"])
+    node = r"node \S+ \(127\.0\.0\.1\) is not used: "
+    assert re.fullmatch(rf"{node}it has other code: nermo-mjx 9\.9\.9, not {re.escape(__version__)}\.", ended["code"])
+    assert re.fullmatch(rf"{node}no worker starts there: RuntimeError: no engine here\.", ended["cold"])
+    assert {ended["code"], ended["cold"]} < set(told_by["said"])
+    loopback = {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
+    assert set(told_by["addresses"]) <= loopback, "who is elsewhere cannot run code here"
+        "who is elsewhere cannot run code here"
+    )
+
+
+def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, simulator):
+    """Real walks in MuJoCo C, bit for bit, whoever simulated them."""
+    walked = run_sweep(WALKS, tmp_path / "one", chunk=2, simulator=simulator("c")).table
+    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS | {"chunk": 3}))
+    out = tmp_path / "out"
+    command = ["sweep", tmp_path / "sweep.yaml", "--out", out, "--engine", "c", "--workers", "ray", "--json"]
+    done = subprocess.run([sys.executable, "-m", "nermo_mjx", *command], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["chunks_run"] == 3
+    table = read_table(out)
+    for name in walked.column_names:
+        np.testing.assert_array_equal(table.column(name), walked.column(name), strict=True, err_msg=name)
+
+
+def test_an_address_without_ray_is_wrong_use(tmp_path):
+    """One sentence, and no directory."""
+    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS))
+    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--ray-address", "auto"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 2
+    assert "--ray-address is given without --workers ray" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_this_process_asks_for_a_task_when_it_is_free():
+    """The local side of the seam: one at a time, in order, and its progress by the task's key."""
+    asked, told_of = [], []
+
+    class Computer:
+        def __call__(self, task, progress):
+            progress(0.5)
+            return 2 * task
+
+        warm = stamp = lambda self: None
+
+    workers = LocalWorkers()
+    workers.begin(Computer())
+    results = workers.results(((asked.append(k), (k, 10 * k))[1] for k in range(3)), lambda *told: told_of.append(told))
+    assert next(results) == (0, 0)
+    assert (asked, told_of) == ([0], [(0, 0.5)])
+    assert list(results) == [(1, 20), (2, 40)]

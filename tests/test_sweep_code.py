@@ -1,0 +1,188 @@
+"""Which code made a sweep's rows: it is noted for each, and rows of two codes are not mixed without being told to."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from sweep_fake import SPEC, FakeSimulator
+
+from nermo_mjx.cli import main
+from nermo_mjx.physics import resolve_engine
+from nermo_mjx.runs import OtherCode, code, codes_of, stamp
+from nermo_mjx.sweep import Results, Sweep, SweepInterrupted, read_table, run_sweep
+from nermo_mjx.sweep.redraw import redraw
+from nermo_mjx.sweep.replay import find_row, replay_row
+from nermo_mjx.sweep.table import columns_of
+
+#: Release 0.1.0 had run two of its six walks: `nermo-mjx sweep` on the engine `c`, stopped after its first chunk.
+OLD = Path(__file__).with_name("data") / "sweep-0.1.0"
+
+
+@pytest.fixture
+def newer(monkeypatch):
+    """The package once more, as version 9.9.9."""
+    return lambda: monkeypatch.setattr(code, "__version__", "9.9.9")
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A directory with two of four chunks."""
+    with pytest.raises(SweepInterrupted):
+        run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2))
+    return tmp_path
+
+
+@pytest.fixture
+def old(tmp_path, monkeypatch):
+    """A copy of the directory of release 0.1.0; the defaults are that release's."""
+    out = tmp_path / "old"
+    shutil.copytree(OLD, out)
+    digest = pq.read_schema(out / "results" / "chunk-00000.parquet").metadata[b"sweep"].decode()
+    monkeypatch.setattr(Sweep, "digest", lambda self: digest)
+    return out
+
+
+def files_of(out):
+    """Content of every file that is not a lock."""
+    return {path: path.read_bytes() for path in out.rglob("*") if path.is_file() and path.name[0] != "."}
+
+
+def test_each_row_and_each_chunk_name_the_code_that_made_them(tmp_path):
+    """The column `code` has the stamp's short name, and run.json what it stands for."""
+    table = run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(engine="c")).table
+    expected = stamp(Sweep.from_dict(SPEC).setup.load().fingerprint, "c")
+    assert codes_of(tmp_path) == {expected.id: expected}
+    assert columns_of(table, "code") == ["code"]
+    assert set(table.column("code").to_pylist()) == {expected.id}
+    for path in tmp_path.glob("results/*.parquet"):
+        assert pq.read_schema(path).metadata[b"code"].decode() == expected.id
+
+
+def test_rows_of_another_version_are_not_mixed_without_a_word(begun, newer):
+    """Bug 3: refused with the difference, and nothing is written."""
+    newer()
+    before = files_of(begun)
+    with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx \S+, not 9\.9\.9;.*--accept-new-code"):
+        run_sweep(SPEC, begun, simulator=FakeSimulator())
+    assert files_of(begun) == before
+
+
+def test_accepted_code_keeps_what_is_there_and_tells_the_rows_apart(begun, newer):
+    """Two chunks of each; later the same code goes on without being accepted again."""
+    newer()
+    with pytest.raises(SweepInterrupted):
+        run_sweep(SPEC, begun, simulator=FakeSimulator(stop_at=1), accept_new_code=True)
+    simulator = FakeSimulator()
+    result = run_sweep(SPEC, begun, simulator=simulator)
+    assert simulator.batches == [9]
+    made = result.table.column("code").to_pylist()
+    assert {name: made.count(name) for name in codes_of(begun)} == dict.fromkeys(codes_of(begun), 18)
+    assert [each.package for each in codes_of(begun).values()][1:] == ["9.9.9"]
+
+
+def test_a_directory_keeps_its_engine_unless_another_one_is_accepted(begun):
+    """Whether it is asked for, or is what `auto` stands for; the summary names both."""
+    for other in ("c", "other"):
+        with pytest.raises(OtherCode, match=f"engine fake, not {other};"):
+            run_sweep(SPEC, begun, simulator=FakeSimulator(engine=other))
+    result = run_sweep(SPEC, begun, simulator=FakeSimulator(engine="other"), accept_new_code=True)
+    assert result.summary["engine"] == "fake, other"
+
+
+def test_auto_is_the_engine_that_a_directory_was_begun_with(tmp_path, monkeypatch):
+    """And elsewhere what this machine would choose."""
+    engines = []
+
+    class Noted(FakeSimulator):
+        def __init__(self, setup, engine):
+            super().__init__(engine=engine, stop_at=1)
+            engines.append(engine)
+
+    monkeypatch.setattr("nermo_mjx.sweep.simulating.Simulator", Noted)
+    for engine in ("mjx", "auto"):
+        with pytest.raises(SweepInterrupted):
+            run_sweep(SPEC, tmp_path / "begun", chunk=9, engine=engine)
+    with pytest.raises(SweepInterrupted):
+        run_sweep(SPEC, tmp_path / "new", chunk=9)
+    assert engines == ["mjx", "mjx", resolve_engine("auto")]
+
+
+def test_a_complete_directory_is_read_by_other_code(begun, newer):
+    """Nothing is simulated, so nothing is refused."""
+    table = run_sweep(SPEC, begun, simulator=FakeSimulator()).table
+    newer()
+    result = run_sweep(SPEC, begun, simulator=FakeSimulator(engine="other"))
+    assert (result.complete, result.chunks_run) == (True, 0)
+    assert result.table.equals(table)
+
+
+def test_an_engine_that_cannot_run_here_does_not_claim_a_directory(tmp_path):
+    """A shard that fails before its first chunk leaves no code behind that would refuse the others."""
+    with pytest.raises(ValueError, match="engine is 'steam'"):
+        run_sweep(SPEC, tmp_path, engine="steam", chunk=9, shard=(0, 2))
+    assert codes_of(tmp_path) == {}
+
+
+def test_chunks_made_with_other_defaults_are_kept_aside(begun, monkeypatch):
+    """They are told, run again, and out of the table; none is overwritten."""
+    kept = [path.read_bytes() for path in sorted(begun.glob("results/*.parquet"))]
+    monkeypatch.setattr(Sweep, "digest", lambda self: "other defaults")
+    said = []
+    result = run_sweep(SPEC, begun, simulator=FakeSimulator(), warn=said.append)
+    assert said == [
+        f"chunks 0, 1 of {begun}: each was made by another sweep, or with other defaults, and is run again."
+    ]
+    assert [path.read_bytes() for path in sorted(begun.glob("results.aside/*"))] == kept
+    assert result.chunks_run == result.table.num_rows / 9 == 4
+    assert len(list(begun.glob("results/*"))) == 4
+
+
+# --- a directory of release 0.1.0, which noted no code
+
+
+def test_the_command_refuses_a_directory_of_the_previous_release_until_it_is_told_to_go_on(old):
+    """Exit code 2 and one sentence; with --accept-new-code the two old rows stay as they are."""
+    command = ["sweep", str(old / "sweep.yaml"), "--out", str(old), "--engine", "c", "--json", "--quiet"]
+    before = files_of(old)
+    refused = CliRunner().invoke(main, command)
+    assert refused.exit_code == 2
+    assert refused.stderr == (
+        f"nermo-mjx: {old} does not say which code made it, as those of earlier releases: choose another directory, or "
+        "go on with --accept-new-code, and tell the rows apart by their column code.\n"
+    )
+    assert files_of(old) == before
+    accepted = CliRunner().invoke(main, [*command, "--accept-new-code"])
+    assert accepted.exit_code == 0, accepted.stderr
+    assert json.loads(accepted.stdout)["chunks_run"] == 2
+    table, (name,) = read_table(old), codes_of(old)
+    assert sorted(table.column("code").to_pylist(), key=str) == [name] * 4 + [None] * 2
+    assert (old / "results" / "chunk-00000.parquet").read_bytes() in before.values()
+    assert len(json.loads((old / "run.json").read_text())["sessions"]) == 2
+
+
+def test_plot_and_replay_read_a_directory_of_the_previous_release(old):
+    """Figures of what is there, and a row of it run again, compared with what is stored."""
+    assert redraw(old, formats=("png",))
+    rows = read_table(old).column("row").to_pylist()
+    found = find_row(old, rows[0])
+    assert found.engine == "c"
+    comparison = replay_row(found).comparison
+    assert comparison is not None
+    assert comparison.engine == "c"
+
+
+def test_metrics_that_an_earlier_release_did_not_know_are_unknown_in_its_rows(begun):
+    """A table of two releases is summed up; what only one of them measured is null in the other one's rows."""
+    path = begun / "results" / "chunk-00001.parquet"
+    pq.write_table(pq.read_table(path).drop(["roll_std", "code"]), path)
+    files = sorted(begun.glob("results/*.parquet"))
+    columns = dict(Results.of_present(files).columns(["speed", "roll_std"]))
+    assert [int(sum(column != column)) for column in columns.values()] == [0, 9]
+    assert read_table(begun).column("code").null_count == read_table(begun).column("roll_std").null_count == 9
+    assert dataclasses.asdict(next(iter(codes_of(begun).values())))["engine"] == "fake"
