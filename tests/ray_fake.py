@@ -8,6 +8,7 @@ ray_fake.py tasks: a cluster of one node, computers that it takes and does not t
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -91,11 +92,20 @@ class Doubling:
         return 2 * task
 
 
+def listening():
+    """Addresses at which this process and its descendants listen."""
+    import psutil  # Ray brings it
+
+    found, own = set(), psutil.Process()
+    for process in (own, *own.children(recursive=True)):
+        with contextlib.suppress(psutil.NoSuchProcess):
+            found |= {each.laddr.ip for each in process.net_connections("tcp") if each.status == psutil.CONN_LISTEN}
+    return found
+
+
 def tasks():
     """What becomes of tasks, by the flaw of their computer."""
     ended, said = {}, []
-    import psutil
-
     with ray_workers.RayWorkers(say=said.append) as workers:
         for flaw in (None, 3, "dies", "code", "cold"):
             workers.begin(Doubling(flaw))
@@ -105,9 +115,7 @@ def tasks():
                 ended[str(flaw)] = f"{error.key}: {error.__cause__!r}"
             except WorkersLost as error:
                 ended[str(flaw)] = str(error)
-        own = psutil.Process()
-        sockets = [each for process in (own, *own.children(recursive=True)) for each in process.net_connections("tcp")]
-        addresses = {each.laddr.ip for each in sockets if each.status == psutil.CONN_LISTEN}
+        addresses = listening()
     print(json.dumps({"ended": ended, "said": said, "addresses": sorted(addresses)}))
 
 

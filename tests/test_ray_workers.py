@@ -100,9 +100,8 @@ def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     assert re.fullmatch(rf"{node}no worker starts there: RuntimeError: no engine here\.", ended["cold"])
     assert {ended["code"], ended["cold"]} < set(told_by["said"])
     loopback = {"127.0.0.1", "::ffff:127.0.0.1", "::1"}
+    assert told_by["addresses"]
     assert set(told_by["addresses"]) <= loopback, "who is elsewhere cannot run code here"
-        "who is elsewhere cannot run code here"
-    )
 
 
 def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, simulator):

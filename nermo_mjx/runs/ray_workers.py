@@ -10,6 +10,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
+import logging
 import math
 import os
 import signal
@@ -105,7 +106,7 @@ class RayWorkers:
         before = signal.getsignal(signal.SIGTERM) if main else None
         more: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
         try:
-            ray.init(self.address or "local", log_to_driver=False, logging_level="ERROR", **more)
+            ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
         except (ConnectionError, ValueError, RuntimeError) as error:
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
             raise WorkersLost(f"no Ray cluster at {self.address or 'this machine'}: {reason}.") from error
@@ -137,51 +138,73 @@ class RayWorkers:
         """See `Workers`; how far a task is remains unknown until it is done."""
         coming, again, lost = iter(tasks), collections.deque[tuple[int, Any]](), collections.Counter[int]()
         self._seen = time.monotonic()
-        while True:
-            self._staff()
-            busy = set(map(id, self._busy.values()))
-            for worker in [each for each in self._workers if id(each) not in busy]:
-                given = again.popleft() if again else next(coming, None)
-                if given is not None:
-                    worker.key, worker.task = given
-                    self._busy[worker.actor.compute.remote(worker.task)] = worker
-            if not any(worker.key is not None for worker in self._busy.values()) and not again:
-                # Nobody computes: either all is done, or nobody is there yet to be given what is left.
-                given = next(coming, None)
-                if given is None:
-                    return
-                again.append(given)
-            self._check_patience()
-            if not self._busy:
-                time.sleep(LOOK)
-                continue
-            for reference in self._ray.wait(list(self._busy), timeout=LOOK)[0]:
-                worker = self._busy.pop(reference)
-                key, task, worker.key, worker.task = worker.key, worker.task, None, None
-                try:
-                    result = self._ray.get(reference)
-                except self._ray.exceptions.RayTaskError as error:
-                    cause = getattr(error, "cause", None) or error
-                    if key is not None:
-                        raise TaskFailed(key, cause) from cause
-                    self._failed(worker, _first_line(cause))
-                except self._ray.exceptions.RayError as error:
-                    kind = type(error).__name__
-                    self._failed(worker, _first_line(error) if key is None else kind, starting=key is None)
-                    if key is not None:
+        try:
+            while True:
+                self._staff()
+                busy = set(map(id, self._busy.values()))
+                for worker in [each for each in self._workers if id(each) not in busy]:
+                    given = again.popleft() if again else next(coming, None)
+                    if given is not None:
+                        worker.key, worker.task = given
+                        self._busy[worker.actor.compute.remote(worker.task)] = worker
+                if not again and not self._computing():
+                    # Either all is done, or nobody is there yet to be given what is left.
+                    given = next(coming, None)
+                    if given is None:
+                        return
+                    again.append(given)
+                self._check_patience()
+                if not self._busy:
+                    time.sleep(LOOK)
+                    continue
+                for reference in self._ray.wait(list(self._busy), timeout=LOOK)[0]:
+                    worker = self._busy.pop(reference)
+                    key, task, worker.key, worker.task = worker.key, worker.task, None, None
+                    if key is None:
+                        self._begun(worker, reference)
+                        continue
+                    try:
+                        result = self._ray.get(reference)
+                    except self._ray.exceptions.RayTaskError as error:
+                        raise TaskFailed(key, _cause(error)) from _cause(error)
+                    except self._ray.exceptions.RayError as error:
+                        self._lost(worker, error)
+                        again.append((key, task))
                         lost[key] += 1
                         if lost[key] >= ATTEMPTS:
-                            cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({kind})")
-                            raise TaskFailed(key, cause) from error
-                        again.append((key, task))
-                else:
-                    if key is not None:
+                            cause = RuntimeError(f"its worker was lost {ATTEMPTS} times ({type(error).__name__})")
+                            raise TaskFailed(key, cause) from cause
+                    else:
                         yield key, result
-                    elif result:
-                        self._refuse(worker, f"it has other code: {result}")
+        finally:
+            for worker in self._computing():  # it ended early: what they are at is wanted no more
+                self._drop(worker)
+
+    def _computing(self) -> list[_Worker]:
+        return [worker for worker in self._busy.values() if worker.key is not None]
+
+    def _begun(self, worker: _Worker, reference: Any) -> None:
+        """A worker is ready, or its node is not used."""
+        try:
+            other = self._ray.get(reference)
+        except self._ray.exceptions.RayError as error:
+            alive = any(node["NodeID"] == worker.node for node in self._nodes())
+            self._failures[worker.node] += alive
+            if self._failures[worker.node] >= ATTEMPTS:
+                self._refuse(worker, f"no worker starts there: {_first_line(_cause(error))}")
+            else:
+                self._drop(worker)
+        else:
+            if other:
+                self._refuse(worker, f"it has other code: {other}")
+
+    def _lost(self, worker: _Worker, error: Exception) -> None:
+        kind = type(error).__name__
+        self._say(f"a worker on {self._names[worker.node]} is lost ({kind}); what it computed is computed again.")
+        self._drop(worker)
 
     def _staff(self) -> None:
-        """Start workers on nodes that lack some; forget those of nodes that are gone."""
+        """Start workers on nodes that lack some."""
         if time.monotonic() - self._looked < LOOK:
             return
         self._looked = time.monotonic()
@@ -201,19 +224,6 @@ class RayWorkers:
         self._workers.append(worker)
         self._busy[worker.actor.begin.remote(self._computer, self._stamp)] = worker
 
-    def _failed(self, worker: _Worker, reason: str, *, starting: bool = True) -> None:
-        """A worker is lost; a node on which none can start is not used."""
-        if not starting:
-            self._say(
-                f"a worker on {self._names[worker.node]} is lost, and what it computed is computed again: {reason}."
-            )
-        elif worker.node in {node["NodeID"] for node in self._nodes()}:
-            self._failures[worker.node] += 1
-            if self._failures[worker.node] >= ATTEMPTS:
-                self._refuse(worker, f"no worker starts there: {reason}")
-                return
-        self._drop(worker)
-
     def _refuse(self, worker: _Worker, reason: str) -> None:
         if worker.node not in self._refused:
             self._refused[worker.node] = f"node {self._names[worker.node]} is not used: {reason}."
@@ -222,6 +232,7 @@ class RayWorkers:
 
     def _drop(self, worker: _Worker) -> None:
         self._workers.remove(worker)
+        self._busy = {reference: each for reference, each in self._busy.items() if each is not worker}
         self._end(worker)
 
     def _end(self, worker: _Worker) -> None:
@@ -245,6 +256,11 @@ class RayWorkers:
 
     def _nodes(self) -> list[dict[str, Any]]:
         return [node for node in self._ray.nodes() if node["Alive"]]
+
+
+def _cause(error: BaseException) -> BaseException:
+    """What a task raised, instead of Ray's account of it."""
+    return getattr(error, "cause", None) or error
 
 
 def _first_line(error: BaseException) -> str:

@@ -29,7 +29,7 @@ class Computer(Protocol):
         """Of the code that computes where this is called."""
         ...
 
-    def __call__(self, task: Any, progress: Callable[[float], None] | None = None) -> Any:
+    def __call__(self, task: Any, /, progress: Callable[[float], None] | None = None) -> Any:
         """The result of a task."""
         ...
 
@@ -67,7 +67,7 @@ class Workers(Protocol):
 class TaskFailed(RuntimeError):
     """A task that raised an error, wherever it ran; the error is the cause."""
 
-    def __init__(self, key: int, error: Exception) -> None:
+    def __init__(self, key: int, error: BaseException) -> None:
         super().__init__(f"task {key} failed: {error}")
         self.key, self.__cause__ = key, error
 
