@@ -68,8 +68,9 @@ def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_pa
     assert len(processes) >= 3
 
 
-def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path):
-    """SIGKILL of the process that writes: no worker of it is left, and at most what was not written yet is lost."""
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
+    """The process that writes is gone: no worker of it is left, and at most what was not written yet is lost."""
     undisturbed = run_sweep(SPEC, tmp_path / "one", simulator=FakeSimulator()).table
     process = started("driver", tmp_path / "out", tmp_path / "log")
     began = time.monotonic()
@@ -77,8 +78,9 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path):
         assert process.poll() is None, process.communicate()[1][-3000:]
         assert time.monotonic() - began < 200
         time.sleep(0.05)
-    process.send_signal(signal.SIGKILL)
-    process.communicate()
+    process.send_signal(number)
+    _, log = process.communicate(timeout=60)
+    assert ("SweepInterrupted: stopped; what is finished is kept" in log) == (number == signal.SIGTERM), log[-3000:]
     kept = len(list(tmp_path.glob("out/results/*.parquet")))
     assert told(started("driver", tmp_path / "out", tmp_path / "log"))["chunks_run"] == 36 - kept
     assert read_table(tmp_path / "out").equals(undisturbed)
@@ -125,6 +127,17 @@ def test_an_address_without_ray_is_wrong_use(tmp_path):
     result = CliRunner().invoke(main, command)
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_machine_without_ray_says_how_to_get_it(tmp_path, monkeypatch):
+    """One sentence, and no directory."""
+    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS))
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--workers", "ray"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 2
+    assert "--workers ray needs Ray: install nermo-mjx with its extra ray" in result.stderr
     assert not (tmp_path / "out").exists()
 
 
