@@ -18,7 +18,8 @@ from click.testing import CliRunner
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.cli import main
-from nermo_mjx.runs.workers import LocalWorkers
+from nermo_mjx.runs.ray_workers import RayWorkers
+from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
 from nermo_mjx.sweep import read_table, run_sweep
 from nermo_mjx.version import __version__
 
@@ -128,6 +129,18 @@ def test_an_address_without_ray_is_wrong_use(tmp_path):
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("address", "why"),
+    [("nonsense", "expected ADDRESS:PORT"), ("ray://a:1", "expected ADDRESS:PORT"), ("127.0.0.1:1", "refused")],
+)
+def test_a_cluster_that_is_not_there_is_one_sentence_at_once(address, why):
+    """Ray itself would try to connect for minutes."""
+    began = time.monotonic()
+    with pytest.raises(WorkersLost, match=rf"no Ray cluster at {address}: .*{why}"), RayWorkers(address):
+        pass
+    assert time.monotonic() - began < 5
 
 
 def test_a_machine_without_ray_says_how_to_get_it(tmp_path, monkeypatch):

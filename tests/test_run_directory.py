@@ -60,6 +60,16 @@ def test_rows_of_other_code_are_refused_until_they_are_accepted(tmp_path):
     assert codes_of(tmp_path) == {HERE.id: HERE, other.id: other}
 
 
+def test_a_directory_without_rows_is_begun_anew_by_who_holds_it_alone(tmp_path):
+    other = dataclasses.replace(HERE, engine="mjx")
+    with RunDirectory(tmp_path, "sweep") as held:
+        held.take_code(HERE, holds_rows=False)
+        held.take_code(other, holds_rows=False)
+    assert codes_of(tmp_path) == {other.id: other}
+    with RunDirectory(tmp_path, "sweep", (0, 2)) as held, pytest.raises(OtherCode, match="engine mjx, not c"):
+        held.take_code(HERE, holds_rows=False)
+
+
 def test_rows_of_unknown_code_are_refused_until_they_are_accepted(tmp_path):
     (tmp_path / "run.json").write_text(json.dumps({"sessions": [{"started": "then"}]}))
     with RunDirectory(tmp_path, "sweep") as held:
@@ -78,6 +88,14 @@ def test_what_is_moved_aside_is_kept_under_a_new_name(tmp_path):
             assert aside == tmp_path / f"history.parquet.aside-{count}"
             assert aside.read_bytes() == content
         assert held.move_aside("history.parquet") is None
+
+
+def test_what_is_moved_aside_leaves_a_folder_that_others_read_whole(tmp_path):
+    with RunDirectory(tmp_path, "sweep") as held:
+        for count in (1, 2):
+            held.write("results/chunk.parquet", b"rows")
+            assert held.move_aside("results/chunk.parquet", "out") == tmp_path / "out" / f"chunk.parquet.aside-{count}"
+    assert list((tmp_path / "results").iterdir()) == []
 
 
 def test_only_files_of_our_own_naming_are_swept_up(tmp_path):

@@ -14,6 +14,7 @@ import logging
 import math
 import os
 import signal
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -96,6 +97,7 @@ class RayWorkers:
         self._looked = self._seen = -math.inf
 
     def __enter__(self) -> RayWorkers:
+        _check_address(self.address)
         os.environ.update(QUIET if self.address else QUIET | LOOPBACK)
         import ray
         import ray.util.scheduling_strategies
@@ -256,6 +258,19 @@ class RayWorkers:
 
     def _nodes(self) -> list[dict[str, Any]]:
         return [node for node in self._ray.nodes() if node["Alive"]]
+
+
+def _check_address(address: str | None) -> None:
+    """Fail at once where nobody listens; Ray would try for minutes."""
+    if address in (None, "auto", "local"):
+        return
+    host, _, port = str(address).rpartition(":")
+    if not host or "/" in host or not port.isdecimal():
+        raise WorkersLost(f"no Ray cluster at {address}: expected ADDRESS:PORT of its head, such as 10.0.0.1:6379.")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
+    except (OSError, OverflowError) as error:
+        raise WorkersLost(f"no Ray cluster at {address}: {getattr(error, 'strerror', None) or error}.") from None
 
 
 def _cause(error: BaseException) -> BaseException:
