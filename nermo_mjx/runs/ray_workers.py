@@ -108,8 +108,8 @@ class RayWorkers:
         before = signal.getsignal(signal.SIGTERM) if main else None
         more: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
         try:
-            ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+            self._connect(more)
+        except Exception as error:  # Ray raises plain ones, too
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
             raise WorkersLost(f"no Ray cluster at {self.address or 'this machine'}: {reason}.") from error
         finally:
@@ -122,6 +122,17 @@ class RayWorkers:
     ) -> None:
         self._end_all()
         self._ray.shutdown()
+
+    def _connect(self, more: dict[str, Any]) -> None:
+        for last in (False, True):
+            try:
+                self._ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
+                return
+            except Exception as error:
+                # Ray gives its own start 30 s, which a machine that is busy with other things may need.
+                if last or self.address is not None or "timed out during startup" not in str(error):
+                    raise
+                self._say("Ray has not started within its 30 s, and is started once more.")
 
     @property
     def parts(self) -> int:
