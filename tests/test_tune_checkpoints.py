@@ -1,5 +1,8 @@
 """Checkpoints: exact, whole or not at all, and damage that is found."""
 
+import dataclasses
+import errno
+import json
 import resource
 import shutil
 import signal
@@ -7,11 +10,13 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import orbax.checkpoint as ocp
 import pytest
-from test_tune_run import same, tune
+from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.sweep import DirectoryError
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory
+from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.checkpoints import KEPT, Checkpoints
 from nermo_mjx.tune.history import empty_log
@@ -22,6 +27,7 @@ TUNING = {
     "objective": [{"maximize": "speed"}],
     "starts": 3,
 }
+FRICTION = Tuning.from_dict(TUNING).parameters["contact.friction"].default
 
 
 @pytest.fixture
@@ -50,11 +56,11 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((2, *log.rows.shape[1:]))
     rows[0, 0, 0] = np.nan
-    log = type(log)(log.metrics, rows)
+    log = type(log)(log.metrics, rows, ((0, "one"), (1, "other")))
     state = jax.tree.map(lambda leaf: (leaf + 1) / 3 if leaf.dtype == np.float32 else leaf + 5, state)
-    with Checkpoints(tmp_path / "c", "digest") as checkpoints:
+    with RunDirectory(tmp_path, "tuning") as held, Checkpoints(held, tuning) as checkpoints:
         checkpoints.save(state, log)
-    with Checkpoints(tmp_path / "c", "digest") as checkpoints:
+    with RunDirectory(tmp_path, "tuning") as held, Checkpoints(held, tuning) as checkpoints:
         found = checkpoints.restore(initial_state(tuning))
     assert found is not None
     assert jax.tree.structure(found[0]) == jax.tree.structure(state)
@@ -62,12 +68,17 @@ def test_a_state_comes_back_as_it_was(tmp_path, optimizer):
         assert a.dtype == b.dtype
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
     assert found[1].rows.tobytes() == rows.tobytes()
-    assert found[1].metrics == log.metrics
+    assert (found[1].metrics, found[1].codes) == (log.metrics, log.codes)
 
 
 def test_the_last_few_are_kept(done):
     """One checkpoint an iteration; the newest three stay."""
     assert steps(done.out) == list(range(8 - KEPT, 8))
+
+
+def content(folder):
+    """Every file below a folder."""
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def data_files(out, step):
@@ -96,6 +107,12 @@ def without_about(out, step):
     shutil.rmtree(out / "checkpoints" / str(step) / "about")
 
 
+def flipped_about(out, step):
+    """Another precision stands there, and the text is still JSON."""
+    path = out / "checkpoints" / str(step) / "about" / "metadata"
+    path.write_text(path.read_text().replace('"precision": "float32"', '"precision": "float64"'))
+
+
 def without_numbers(out, step):
     shutil.rmtree(out / "checkpoints" / str(step) / "tuning")
 
@@ -106,23 +123,33 @@ def swapped(out, step):
     shutil.copytree(out / "checkpoints" / str(step - 1) / "tuning", out / "checkpoints" / str(step) / "tuning")
 
 
-@pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, without_numbers, swapped])
+@pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, flipped_about, without_numbers, swapped])
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
-    """Whatever happened to the newest, the iteration is done again, and the end is the same."""
+    """Whatever happened to the newest, it is kept aside, the iteration is done again, and the end is the same."""
     damage(done.out, steps(done.out)[-1])
-    result, problem = tune(done.out)
+    before, said = content(done.out / "checkpoints" / "7"), []
+    result, problem = tune(done.out, warn=said.append)
     assert len(problem.batches) == 1
     assert same(result, done)
     assert steps(done.out) == list(range(8 - KEPT, 8))
+    assert content(done.out / "checkpoints" / "7.aside-1") == before
+    assert f"checkpoint 7 in {done.out / 'checkpoints'} is damaged; it is kept as 7.aside-1." in said
 
 
 def test_all_damaged_begins_again(done):
-    """Nothing whole is left: the tuning starts from its beginning, and ends the same."""
+    """Nothing whole is left: the tuning starts from its beginning, and ends the same; what it had is kept aside."""
+    made = {name: (done.out / name).read_bytes() for name in ("history.parquet", "best.json", "tuned.yaml")}
     for step in steps(done.out):
         cut(done.out, step)
-    result, problem = tune(done.out)
+    said = []
+    result, problem = tune(done.out, warn=said.append)
     assert len(problem.batches) == 7
     assert same(result, done)
+    for step in (5, 6, 7):
+        assert (done.out / "checkpoints" / f"{step}.aside-1").is_dir()
+    for name, before in made.items():
+        assert (done.out / f"{name}.aside-1").read_bytes() == before
+    assert len(said) == 6
 
 
 def test_what_a_killed_process_left_half_written_is_removed(done):
@@ -165,22 +192,80 @@ def test_another_precision_is_refused_and_nothing_is_lost(done):
     assert steps(done.out) == before
 
 
-def test_checkpoints_of_another_tuning_are_not_taken(tmp_path, done):
-    """Copied in from elsewhere, they do not match the digest, and the tuning begins by itself."""
+def test_checkpoints_of_another_tuning_are_refused(tmp_path, done):
+    """Copied in from elsewhere, they are neither taken nor lost, whatever is accepted."""
     other = tmp_path / "other"
     tune(other, {"iterations": 1, "seed": 8})
     for path in (other / "checkpoints").iterdir():
         shutil.rmtree(path)
     shutil.copytree(done.out / "checkpoints" / "7", other / "checkpoints" / "7")
-    result, problem = tune(other, {"iterations": 1, "seed": 8})
+    before = content(other)
+    for accept in (False, True):
+        with pytest.raises(WrongDirectory, match=r"of another tuning, with another seed \(3 there, 8 here\); choose"):
+            tune(other, {"iterations": 1, "seed": 8}, accept_new_code=accept)
+    assert content(other) == before
+
+
+def changed_default(monkeypatch, name, value):
+    """A new version with another default of one parameter."""
+    known = Tuning.parameters.fget
+
+    def parameters(self):
+        about = known(self)
+        return about | {name: dataclasses.replace(about[name], default=value)}
+
+    monkeypatch.setattr(Tuning, "parameters", property(parameters))
+
+
+def test_a_changed_default_is_refused_by_name_and_loses_nothing(done, monkeypatch):
+    """A new version with another default: the checkpoints and the history stay, until the user goes on with them."""
+    before = content(done.out)
+    changed_default(monkeypatch, "contact.friction", 0.77)
+    sentence = rf"with other defaults: contact\.friction \({FRICTION:g} there, 0\.77 here\); .*--accept-new-code"
+    with pytest.raises(OtherCode, match=sentence):
+        tune(done.out, {"iterations": 8})
+    assert content(done.out) == before
+    result, problem = tune(done.out, {"iterations": 8}, accept_new_code=True)
     assert len(problem.batches) == 2
-    assert result.best["complete"]
+    assert lasting(result.history).slice(0, 14).equals(lasting(done.history))
+
+
+def test_defaults_that_were_not_noted_are_said_to_be_unknown(done, monkeypatch):
+    """Checkpoints of the previous release have a digest and nothing that it is of."""
+    for step in steps(done.out):
+        path = done.out / "checkpoints" / str(step) / "about" / "metadata"
+        about = json.loads(path.read_text())
+        path.write_text(json.dumps({key: about[key] for key in ("digest", "precision", "metrics", "rows", "checksum")}))
+    assert tune(done.out)[1].batches == []
+    before = content(done.out)
+    changed_default(monkeypatch, "contact.friction", 0.77)
+    with pytest.raises(OtherCode, match="other defaults: its checkpoints do not say which"):
+        tune(done.out)
+    assert content(done.out) == before
+    assert tune(done.out, accept_new_code=True)[1].batches == []
+
+
+@pytest.mark.parametrize("broken", ["the file system", "orbax"])
+def test_a_disk_that_does_not_answer_ends_it_and_changes_nothing(done, monkeypatch, broken):
+    """Read again later, the checkpoint may be whole: the command ends in one sentence."""
+    before = content(done.out)
+
+    def fail(*_, **__):
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        if broken == "orbax":
+            patch.setattr(ocp.CheckpointManager, "restore", fail)
+        else:
+            patch.setattr(Path, "read_bytes", fail)
+        with pytest.raises(DirectoryError, match=r"checkpoint 7 in .* cannot be read: Input/output error; nothing was"):
+            tune(done.out)
+    assert content(done.out) == before
+    assert tune(done.out)[1].batches == []
 
 
 def test_orbax_alone_can_read_a_checkpoint(done):
     """Parameters, optimizer state, step and key are there for whoever has Orbax and not this package."""
-    import orbax.checkpoint as ocp
-
     with ocp.StandardCheckpointer() as reader:
         content = reader.restore(Path(done.out, "checkpoints", "7", "tuning").absolute())["state"]
     assert set(content) >= {"u", "optimizer", "iteration", "key", "best_u", "best_value"}

@@ -55,7 +55,7 @@ def traces_of(change=None, **of_problem):
     log = None
     for _ in range(tuning.iterations + 1):
         state, found = tuner.step(state)
-        log = (log or empty_log(tuning, tuple(found.metrics))).extended(tuning, found, 0.1)
+        log = (log or empty_log(tuning, tuple(found.metrics))).extended(tuning, found, 0.1, "a")
     return Traces(tuning, history_table(tuning, log))
 
 
@@ -437,12 +437,13 @@ def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
 
 
 def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
-    """A tuning that goes on removes it first: stopped, the directory shows no video of another point."""
+    """A tuning that goes on moves it aside first: stopped, the directory shows no video of another point."""
     shutil.copytree(finished.out, tmp_path / "out")
     (tmp_path / "out" / "video.mp4").write_text("of iteration 6")
     with pytest.raises(TuningInterrupted):
         tune(tmp_path / "out", {"plots": False, "iterations": 8}, stop_at=0)
     assert not (tmp_path / "out" / "video.mp4").exists()
+    assert (tmp_path / "out" / "video.mp4.aside-1").read_text() == "of iteration 6"
 
 
 def test_the_start_is_what_the_file_gives(finished):

@@ -29,11 +29,11 @@ ESTIMATORS = {
 }
 
 
-def tune(out, change=None, **of_problem):
+def tune(out, change=None, warn=None, accept_new_code=False, **of_problem):
     """Run `SPEC` with changes on the fake problem; the result and the problem."""
     tuning = Tuning.from_dict(SPEC | (change or {}))
     problem = FakeProblem(tuning, **of_problem)
-    return run_tuning(tuning, out, problem=problem), problem
+    return run_tuning(tuning, out, problem=problem, warn=warn, accept_new_code=accept_new_code), problem
 
 
 def lasting(table):
@@ -45,7 +45,8 @@ def same(one, other):
     """Bitwise the same state and history."""
     leaves = zip(jax.tree.leaves(one.state), jax.tree.leaves(other.state), strict=True)
     assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in leaves)
-    a, b = (lasting(result.history).to_pandas() for result in (one, other))
+    assert one.history["code"].equals(other.history["code"])
+    a, b = (lasting(result.history).drop_columns(["code"]).to_pandas() for result in (one, other))
     assert a.to_numpy(float).tobytes() == b.to_numpy(float).tobytes()
     return True
 
@@ -278,9 +279,9 @@ def test_a_tuning_can_be_prolonged(tmp_path, reference):
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        ({"seed": 4}, "seed"),
-        ({"optimizer": "sgd"}, "optimizer"),
-        ({"objective": [{"maximize": "speed"}], "starts": 3}, "objective, starts"),
+        ({"seed": 4}, r"seed \(3 there, 4 here\)"),
+        ({"optimizer": {"name": "sgd", "learning_rate": 0.2}}, r"optimizer\.name \(adam there, sgd here\)"),
+        ({"objective": [{"maximize": "speed"}], "starts": 3}, r"objective \(.*\), starts \(2 there, 3 here\)"),
     ],
 )
 def test_a_directory_belongs_to_one_tuning(tmp_path, change, word):
@@ -340,7 +341,7 @@ def test_every_column_says_its_unit_meaning_and_role(noisy):
         "iteration", "start", "objective", "spine.amplitude", "spine.phase",
         "gradient.spine.amplitude", "gradient_error.spine.amplitude", "first_order.spine.amplitude",
         "gradient.spine.phase", "gradient_error.spine.phase", "first_order.spine.phase",
-        "speed", "roll_std", "ok", "discarded", "simulated_seconds", "wall_seconds",
+        "speed", "roll_std", "ok", "discarded", "simulated_seconds", "wall_seconds", "code",
     ]  # fmt: skip
     assert about["spine.phase"][b"unit"] == b"rad"
     assert about["gradient.spine.phase"][b"unit"] == b"1/(rad)"

@@ -36,8 +36,9 @@ _NAMED = 3
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
 @click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
 @click.option("--video/--no-video", default=None, help="Render start and best, whatever the file says.")
+@options.accept_new_code
 @options.report
-def command(spec: Path, out: Path, as_json: bool, quiet: bool, **chosen: Any) -> None:
+def command(spec: Path, out: Path, accept_new_code: bool, as_json: bool, quiet: bool, **chosen: Any) -> None:
     """Tune the parameters that a tuning file names, by gradient.
 
     Writes the best point, the history of all iterations, a sweep file with
@@ -52,7 +53,10 @@ def command(spec: Path, out: Path, as_json: bool, quiet: bool, **chosen: Any) ->
         tuning = dataclasses.replace(tuning, **{name: value for name, value in chosen.items() if value is not None})
         with Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages:
             display = _Display(stages, tuning)
-            result = run_tuning(tuning, out, progress=display.report, drawing=stages.share)
+            result = run_tuning(
+                tuning, out, progress=display.report, drawing=stages.share, warn=stages.say,
+                accept_new_code=accept_new_code,
+            )  # fmt: skip
             for note in result.pictures.notes:
                 stages.say(note)
     if as_json:

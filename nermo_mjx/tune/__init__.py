@@ -1,11 +1,12 @@
 """Gradient tuning of named parameters: read and check a tuning file, step its starts, keep every iteration, and show
 what came of it; and whether such gradients can be trusted."""
 
+from nermo_mjx.tune.directory import load_tuning
 from nermo_mjx.tune.evaluation import Evaluation, Problem
 from nermo_mjx.tune.history import read_history
 from nermo_mjx.tune.landscape import LandscapeResult, run_landscape
 from nermo_mjx.tune.objective import Objective, Term
-from nermo_mjx.tune.run import Progress, TuningFailed, TuningInterrupted, TuningResult, load_tuning, run_tuning
+from nermo_mjx.tune.run import Progress, TuningFailed, TuningInterrupted, TuningResult, run_tuning
 from nermo_mjx.tune.spec import Tuning
 
 __all__ = [

@@ -1,34 +1,43 @@
-"""A tuning's directory: what it is for, who may write it, and the files that are made from its checkpoints.
+"""A tuning's directory: what it is for, and the files that are made from its checkpoints.
 
 DIR/tuning.yaml       the resolved tuning
-DIR/run.json          versions, machine and command of each session that worked on it
+DIR/recording.npz     what it compares with, if it does: a copy, so that the directory can be moved
+DIR/run.json          which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/      Orbax checkpoints, the newest few
 DIR/history.parquet   one row an iteration and start
 DIR/best.json         the best point and what it cost to find
 DIR/tuned.yaml        a sweep file with the best point's values
 DIR/plots/            figures, and the landscape behind the paths
 DIR/video.mp4         start and best side by side
+DIR/*.aside-N         what did not fit: nothing is deleted
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Final
 
-from nermo_mjx.runs.directory import remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, parquet_bytes, replace_file
-from nermo_mjx.runs.lock import hold
-from nermo_mjx.runs.provenance import with_session
+from nermo_mjx.runs import DirectoryError, RunDirectory, session, stamp
+from nermo_mjx.runs.files import WrongDirectory, clear_errors, parquet_bytes
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.summary import to_json
 from nermo_mjx.tune.checkpoints import Checkpoints
-from nermo_mjx.tune.history import FILE, Log, history_table
+from nermo_mjx.tune.history import FILE, Log, history_table, read_history
 from nermo_mjx.tune.outcome import best_of, tuned_sweep
-from nermo_mjx.tune.spec import FREE, Tuning
-from nermo_mjx.tune.state import TuneState
+from nermo_mjx.tune.spec import FREE, Tuning, changes
+from nermo_mjx.tune.state import TuneState, initial_state
+
+#: What a rollout is computed with.
+ENGINE: Final = "mjx"
+RECORDING: Final = "recording.npz"
+_TUNING: Final = "tuning.yaml"
+#: What is made from the newest checkpoint.
+_MADE: Final = (FILE, "best.json", "tuned.yaml")
 
 
 class Directory:
@@ -37,24 +46,26 @@ class Directory:
     Args:
         out: the directory; made if it does not exist.
         tuning: what the directory is for.
+        warn: called with a sentence on each thing that is moved aside.
 
     Raises:
         DirectoryError: the directory holds another tuning, is in use, or cannot be written.
         ParameterError: it is a file.
     """
 
-    def __init__(self, out: str | os.PathLike[str], tuning: Tuning) -> None:
-        self.out, self.tuning = Path(out), tuning
-        self.checkpoints = Checkpoints(self.out / "checkpoints", tuning.digest())
+    def __init__(
+        self, out: str | os.PathLike[str], tuning: Tuning, warn: Callable[[str], None] = lambda _: None
+    ) -> None:
+        self.out, self.tuning, self._warn = Path(out), tuning, warn
+        self._run = RunDirectory(out, "tuning")
+        self._checkpoints = Checkpoints(self._run, tuning)
         self._held = contextlib.ExitStack()
 
     def __enter__(self) -> Directory:
         with contextlib.ExitStack() as stack, clear_errors(self.out):
-            make_writable(self.out)
-            stack.callback(os.close, hold(self.out))
-            self._claim()
-            remove_leftovers(self.out)
-            stack.enter_context(self.checkpoints)
+            stack.enter_context(self._run)
+            self._check()
+            stack.enter_context(self._checkpoints)
             self._held = stack.pop_all()
         return self
 
@@ -63,10 +74,44 @@ class Directory:
     ) -> None:
         self._held.close()
 
+    def restore(self, *, accept: bool = False) -> tuple[TuneState, Log | None]:
+        """Where the tuning is, and its history so far, if there is one (see `Checkpoints.restore`)."""
+        found = self._checkpoints.restore(initial_state(self.tuning), accept=accept, warn=self._warn)
+        return found or (initial_state(self.tuning), None)
+
+    def take_code(self, log: Log | None, *, accept: bool = False) -> str:
+        """Note which code is about to add to a history; its short name.
+
+        Raises:
+            OtherCode: another code made the history, and `accept` is not given.
+        """
+        made_by = stamp(self.tuning.setup.load().fingerprint, ENGINE)
+        # A directory without any iteration is anyone's.
+        self._run.take_code(made_by, holds_rows=log is not None, accept=accept or log is None)
+        return made_by.id
+
+    def claim(self, log: Log | None) -> None:
+        """Make the directory this tuning's; what is there and does not follow from this history is moved aside."""
+        if not self._follows(log):
+            self._move_aside("of another history", *_MADE)
+        self.tuning = keep_recording(self._run, self.tuning, self._warn)
+        begun, folder = self._begun_tuning(), self.out.resolve()
+        if begun != self.tuning:
+            # A file that a user wrote, or wrote in, is his.
+            ours = begun is not None and begun.to_yaml(folder) == (self.out / _TUNING).read_text(encoding="utf-8")
+            if begun is None or not ours or changes(_decisive(begun), _decisive(self.tuning)):
+                self._move_aside("another", _TUNING)
+            self.write(_TUNING, self.tuning.to_yaml(folder).encode())
+
+    def begin_session(self, begun_at: int) -> None:
+        """Note what runs here from which iteration on; a video of what was best before is moved aside."""
+        self._run.note_session(session(begun_at=begun_at))
+        self._move_aside("of another best point", "video.mp4")
+
     def keep(self, state: TuneState, log: Log) -> dict[str, Any] | None:
         """Store a state and its history, and make the other files from it; the content of best.json, if any."""
         with clear_errors(self.out):
-            self.checkpoints.save(state, log)
+            self._checkpoints.save(state, log)
         return self.publish(log)
 
     def publish(self, log: Log) -> dict[str, Any] | None:
@@ -78,42 +123,67 @@ class Directory:
             self.write("tuned.yaml", tuned_sweep(self.tuning, best).encode())
         return best
 
-    def discard(self, name: str) -> None:
-        """Remove a file that is made of what is about to change."""
-        with clear_errors(self.out):
-            (self.out / name).unlink(missing_ok=True)
-
     def write(self, name: str, content: bytes) -> None:
         """Replace a file of the directory, atomically and durably."""
-        with clear_errors(self.out):
-            replace_file(self.out / name, content)
+        self._run.write(name, content)
 
-    def note_session(self, session: dict[str, Any]) -> None:
-        """Add what ran here, and where, to run.json."""
-        self.write("run.json", with_session(self.out / "run.json", session))
+    def _move_aside(self, why: str, *names: str) -> None:
+        for name in names:
+            aside = self._run.move_aside(name)
+            if aside is not None:
+                self._warn(f"{self.out / name} is {why}; it is kept as {aside.name}.")
 
-    def _claim(self) -> None:
-        """Make the directory this tuning's, or refuse."""
-        path = self.out / "tuning.yaml"
-        if path.exists():
-            try:
-                begun = Tuning.from_file(path)
-            except SpecError as error:
-                raise self._foreign(f"a tuning that cannot be read ({error})") from None
-            if begun.digest() != self.tuning.digest() and self._begun():
-                raise self._foreign(f"another tuning, {self._differences(begun)} (see {path})")
-        elif self._begun():
-            raise self._foreign("checkpoints of an unknown tuning (it has no tuning.yaml)")
-        self.write(path.name, self.tuning.to_yaml().encode())
+    def _follows(self, log: Log | None) -> bool:
+        """Whether what the directory shows is of this history, or of its beginning."""
+        if log is None:
+            return not any((self.out / name).exists() for name in _MADE)
+        try:
+            return not (self.out / FILE).exists() or read_history(self.out).num_rows <= log.rows[:, :, 0].size
+        except DirectoryError:
+            return False
 
-    def _begun(self) -> bool:
-        """Whether any iteration is stored; until then, another tuning may take the directory over."""
-        return any(path.name.isdecimal() for path in self.checkpoints.folder.glob("*"))
+    def _check(self) -> None:
+        """Refuse a directory that was begun for another tuning."""
+        if not any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
+            return  # until an iteration is stored, another tuning may take the directory over
+        try:
+            begun = load_tuning(self.out)
+        except SpecError as error:
+            unknown = "checkpoints of an unknown tuning (it has no tuning.yaml)"
+            unread = f"a tuning that cannot be read ({error})" if (self.out / _TUNING).exists() else unknown
+            raise WrongDirectory(f"{self.out} holds {unread}; choose another directory.") from None
+        apart = changes(_decisive(begun), _decisive(self.tuning))
+        if apart:
+            raise WrongDirectory(f"{self.out} holds another tuning, with another {', '.join(apart)} (see "
+                                 f"{self.out / _TUNING}); choose another directory.")  # fmt: skip
 
-    def _differences(self, begun: Tuning) -> str:
-        before, now = begun.resolved(), self.tuning.resolved()
-        fields = [field for field in {**before, **now} if before.get(field) != now.get(field) and field not in FREE]
-        return f"with another {', '.join(fields)}" if fields else "made with other defaults"
+    def _begun_tuning(self) -> Tuning | None:
+        """What tuning.yaml says; None if it cannot be read."""
+        with contextlib.suppress(SpecError):
+            return load_tuning(self.out)
+        return None
 
-    def _foreign(self, content: str) -> DirectoryError:
-        return DirectoryError(f"{self.out} holds {content}; choose another directory.")
+
+def load_tuning(out: str | os.PathLike[str]) -> Tuning:
+    """The tuning that a directory was made for, whose recording need not be there; raises `SpecError`."""
+    return Tuning.from_file(Path(out) / _TUNING, recorded=False)
+
+
+def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None) -> Tuning:
+    """The tuning with its recording in the directory, where it is copied to; another one there is moved aside."""
+    folder = held.out.resolve()
+    if tuning.recording is None or tuning.recording.parent == folder:
+        return tuning
+    own = folder / RECORDING
+    content = tuning.recording.read_bytes()
+    if not own.exists() or own.read_bytes() != content:
+        aside = held.move_aside(RECORDING)
+        if aside is not None:
+            warn(f"{own} is another recording; it is kept as {aside.name}.")
+        held.write(RECORDING, content)
+    return dataclasses.replace(tuning, recording=own)
+
+
+def _decisive(tuning: Tuning) -> dict[str, Any]:
+    """The fields that may not change. A recording counts by its content, which the checkpoints know."""
+    return {key: value for key, value in tuning.resolved().items() if key not in (*FREE, "recording")}

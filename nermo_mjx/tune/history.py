@@ -1,8 +1,8 @@
 """The history of a tuning: one row an iteration and start; in each column's metadata its unit, meaning and role.
 
 Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `error` (of the gradient), `weight` (of the
-first order in a mixture), `metric`, `status` (ok, discarded), `effort` (simulated_seconds, wall_seconds). A tuning that
-was stopped and went on has the same history as one that was not, but for `wall_seconds`.
+first order in a mixture), `metric`, `status` (ok, discarded), `effort` (simulated_seconds, wall_seconds), `code`. A
+tuning that was stopped and went on has the same history as one that was not, but for `wall_seconds`.
 """
 
 from __future__ import annotations
@@ -47,16 +47,23 @@ class Log:
     Attributes:
         metrics: names of the metrics in it.
         rows: float64 (iterations, starts, columns), the columns as `columns` lists them, but for the index.
+        codes: which code made the iterations from which one on; "" is code that is not known.
     """
 
     metrics: tuple[str, ...]
     rows: np.ndarray
+    codes: tuple[tuple[int, str], ...] = ((0, ""),)
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def extended(self, tuning: Tuning, found: Iterate, wall_seconds: float) -> Log:
-        """With one more iteration, which took so long."""
+    def code(self) -> np.ndarray:
+        """Which code made each iteration (iterations,)."""
+        begun = [first for first, _ in self.codes]
+        return np.repeat(np.array([code for _, code in self.codes], object), np.diff([*begun, len(self)]))
+
+    def extended(self, tuning: Tuning, found: Iterate, wall_seconds: float, code: str) -> Log:
+        """With one more iteration, which took so long, by this code."""
         simulated, wall = found.simulated_seconds, wall_seconds
         if len(self):
             last = dict(zip((c.name for c in columns(tuning, self.metrics)), self.rows[-1, 0].tolist(), strict=True))
@@ -78,7 +85,9 @@ class Log:
                 f"first_order.{name}": found.first_order[:, i],
             }
         row = np.stack([np.asarray(numbers[c.name], float) for c in columns(tuning, self.metrics)], axis=-1)
-        return dataclasses.replace(self, rows=np.concatenate([self.rows, row[None]]))
+        before = tuple(each for each in self.codes if each[0] < len(self))
+        codes = before if before and before[-1][1] == code else (*before, (len(self), code))
+        return dataclasses.replace(self, rows=np.concatenate([self.rows, row[None]]), codes=codes)
 
 
 def empty_log(tuning: Tuning, metrics: tuple[str, ...]) -> Log:
@@ -125,6 +134,8 @@ def history_table(tuning: Tuning, log: Log) -> pa.Table:
         if column.name in ("ok", "discarded"):
             values = values.astype(bool if column.name == "ok" else int)
         table.add(column.name, values, column.role, column.unit, column.description)
+    made_by = "which code made the row, by its name in run.json; empty: not known"
+    table.add("code", np.repeat(log.code(), starts), "code", "1", made_by)
     return table.table({"tuning": tuning.digest(), "estimator": tuning.estimator.name})
 
 

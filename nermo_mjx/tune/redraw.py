@@ -13,10 +13,10 @@ from nermo_mjx.plotting.files import FORMATS
 from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
 from nermo_mjx.tune import background
 from nermo_mjx.tune.background import Background
+from nermo_mjx.tune.directory import load_tuning
 from nermo_mjx.tune.history import read_history
 from nermo_mjx.tune.pictures import LANDSCAPE
 from nermo_mjx.tune.plots import draw_plots
-from nermo_mjx.tune.run import load_tuning
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.traces import Traces
 

@@ -16,15 +16,14 @@ import pyarrow as pa
 
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.runs.interruption import Interruption, interruptible
-from nermo_mjx.runs.provenance import session
 from nermo_mjx.tune.background import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.history import empty_log, history_table
 from nermo_mjx.tune.outcome import start_of
-from nermo_mjx.tune.pictures import VIDEO, Painter, Pictures
+from nermo_mjx.tune.pictures import Painter, Pictures
 from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.state import TuneState, initial_state
+from nermo_mjx.tune.state import TuneState
 from nermo_mjx.tune.tuner import Tuner
 
 
@@ -91,6 +90,8 @@ def run_tuning(
     simulator: SimulatorLike | None = None,
     progress: Callable[[Progress], None] | None = None,
     drawing: Callable[[str, float], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+    accept_new_code: bool = False,
 ) -> TuningResult:
     """Tune parameters by gradient into a directory, or go on with what it holds.
 
@@ -106,23 +107,30 @@ def run_tuning(
             the paths, and the video. Where only a problem stands in, there are neither.
         progress: called before the first evaluation and after each.
         drawing: called with what is being drawn in the end, and the share of it.
+        warn: called with a sentence on each thing that is moved aside.
+        accept_new_code: go on in a directory that other code began.
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
-        DirectoryError: the directory holds something else, is in use, or cannot be written.
+        DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
+            other code, or other defaults, made what it holds.
         TuningFailed: no robot walks to the end.
         TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
-    with Directory(out, tuning) as directory, _explained(directory) as interruption:
-        state, log = directory.checkpoints.restore(initial_state(tuning)) or (initial_state(tuning), None)
+    with Directory(out, tuning, warn or (lambda _: None)) as directory, _explained(directory) as interruption:
+        state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)
         report = progress or (lambda _: None)
         report(Progress(min(resumed, tuning.iterations), tuning.iterations, resumed))
-        if log is None or len(log) <= tuning.iterations:
-            directory.note_session(session(begun_at=resumed))
-            directory.discard(VIDEO)
+        goes_on = log is None or len(log) <= tuning.iterations
+        if goes_on:
+            code = directory.take_code(log, accept=accept_new_code)
             tuner = Tuner(tuning, problem or simulation_of(tuning))
+        directory.claim(log)
+        tuning = directory.tuning
+        if goes_on:
+            directory.begin_session(resumed)
         while log is None or len(log) <= tuning.iterations:
             began = time.perf_counter()
             state, found = tuner.step(state)
@@ -130,7 +138,7 @@ def run_tuning(
                 raise TuningFailed(f"{directory.out}: no world of iteration {0 if log is None else len(log)} walked to "
                                    "its end, nor did one before: choose other starts or bounds.")  # fmt: skip
             before = empty_log(tuning, tuple(found.metrics)) if log is None else log
-            log = before.extended(tuning, found, time.perf_counter() - began)
+            log = before.extended(tuning, found, time.perf_counter() - began, code)
             with interruption.shielded():
                 best = directory.keep(state, log)
             report(_reached(tuning, resumed, len(log), found.value, found.metrics, best))
@@ -142,11 +150,6 @@ def run_tuning(
         painter = Painter(directory, _walker(tuning, problem, simulator), drawing or (lambda what, share: None))
         pictures = painter.paint(history, start, best)
         return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
-
-
-def load_tuning(out: str | os.PathLike[str]) -> Tuning:
-    """The tuning that a directory was made for; raises `SpecError`."""
-    return Tuning.from_file(Path(out) / "tuning.yaml")
 
 
 def as_tuning(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Tuning:

@@ -155,8 +155,8 @@ def _read_term(doc: Document, path: FieldPath, term: Any) -> Term:
     return Term(aim, metric, **numbers)
 
 
-def read_recording(doc: Document, objective: Objective) -> Path | None:
-    """The file under `recording`; its path counts from the folder of the tuning's file."""
+def read_recording(doc: Document, objective: Objective, *, needed: bool = True) -> Path | None:
+    """The file under `recording`, which is there if it is `needed`; its path counts from the tuning file's folder."""
     wanted, given = TRAJECTORY_ERROR in objective.metrics, doc.data.get("recording")
     if given is None:
         if wanted:
@@ -166,7 +166,7 @@ def read_recording(doc: Document, objective: Objective) -> Path | None:
     if not isinstance(given, str):
         doc.fail(("recording",), f"is {describe(given)}: expected the path of an NPZ.")
     path = (Path(doc.source).parent / given if doc.lines else Path(given)).expanduser().resolve()
-    if not path.is_file():
+    if needed and not path.is_file():
         doc.fail(("recording",), f"is {given!r}: there is no file {path}.")
     if not wanted:
         doc.fail(("recording",), f"is not read: no term of the objective names {TRAJECTORY_ERROR}.")

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -69,9 +69,9 @@ class Tuning(WalkSpec):
     video: bool = False
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str]) -> Tuning:
-        """Read a YAML tuning file; raises `SpecError`."""
-        return _read(read_file(path, "tuning"))
+    def from_file(cls, path: str | os.PathLike[str], *, recorded: bool = True) -> Tuning:
+        """Read a YAML tuning file; raises `SpecError`. Without `recorded`, its recording may be gone."""
+        return _read(read_file(path, "tuning"), recorded=recorded)
 
     @classmethod
     def from_text(cls, text: str, source: str = "tuning") -> Tuning:
@@ -103,33 +103,57 @@ class Tuning(WalkSpec):
         low, high = (np.array([getattr(each, end) for each in self.tuned]) for end in ("low", "high"))
         return np.concatenate([given, low + (high - low) * shares])
 
-    def resolved(self) -> dict[str, Any]:
-        """The tuning with all defaults written out; it reads back as the same tuning."""
+    def resolved(self, folder: Path | None = None) -> dict[str, Any]:
+        """The tuning with all defaults written out; it reads back as the same tuning.
+
+        Args:
+            folder: where the file is to stand, resolved: a recording in it is named from there.
+        """
         data = self.walk_fields()
         data["tune"] = {each.name: each.written() for each in self.tuned}
         data["objective"] = [term.written() for term in self.objective.terms]
         if self.recording is not None:
-            data["recording"] = str(self.recording)
+            data["recording"] = self.recording.name if self.recording.parent == folder else str(self.recording)
         data["optimizer"] = self.optimizer.written()
         data["estimator"] = self.estimator.written()
         return data | {name: getattr(self, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")}
 
-    def to_yaml(self) -> str:
-        """The resolved tuning as a tuning file."""
-        return dump(self.resolved())
+    def to_yaml(self, folder: Path | None = None) -> str:
+        """The resolved tuning as a tuning file, see `resolved`."""
+        return dump(self.resolved(folder))
 
-    def digest(self) -> str:
-        """A hash of all that decides an iteration: the tuning, defaults of what it does not name, the recording.
+    def identity(self) -> dict[str, Any]:
+        """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
 
         How many iterations there are, figures and video do not count: a tuning can be prolonged.
         """
-        decisive = {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")}
-        defaults = {name: about.default for name, about in self.parameters.items()}
-        recording = "" if self.recording is None else hashlib.sha256(self.recording.read_bytes()).hexdigest()
-        return hashlib.sha256(json.dumps([decisive, defaults, recording]).encode()).hexdigest()[:16]
+        return {
+            "fields": {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")},
+            "defaults": {name: about.default for name, about in self.parameters.items()},
+            "recording": "" if self.recording is None else hashlib.sha256(self.recording.read_bytes()).hexdigest(),
+        }
+
+    def digest(self) -> str:
+        """A hash of the `identity`."""
+        return hashlib.sha256(json.dumps(list(self.identity().values())).encode()).hexdigest()[:16]
 
 
-def _read(doc: Document) -> Tuning:
+def changes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """Where the fields of two tunings differ, as "seed (3 there, 4 here)"."""
+    before, now = dict(_leaves(there)), dict(_leaves(here))
+    return [f"{name} ({before.get(name, 'absent')} there, {now.get(name, 'absent')} here)"
+            for name in {**before, **now} if before.get(name) != now.get(name)]  # fmt: skip
+
+
+def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _read(doc: Document, *, recorded: bool = True) -> Tuning:
     data = doc.data
     setup, pilot = read_setup(doc)
     parameters = all_parameters(setup)
@@ -157,7 +181,7 @@ def _read(doc: Document) -> Tuning:
         pilot=pilot,
         tuned=sections.read_tuned(doc, parameters),
         objective=objective,
-        recording=sections.read_recording(doc, objective),
+        recording=sections.read_recording(doc, objective, needed=recorded),
         optimizer=sections.read_optimizer(doc),
         estimator=sections.read_estimator(doc),
         starts=read_whole(doc, ("starts",), 1, 100_000) if "starts" in data else 1,
