@@ -1,6 +1,7 @@
 """Landscapes: which points are measured, that the measures are right, and the files."""
 
 import dataclasses
+import errno
 import json
 
 import jax.numpy as jnp
@@ -10,9 +11,12 @@ import pytest
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep import DirectoryError, SpecError
-from nermo_mjx.tune import Evaluation, Tuning, run_landscape
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, kind_of
+from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.sweep import SpecError
+from nermo_mjx.tune import Evaluation, Tuning, run_landscape, run_tuning
 from nermo_mjx.tune.landscape import run, table
+from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
 from nermo_mjx.tune.landscape.plots import line_figure
@@ -31,10 +35,11 @@ class Staircase(FakeProblem):
         return Evaluation(found.value + jnp.asarray(stairs), found.gradient, found.metrics, found.ok)
 
 
-def measure(out, kind=FakeProblem, change=None, points=41, span=1.0, **of_problem):
+def measure(out, kind=FakeProblem, change=None, points=41, span=1.0, warn=None, accept=False, **of_problem):
     tuning = Tuning.from_dict(SPEC | (change or {}))
     problem = kind(tuning, **of_problem)
-    return run_landscape(tuning, out, problem=problem, points=points, span=span), problem
+    more = {"points": points, "span": span, "warn": warn, "accept_new_code": accept}
+    return run_landscape(tuning, out, problem=problem, **more), problem
 
 
 @pytest.fixture(scope="module")
@@ -129,12 +134,17 @@ def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
         measure(tmp_path, stop_at=3)
     assert len(list((tmp_path / "batches").iterdir())) == 3
     (tmp_path / "batches" / "other-53-000000.npz").write_text("another one's")
-    sorted((tmp_path / "batches").glob("*-000053.npz"))[0].write_text("damaged")
-    result, problem = measure(tmp_path)
+    damaged = sorted((tmp_path / "batches").glob("*-000053.npz"))[0]
+    damaged.write_text("damaged")
+    said = []
+    result, problem = measure(tmp_path, warn=said.append)
     assert [size for size, _ in problem.batches] == [53, 53, 53]
     assert result.evaluated == 262 - 106
     assert result.table.equals(smooth[0].table)
-    assert [path.name for path in (tmp_path / "batches").iterdir()] == ["other-53-000000.npz"]
+    aside = damaged.with_name(f"{damaged.name}.aside-1")
+    assert said == [f"{damaged} is damaged; it is kept as {aside.name}."]
+    assert aside.read_text() == "damaged"
+    assert sorted(path.name for path in (tmp_path / "batches").iterdir()) == [aside.name, "other-53-000000.npz"]
     assert not (smooth[0].out / "batches").exists()
 
 
@@ -152,12 +162,107 @@ def test_points_once_found_are_kept(tmp_path, monkeypatch):
     assert other.evaluated == 0, "how a tuner would go does not matter"
 
 
-@pytest.mark.parametrize("more", [{"points": 21}, {"span": 0.5}, {"change": {"set": {"frequency": 0.7}}}])
-def test_a_directory_belongs_to_one_landscape(tmp_path, more):
+@pytest.fixture
+def other_code(monkeypatch):
+    """From here on, another version runs."""
+
+    def upgrade():
+        real = run.stamp
+        monkeypatch.setattr(run, "stamp", lambda *known: dataclasses.replace(real(*known), package="9.9.9"))
+
+    return upgrade
+
+
+def test_points_of_other_code_are_refused_until_they_are_accepted(tmp_path, other_code):
+    """The sentence names the difference; accepted, the column `code` tells the points apart."""
+    with pytest.raises(KeyboardInterrupt):
+        measure(tmp_path, stop_at=3)
+    other_code()
+    with pytest.raises(OtherCode, match=r"nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
+        measure(tmp_path)
+    assert kind_of(tmp_path) == "landscape"
+    result, problem = measure(tmp_path, accept=True)
+    assert len(problem.batches) == 2
+    before, now = codes_of(tmp_path)
+    assert result.table["code"].to_pylist() == [before] * 159 + [now] * 103
+
+
+def test_points_that_do_not_say_their_code_are_refused_until_they_are_accepted(tmp_path):
+    """An earlier release left batches and no run.json."""
+    with pytest.raises(KeyboardInterrupt):
+        measure(tmp_path, stop_at=1)
+    (batch,) = (tmp_path / "batches").iterdir()
+    with np.load(batch) as file:
+        np.savez(batch, **{name: file[name] for name in file.files if name != "code"})
+    (tmp_path / "run.json").unlink()
+    with pytest.raises(OtherCode, match="does not say which code made it"):
+        measure(tmp_path)
+    result, problem = measure(tmp_path, accept=True)
+    assert len(problem.batches) == 4
+    assert result.table["code"].to_pylist() == [""] * 53 + list(codes_of(tmp_path)) * 209
+
+
+def test_a_measured_landscape_is_drawn_again_by_any_code(tmp_path, other_code):
+    """No point is added, so nothing is refused."""
+    measure(tmp_path, points=5)
+    other_code()
+    result, problem = measure(tmp_path, points=5)
+    assert (result.evaluated, problem.batches, len(codes_of(tmp_path))) == (0, [], 1)
+
+
+def test_a_batch_that_cannot_be_read_now_is_not_evaluated_again(tmp_path, monkeypatch):
+    """A disk that does not answer ends it in a sentence, and changes nothing."""
+    with pytest.raises(KeyboardInterrupt):
+        measure(tmp_path, stop_at=1)
+    (batch,) = (tmp_path / "batches").iterdir()
+    read = type(batch).read_bytes
+
+    def fail(path):
+        if path.suffix == ".npz":
+            raise OSError(errno.EIO, "Input/output error")
+        return read(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(batch), "read_bytes", fail)
+        with pytest.raises(DirectoryError, match=r"npz cannot be read: Input/output error; nothing was changed\."):
+            measure(tmp_path)
+    assert list((tmp_path / "batches").iterdir()) == [batch]
+
+
+def test_one_process_measures_at_a_time(tmp_path):
+    """And a tuning does not begin in a landscape's directory."""
+    with RunDirectory(tmp_path, "landscape"), pytest.raises(DirectoryError, match="another process works in"):
+        measure(tmp_path, points=5)
+    measure(tmp_path, points=5)
+    with pytest.raises(DirectoryError, match="holds a landscape, and not a tuning"):
+        run_tuning(TUNING, tmp_path, problem=FakeProblem(TUNING))
+
+
+def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
+    """The recording is copied, and named from where the landscape stands."""
+    (tmp_path / "walk.npz").write_bytes(b"a walk")
+    compared = {"objective": [{"minimize": "trajectory_error"}], "recording": str(tmp_path / "walk.npz")}
+    measure(tmp_path / "here", change=compared, points=5)
+    (tmp_path / "here").rename(tmp_path / "there")
+    (tmp_path / "walk.npz").unlink()
+    assert len(run.redraw(tmp_path / "there", formats=("svg",))) == 2
+    own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
+    assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        ({"points": 21}, r"points \(5 there, 21 here\)"),
+        ({"span": 0.5}, r"span \(1.0 there, 0.5 here\)"),
+        ({"change": {"set": {"frequency": 0.7}}}, r"set\.frequency \(0\.8 there, 0\.7 here\)"),
+    ],
+)
+def test_a_directory_belongs_to_one_landscape(tmp_path, more, named):
     """Other lines or another walk need another directory, and so do damaged points."""
     few = {"points": 5}
     measure(tmp_path, **few)
-    with pytest.raises(DirectoryError, match="holds another landscape; choose another directory"):
+    with pytest.raises(WrongDirectory, match=f"holds another landscape, with another {named}; choose another"):
         measure(tmp_path, **(few | more))
     (tmp_path / "landscape.parquet").write_text("damaged")
     with pytest.raises(DirectoryError, match="is damaged: remove it"):
@@ -293,8 +398,9 @@ def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     """Whatever the most is, all batches have one size, and no more is walked than that needs."""
     monkeypatch.setattr(table, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    found = table.evaluate(TUNING, problem, wanted, lambda *_: None, {table.KEY.decode(): "a"}, tmp_path)
+    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", table.batch_size(len(wanted)), "code")
+    found, count = table.evaluate(TUNING, problem, wanted, lambda *_: None, {table.KEY: "a"}, batches)
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)
-    assert found.table.num_rows == found.count == len(wanted)
+    assert found.num_rows == count == len(wanted)

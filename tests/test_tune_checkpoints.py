@@ -138,7 +138,9 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
 
 def test_all_damaged_begins_again(done):
     """Nothing whole is left: the tuning starts from its beginning, and ends the same; what it had is kept aside."""
-    made = {name: (done.out / name).read_bytes() for name in ("history.parquet", "best.json", "tuned.yaml")}
+    made = {
+        name: (done.out / name).read_bytes() for name in ("history.parquet", "best.json", "tuned.yaml", "tuning.yaml")
+    }
     for step in steps(done.out):
         cut(done.out, step)
     said = []
@@ -149,7 +151,7 @@ def test_all_damaged_begins_again(done):
         assert (done.out / "checkpoints" / f"{step}.aside-1").is_dir()
     for name, before in made.items():
         assert (done.out / f"{name}.aside-1").read_bytes() == before
-    assert len(said) == 6
+    assert len(said) == 7
 
 
 def test_what_a_killed_process_left_half_written_is_removed(done):

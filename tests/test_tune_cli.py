@@ -17,6 +17,7 @@ import nermo_mjx
 from nermo_mjx.cli import main
 from nermo_mjx.cli import tune as tune_command
 from nermo_mjx.cli.progress import Progress, Stages
+from nermo_mjx.runs import codes_of, stamp
 from nermo_mjx.tune import Tuning
 
 
@@ -270,8 +271,45 @@ def test_landscape_refuses_what_cannot_be(fakes: dict[str, Any], spec: Path, tmp
     assert not out.exists()
     assert call("landscape", spec, "--out", out, "--points", "5", "--quiet").exit_code == 0
     other = call("landscape", spec, "--out", out, "--points", "6")
-    assert other.exit_code == 1
-    assert other.stderr == f"nermo-mjx: {out} holds another landscape; choose another directory.\n"
+    assert other.exit_code == 2
+    which = "another landscape, with another points (5 there, 6 here)"
+    assert other.stderr == f"nermo-mjx: {out} holds {which}; choose another directory.\n"
+
+
+# --- directories
+
+
+@pytest.mark.parametrize("name", ["tune", "landscape"])
+def test_other_code_is_wrong_use_until_it_is_accepted(
+    fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """One sentence and exit code 2; with --accept-new-code it goes on."""
+    out = tmp_path / "out"
+    fakes["options"] = {"stop_at": 1}
+    assert call(name, spec, "--out", out).exit_code == 1
+    fakes["options"] = {}
+    module = {"tune": "nermo_mjx.tune.directory", "landscape": "nermo_mjx.tune.landscape.run"}[name]
+    here = stamp("another model", "mjx")
+    monkeypatch.setattr(f"{module}.stamp", lambda *_: here)
+    refused = call(name, spec, "--out", out)
+    assert (refused.exit_code, refused.stdout) == (2, "")
+    assert re.search(rf"^nermo-mjx: {out} was made by other code: model \w+, not another model; ", refused.stderr, re.M)
+    assert call(name, spec, "--out", out, "--accept-new-code").exit_code == 0
+    assert here.id in codes_of(out)
+
+
+@pytest.mark.parametrize("name", ["tune", "landscape"])
+def test_what_is_moved_aside_is_said(fakes: dict[str, Any], spec: Path, tmp_path: Path, name: str) -> None:
+    """A sentence on standard error, and nothing of it with --quiet; the file is kept either way."""
+    file = {"tune": "best.json", "landscape": "report.md"}[name]
+    for folder, options in (("loud", ()), ("quiet", ("--quiet",))):
+        out = tmp_path / folder
+        out.mkdir()
+        (out / file).write_text("a user's")
+        result = call(name, spec, "--out", out, *options)
+        said = f"; it is kept as {file}.aside-1.\n" in result.stderr
+        assert (result.exit_code, said) == (0, folder == "loud")
+        assert (out / f"{file}.aside-1").read_text() == "a user's"
 
 
 # --- Python

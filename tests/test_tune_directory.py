@@ -94,7 +94,7 @@ def test_a_users_own_file_is_kept_aside(tmp_path):
     assert (tmp_path / "best.json.aside-1").read_text() == "mine, too"
     assert sorted(said) == [
         f"{tmp_path / 'best.json'} is of another history; it is kept as best.json.aside-1.",
-        f"{spec} is another; it is kept as tuning.yaml.aside-1.",
+        f"{spec} is of another history; it is kept as tuning.yaml.aside-1.",
     ]
     run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), warn=said.append)
     assert len(said) == 2

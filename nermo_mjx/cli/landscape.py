@@ -29,8 +29,9 @@ Examples:
 @options.number("--points", "Points of each line.", click.IntRange(5, 100_000), default=41)
 @options.number("--span", "Length of the lines, as a share of the bounds.", click.FloatRange(0, 1, min_open=True),
                 default=1.0)  # fmt: skip
+@options.accept_new_code
 @options.report
-def command(spec: Path, out: Path, points: int, span: float, as_json: bool, quiet: bool) -> None:
+def command(spec: Path, out: Path, points: int, span: float, accept_new_code: bool, as_json: bool, quiet: bool) -> None:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
@@ -40,8 +41,14 @@ def command(spec: Path, out: Path, points: int, span: float, as_json: bool, quie
     with stdout_reserved():
         from nermo_mjx.tune.landscape import run_landscape
 
+        notes: list[str] = []
         with Progress("landscape", "walks", quiet=quiet, compiles=True) as progress:
-            result = run_landscape(spec, out, points=points, span=span, progress=progress.count)
+            result = run_landscape(
+                spec, out, points=points, span=span, progress=progress.count, warn=notes.append,
+                accept_new_code=accept_new_code,
+            )  # fmt: skip
+    for note in notes if not quiet else []:
+        click.echo(f"landscape: {note}", err=True)
     if as_json:
         print_json({"out": result.out, "evaluated": result.evaluated, **result.content})
     elif not quiet:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -93,20 +93,14 @@ class Directory:
     def claim(self, log: Log | None) -> None:
         """Make the directory this tuning's; what is there and does not follow from this history is moved aside."""
         if not self._follows(log):
-            self._move_aside("of another history", *_MADE)
+            set_aside(self._run, "of another history", (*_MADE, _TUNING), self._warn)
         self.tuning = keep_recording(self._run, self.tuning, self._warn)
-        begun, folder = self._begun_tuning(), self.out.resolve()
-        if begun != self.tuning:
-            # A file that a user wrote, or wrote in, is his.
-            ours = begun is not None and begun.to_yaml(folder) == (self.out / _TUNING).read_text(encoding="utf-8")
-            if begun is None or not ours or changes(_decisive(begun), _decisive(self.tuning)):
-                self._move_aside("another", _TUNING)
-            self.write(_TUNING, self.tuning.to_yaml(folder).encode())
+        write_tuning(self._run, _TUNING, self.tuning, self._warn)
 
     def begin_session(self, begun_at: int) -> None:
         """Note what runs here from which iteration on; a video of what was best before is moved aside."""
         self._run.note_session(session(begun_at=begun_at))
-        self._move_aside("of another best point", "video.mp4")
+        set_aside(self._run, "of another best point", ["video.mp4"], self._warn)
 
     def keep(self, state: TuneState, log: Log) -> dict[str, Any] | None:
         """Store a state and its history, and make the other files from it; the content of best.json, if any."""
@@ -126,12 +120,6 @@ class Directory:
     def write(self, name: str, content: bytes) -> None:
         """Replace a file of the directory, atomically and durably."""
         self._run.write(name, content)
-
-    def _move_aside(self, why: str, *names: str) -> None:
-        for name in names:
-            aside = self._run.move_aside(name)
-            if aside is not None:
-                self._warn(f"{self.out / name} is {why}; it is kept as {aside.name}.")
 
     def _follows(self, log: Log | None) -> bool:
         """Whether what the directory shows is of this history, or of its beginning."""
@@ -157,12 +145,6 @@ class Directory:
             raise WrongDirectory(f"{self.out} holds another tuning, with another {', '.join(apart)} (see "
                                  f"{self.out / _TUNING}); choose another directory.")  # fmt: skip
 
-    def _begun_tuning(self) -> Tuning | None:
-        """What tuning.yaml says; None if it cannot be read."""
-        with contextlib.suppress(SpecError):
-            return load_tuning(self.out)
-        return None
-
 
 def load_tuning(out: str | os.PathLike[str]) -> Tuning:
     """The tuning that a directory was made for, whose recording need not be there; raises `SpecError`."""
@@ -177,11 +159,29 @@ def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], Non
     own = folder / RECORDING
     content = tuning.recording.read_bytes()
     if not own.exists() or own.read_bytes() != content:
-        aside = held.move_aside(RECORDING)
-        if aside is not None:
-            warn(f"{own} is another recording; it is kept as {aside.name}.")
+        set_aside(held, "another recording", [RECORDING], warn)
         held.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=own)
+
+
+def write_tuning(held: RunDirectory, name: str, tuning: Tuning, warn: Callable[[str], None] = lambda _: None) -> None:
+    """Write the resolved tuning into a directory; what a user wrote there is moved aside."""
+    begun, folder, path = None, held.out.resolve(), held.out / name
+    with contextlib.suppress(SpecError):
+        begun = Tuning.from_file(path, recorded=False)
+    if begun == tuning:
+        return
+    if begun is None or begun.to_yaml(folder) != path.read_text(encoding="utf-8"):
+        set_aside(held, "another", [name], warn)
+    held.write(name, tuning.to_yaml(folder).encode())
+
+
+def set_aside(held: RunDirectory, what: str, names: Iterable[str], warn: Callable[[str], None]) -> None:
+    """Move files of a directory aside, as far as they are there, with a sentence on what each is."""
+    for name in names:
+        aside = held.move_aside(name)
+        if aside is not None:
+            warn(f"{held.out / name} is {what}; it is kept as {aside.name}.")
 
 
 def _decisive(tuning: Tuning) -> dict[str, Any]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import io
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from nermo_mjx.runs.files import replace_file
+from nermo_mjx.runs import DirectoryError, RunDirectory
+from nermo_mjx.tune.directory import set_aside
 
 _FOLDER: Final = "batches"
 
@@ -19,34 +21,61 @@ class Batches:
     """What is there of one landscape in a directory.
 
     Args:
-        out: the directory.
-        wanted: the landscape's key; batches of another one are not touched by `read` and `write`.
+        held: the directory.
+        wanted: the landscape's key; batches of another one are not touched.
         size: of a batch; another machine's differ.
+        code: short name of the code that evaluates here.
+        warn: called with a sentence on each batch that is moved aside.
     """
 
-    def __init__(self, out: Path, wanted: str, size: int) -> None:
-        self._folder, self._name = out / _FOLDER, f"{wanted}-{size}"
+    def __init__(
+        self, held: RunDirectory, wanted: str, size: int, code: str, warn: Callable[[str], None] = lambda _: None
+    ) -> None:
+        self.out, self.size = held.out, size
+        self._held, self._name, self._code, self._warn = held, f"{wanted}-{size}", code, warn
 
     def read(self, first: int) -> dict[str, np.ndarray] | None:
-        """The columns of the batch that begins with this point; None if it is not there, or damaged."""
+        """The columns of the batch that begins with this point; None if it is not there, or damaged and set aside.
+
+        Raises:
+            DirectoryError: it cannot be read now.
+        """
+        path = self.out / self._path(first)
         try:
-            with np.load(self._path(first), allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            content = path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
+                columns = {name: file[name] for name in file.files}
+            # Batches of the release 0.1.0 do not say which code made them.
+            return {"code": np.full(len(columns["value"]), ""), **columns}
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            set_aside(self._held, "damaged", [self._path(first)], self._warn)
             return None
 
-    def write(self, first: int, columns: dict[str, np.ndarray]) -> None:
-        """Keep a batch; raises `OSError`."""
+    def write(self, first: int, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Keep a batch, and say which code made it; its columns, as they are read again."""
+        columns = {"code": np.full(len(columns["value"]), self._code), **columns}
         content = io.BytesIO()
         np.savez(content, allow_pickle=False, **columns)
-        replace_file(self._path(first), content.getvalue())
+        self._held.write(self._path(first), content.getvalue())
+        return columns
 
     def clear(self) -> None:
         """Remove them, once the table is written."""
+        folder = self.out / _FOLDER
         with contextlib.suppress(OSError):
-            for path in self._folder.glob(f"{self._name}-*.npz"):
+            for path in folder.glob(f"{self._name}-*.npz"):
                 path.unlink()
-            self._folder.rmdir()
+            folder.rmdir()
 
-    def _path(self, first: int) -> Path:
-        return self._folder / f"{self._name}-{first:06d}.npz"
+    def _path(self, first: int) -> str:
+        return f"{_FOLDER}/{self._name}-{first:06d}.npz"
+
+
+def any_batch(out: Path) -> bool:
+    """Whether a directory holds batches of any landscape."""
+    return any((out / _FOLDER).glob("*.npz"))

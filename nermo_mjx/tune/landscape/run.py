@@ -3,6 +3,8 @@
 DIR/landscape.yaml      the resolved tuning whose objective it is
 DIR/landscape.parquet   one row a point: parameters, objective, exact gradient, metrics
 DIR/batches/            until the table is whole: what was evaluated so far
+DIR/recording.npz       what the tuning compares with, if it does
+DIR/run.json            which code made it; versions, machine and command of each session that evaluated points
 DIR/landscape.json      how well slopes and secants agree, by parameter and width; versions, machine, command
 DIR/report.md           the same to read, with its figures
 DIR/plots/              a figure for each parameter
@@ -10,8 +12,8 @@ DIR/plots/              a figure for each parameter
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -21,15 +23,16 @@ import pyarrow as pa
 
 from nermo_mjx.plotting.files import FORMATS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, parquet_bytes, replace_file
-from nermo_mjx.runs.lock import hold
-from nermo_mjx.runs.provenance import session
+from nermo_mjx.runs import DirectoryError, RunDirectory, session, stamp
+from nermo_mjx.runs.files import clear_errors, make_writable, parquet_bytes, replace_file
 from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.tune.directory import ENGINE, keep_recording, set_aside, write_tuning
 from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.landscape.batches import Batches, any_batch
 from nermo_mjx.tune.landscape.lines import lines_of
-from nermo_mjx.tune.landscape.plan import plan
+from nermo_mjx.tune.landscape.plan import Plan, plan
 from nermo_mjx.tune.landscape.report import content_of, page
-from nermo_mjx.tune.landscape.table import KEY, evaluate, key, read
+from nermo_mjx.tune.landscape.table import IDENTITY, KEY, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.run import as_tuning, simulation_of
 from nermo_mjx.tune.spec import Tuning
 
@@ -37,6 +40,8 @@ from nermo_mjx.tune.spec import Tuning
 POINTS = 41
 _TABLE = "landscape.parquet"
 _TUNING = "landscape.yaml"
+#: What is made from the table.
+_MADE = ("landscape.json", "report.md")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +73,8 @@ def run_landscape(
     points: int = POINTS,
     span: float = 1.0,
     progress: Callable[[int, int], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+    accept_new_code: bool = False,
 ) -> LandscapeResult:
     """Measure whether a tuning's gradients can be trusted, on a line along each parameter through the given start.
 
@@ -83,59 +90,80 @@ def run_landscape(
         points: of each line, 5 or more.
         span: length of the lines as a share of the bounds, in (0, 1]; shorter lines lie about the start.
         progress: called with the points done, and all of them.
+        warn: called with a sentence on each thing that is moved aside.
+        accept_new_code: go on with points that other code evaluated.
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
         ParameterError: points or span is not allowed.
-        DirectoryError: the directory holds another landscape, is in use, or cannot be written.
+        DirectoryError: the directory holds another landscape, is in use, or cannot be written; `OtherCode` if other
+            code began it.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
     if points < 5:
         raise ParameterError(f"points is {points}: allowed is 5 or more.")
     if not 0.0 < span <= 1.0:
         raise ParameterError(f"span is {span:g}: allowed is (0, 1].")
-    folder = Path(out)
-    with contextlib.ExitStack() as stack, clear_errors(folder):
-        make_writable(folder)
-        stack.callback(os.close, hold(folder))
-        wanted = key(tuning, points, span)
-        table, evaluated = read(folder / _TABLE, wanted), 0
+    say = warn or (lambda _: None)
+    with RunDirectory(out, "landscape") as held, clear_errors(held.out):
+        wanted = identity(tuning, points, span)
+        table, evaluated = read(held.out / _TABLE, wanted), 0
         if table is None:
+            made_by, begun = stamp(tuning.setup.load().fingerprint, ENGINE), any_batch(held.out)
+            # A directory without any point is anyone's.
+            held.take_code(made_by, holds_rows=begun, accept=accept_new_code or not begun)
+            problem = problem or simulation_of(tuning)
+            set_aside(held, "of another landscape", _MADE, say)
             chosen = plan(tuning, points, span)
-            about = {KEY.decode(): wanted, "session": to_json(session(points=points, span=span)).decode()}
-            done = 0
-
-            def count(so_far: int, of_all: int) -> None:
-                nonlocal done
-                done = so_far
-                if progress is not None:
-                    progress(so_far, of_all)
-
-            try:
-                found = evaluate(tuning, problem or simulation_of(tuning), chosen, count, about, folder)
-            except KeyboardInterrupt:
-                raise KeyboardInterrupt(
-                    f"stopped; {done} of {len(chosen)} walks are kept in {folder}: run the same command again to go on."
-                ) from None
-            table, evaluated = found.table, found.count
-            replace_file(folder / _TABLE, parquet_bytes(table))  # before anything that can still fail
-            found.batches.clear()
-        return _publish(folder, tuning, table, evaluated)
+            batches = Batches(held, key(wanted), batch_size(len(chosen)), made_by.id, say)
+            here = session(points=points, span=span)
+            held.note_session(here)
+            about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
+            table, evaluated = _evaluate(tuning, problem, chosen, progress, about, batches)
+            held.write(_TABLE, parquet_bytes(table))  # before anything that can still fail
+            batches.clear()
+        tuning = keep_recording(held, tuning, say)
+        write_tuning(held, _TUNING, tuning, say)
+        return _publish(held, tuning, table, evaluated)
 
 
-def _publish(folder: Path, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
+def _evaluate(
+    tuning: Tuning,
+    problem: Problem,
+    chosen: Plan,
+    progress: Callable[[int, int], None] | None,
+    about: dict[str, str],
+    batches: Batches,
+) -> tuple[pa.Table, int]:
+    """As `table.evaluate`; stopped, it says how far it came."""
+    done = 0
+
+    def count(so_far: int, of_all: int) -> None:
+        nonlocal done
+        done = so_far
+        if progress is not None:
+            progress(so_far, of_all)
+
+    try:
+        return evaluate(tuning, problem, chosen, count, about, batches)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {done} of {len(chosen)} walks are kept in {batches.out}: run the same command again to go on."
+        ) from None
+
+
+def _publish(held: RunDirectory, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
     """Make everything else from the table."""
     from nermo_mjx.tune.landscape.plots import draw_plots
 
-    replace_file(folder / _TUNING, tuning.to_yaml().encode())
     lines = lines_of(tuning, table)
     content = content_of(tuning, table, lines)
-    replace_file(folder / "landscape.json", to_json(content))
-    plots = draw_plots(tuning, lines, folder / "plots", write=replace_file)
-    content["plots"] = [path.relative_to(folder).as_posix() for path in plots]
-    replace_file(folder / "landscape.json", to_json(content))
-    replace_file(folder / "report.md", page(content).encode())
-    return LandscapeResult(folder, tuning, table, content, tuple(plots), evaluated)
+    held.write("landscape.json", to_json(content))
+    plots = draw_plots(tuning, lines, held.out / "plots", write=replace_file)
+    content["plots"] = [path.relative_to(held.out).as_posix() for path in plots]
+    held.write("landscape.json", to_json(content))
+    held.write("report.md", page(content).encode())
+    return LandscapeResult(held.out, tuning, table, content, tuple(plots), evaluated)
 
 
 def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
@@ -153,7 +181,7 @@ def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: 
     from nermo_mjx.tune.landscape.plots import draw_plots
 
     out = Path(out)
-    tuning = Tuning.from_file(out / _TUNING)
+    tuning = Tuning.from_file(out / _TUNING, recorded=False)
     table = read(out / _TABLE)
     if table is None or not set(tuning.names) <= set(table.column_names):
         raise DirectoryError(f"{out / _TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")

@@ -7,9 +7,9 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.files import DirectoryError, WrongDirectory
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches
@@ -26,20 +26,19 @@ from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, Plan
 from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.optimizer import Optimizer
 from nermo_mjx.tune.sampling import Estimator
-from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.spec import Tuning, changes
 
 #: Worlds of a batch at most: a minute of gradients on two cores, and what a device holds.
 CPU_BATCH, DEVICE_BATCH = 64, 1024
-KEY: Final = b"landscape"
+#: In the metadata of the table: its key, and what that is of.
+KEY: Final = "landscape"
+IDENTITY: Final = "identity"
 
 
-@dataclasses.dataclass(frozen=True)
-class Evaluated:
-    """A landscape's table, how many of its points were evaluated now, and the batches that it was made of."""
-
-    table: pa.Table
-    count: int
-    batches: Batches
+def batch_size(count: int) -> int:
+    """Worlds of each batch: as even as they can be."""
+    most = CPU_BATCH if jax.default_backend() == "cpu" else DEVICE_BATCH
+    return math.ceil(count / math.ceil(count / most))
 
 
 def evaluate(
@@ -48,38 +47,34 @@ def evaluate(
     plan: Plan,
     progress: Callable[[int, int], None],
     about: dict[str, str],
-    folder: Path,
-) -> Evaluated:
-    """Value and gradient at all points; one row a point.
+    batches: Batches,
+) -> tuple[pa.Table, int]:
+    """Value and gradient at all points, one row a point; and how many of them were evaluated now.
 
     All batches have one size, the last one is filled up with its last point: one program is compiled.
 
     Args:
         progress: called with the points done, and all of them.
         about: what to note in the schema's metadata.
-        folder: where each batch is kept as soon as it is evaluated, and found again.
+        batches: where each batch is kept as soon as it is evaluated, and found again.
     """
-    most = CPU_BATCH if jax.default_backend() == "cpu" else DEVICE_BATCH
-    batches = math.ceil(len(plan) / most)
-    size = math.ceil(len(plan) / batches)
-    store = Batches(folder, about[KEY.decode()], size)
-    began, evaluated = time.perf_counter(), 0
+    began, evaluated, size = time.perf_counter(), 0, batches.size
     progress(0, len(plan))
     found = []
     for first in range(0, len(plan), size):
         count = min(size, len(plan) - first)
-        rows = store.read(first)
+        rows = batches.read(first)
         if rows is None:
             wanted = np.minimum(np.arange(first, first + size), len(plan) - 1)
             rows = {name: column[:count] for name, column in _batch(tuning, problem, plan.points[wanted]).items()}
-            store.write(first, rows)
+            rows = batches.write(first, rows)
             evaluated += count
         found.append(rows)
         progress(first + count, len(plan))
     columns = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     about = about | {"wall_seconds": f"{time.perf_counter() - began:.3f}", "batch": str(size),
-                     "batches": str(batches), "precision": str(columns["value"].dtype)}  # fmt: skip
-    return Evaluated(_table(tuning, plan, columns.pop("point"), columns, about), evaluated, store)
+                     "batches": str(len(found)), "precision": str(columns["value"].dtype)}  # fmt: skip
+    return _table(tuning, plan, columns.pop("point"), columns, about), evaluated
 
 
 def _batch(tuning: Tuning, problem: Problem, wanted: np.ndarray) -> dict[str, np.ndarray]:
@@ -94,30 +89,51 @@ def _batch(tuning: Tuning, problem: Problem, wanted: np.ndarray) -> dict[str, np
     return rows | {"point": np.asarray(points, float)}
 
 
-def read(path: Path, wanted: str | None = None) -> pa.Table | None:
+def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None:
     """The table of a file; None if there is none.
 
     Args:
-        wanted: its key; any if it is None.
+        wanted: what it is to be of, see `identity`; anything if it is None.
 
     Raises:
-        DirectoryError: it is another one's, or damaged.
+        DirectoryError: it is another one's, damaged, or cannot be read now.
     """
-    if not path.exists():
-        return None
     try:
-        table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
+    try:
+        table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
     except (OSError, pa.ArrowException, ValueError):
         raise DirectoryError(f"{path} is damaged: remove it, or choose another directory.") from None
-    if wanted is not None and (table.schema.metadata or {}).get(KEY) != wanted.encode():
-        raise DirectoryError(f"{path.parent} holds another landscape; choose another directory.")
+    notes = {name.decode(): text.decode() for name, text in (table.schema.metadata or {}).items()}
+    if wanted is not None and notes.get(KEY) != key(wanted):
+        known = json.loads(notes[IDENTITY]) if IDENTITY in notes else wanted
+        apart = changes(*({name: each[name] for name in each if name != "digest"} for each in (known, wanted)))
+        which = f", with another {', '.join(apart)}" if apart else ""
+        raise WrongDirectory(f"{path.parent} holds another landscape{which}; choose another directory.")
     return table
 
 
-def key(tuning: Tuning, points: int, span: float) -> str:
-    """A hash of all that decides the table: not how a tuner would go, so not optimizer, estimator, starts and seed."""
+def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
+    """All that decides the table: not how a tuner would go, so not optimizer, estimator, starts and seed."""
     walk = dataclasses.replace(tuning, optimizer=Optimizer(), estimator=Estimator(), starts=1, seed=0)
-    decisive = [walk.digest(), points, span, CENTRES, WIDTHS]
+    about = walk.identity()
+    lines = {"points": points, "span": span, "centres": CENTRES, "widths": list(WIDTHS)}
+    return {
+        **about["fields"],
+        **about["defaults"],
+        "recording": about["recording"][:8],
+        "digest": walk.digest(),
+        **lines,
+    }
+
+
+def key(identity: Mapping[str, Any]) -> str:
+    """A hash of an identity."""
+    decisive = [identity[name] for name in ("digest", "points", "span", "centres", "widths")]
     return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:16]
 
 
@@ -143,4 +159,6 @@ def _table(
         metric = OBJECTIVE_METRICS.get(name) or METRICS[name]
         table.add(name, found[f"metric.{name}"], "metric", metric.unit, metric.doc)
     table.add("ok", ok, "status", "1", "whether the robot walked to the end, with a finite gradient")
+    made_by = "which code made the row, by its name in run.json; empty: not known"
+    table.add("code", found["code"], "code", "1", made_by)
     return table.table(about)
