@@ -1,8 +1,10 @@
 """Pictures of a tuning: which figures there are, that they show the history's numbers, the landscape and the video."""
 
 import dataclasses
+import errno
 import json
 import shutil
+from pathlib import Path
 
 import imageio.v2 as imageio
 import matplotlib
@@ -17,6 +19,7 @@ from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
 from nermo_mjx import runtime
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs import DirectoryError
 from nermo_mjx.tune import (
     Objective,
     Term,
@@ -280,6 +283,25 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     kept.write_text("damaged")
     again(walker)
     assert len(walker.batches) == 2
+    assert (out / "plots" / "landscape.parquet.aside-1").read_text() == "damaged"
+
+
+def test_a_landscape_that_cannot_be_read_now_is_not_walked_again(again, undrawn, monkeypatch):
+    """A disk that does not answer ends it in a sentence, and the file stays what it is."""
+    walker = FakeWalker()
+    kept = again(walker).out / "plots" / "landscape.parquet"
+    before, read = kept.read_bytes(), Path.read_bytes
+
+    def fail(path):
+        if path == kept:
+            raise OSError(errno.EIO, "Input/output error")
+        return read(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", fail)
+        with pytest.raises(DirectoryError, match=r"cannot be read: Input/output error; nothing was changed\."):
+            again(walker)
+    assert (kept.read_bytes(), len(walker.batches)) == (before, 1)
 
 
 def test_other_parameters_stand_where_they_are_told_to():

@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS, Run
+from nermo_mjx.runs import DirectoryError, stamp
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.bounds import FURTHEST
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR
@@ -90,7 +91,9 @@ def simulate(
     for name in tuning.objective.metrics:
         table.add(name, np.asarray(result.metrics[name]), "metric", METRICS[name].unit, METRICS[name].doc)
     table.add("status", status, "status", "1", "ok, or what became of the run")
-    return table.table({"landscape": key(tuning, others), "engine": result.engine})
+    made_by = stamp(tuning.setup.load().fingerprint, result.engine)
+    about = {"landscape": key(tuning, others), "engine": result.engine, "code": json.dumps(made_by.fields())}
+    return table.table(about)
 
 
 def background_of(tuning: Tuning, table: pa.Table) -> Background:
@@ -106,9 +109,15 @@ def background_of(tuning: Tuning, table: pa.Table) -> Background:
 
 
 def read(path: Path, tuning: Tuning, others: Mapping[str, float]) -> pa.Table | None:
-    """The table of a file, if it is one and still the right one."""
+    """The table of a file, if it is one and still the right one; raises `DirectoryError` if it cannot be read now."""
     try:
-        table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        content = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
+    try:
+        table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
     except (OSError, pa.ArrowException, ValueError):
         return None
     return table if (table.schema.metadata or {}).get(_KEY) == key(tuning, others).encode() else None

@@ -35,6 +35,7 @@ from nermo_mjx.tune.state import TuneState, initial_state
 #: What a rollout is computed with.
 ENGINE: Final = "mjx"
 RECORDING: Final = "recording.npz"
+VIDEO: Final = "video.mp4"
 _TUNING: Final = "tuning.yaml"
 #: What is made from the newest checkpoint.
 _MADE: Final = (FILE, "best.json", "tuned.yaml")
@@ -93,14 +94,14 @@ class Directory:
     def claim(self, log: Log | None) -> None:
         """Make the directory this tuning's; what is there and does not follow from this history is moved aside."""
         if not self._follows(log):
-            set_aside(self._run, "of another history", (*_MADE, _TUNING), self._warn)
+            self.set_aside("of another history", *_MADE, _TUNING)
         self.tuning = keep_recording(self._run, self.tuning, self._warn)
         write_tuning(self._run, _TUNING, self.tuning, self._warn)
 
     def begin_session(self, begun_at: int) -> None:
         """Note what runs here from which iteration on; a video of what was best before is moved aside."""
         self._run.note_session(session(begun_at=begun_at))
-        set_aside(self._run, "of another best point", ["video.mp4"], self._warn)
+        self.set_aside("of another best point", VIDEO)
 
     def keep(self, state: TuneState, log: Log) -> dict[str, Any] | None:
         """Store a state and its history, and make the other files from it; the content of best.json, if any."""
@@ -120,6 +121,10 @@ class Directory:
     def write(self, name: str, content: bytes) -> None:
         """Replace a file of the directory, atomically and durably."""
         self._run.write(name, content)
+
+    def set_aside(self, what: str, *names: str) -> None:
+        """See the function `set_aside`."""
+        set_aside(self._run, what, names, self._warn)
 
     def _follows(self, log: Log | None) -> bool:
         """Whether what the directory shows is of this history, or of its beginning."""

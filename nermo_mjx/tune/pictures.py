@@ -13,12 +13,11 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.tune import background
 from nermo_mjx.tune.background import Background, SimulatorLike
-from nermo_mjx.tune.directory import Directory
+from nermo_mjx.tune.directory import VIDEO, Directory
 from nermo_mjx.view import RecordingError, VideoError
 
 #: The landscape is kept, so that it is simulated once.
 LANDSCAPE: Final = "plots/landscape.parquet"
-VIDEO: Final = "video.mp4"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +89,7 @@ class Painter:
                 )
             except ParameterError as error:
                 return None, [f"There is no landscape behind the paths, because some of it cannot be walked: {error}"]
+            self.directory.set_aside("of another best point, or damaged", LANDSCAPE)
             self.directory.write(LANDSCAPE, parquet_bytes(table))
         return background.background_of(tuning, table), []
 
