@@ -1,6 +1,7 @@
 """A tuning's directory: which code made each row, that it can be moved, and that nothing is lost in it."""
 
 import dataclasses
+import errno
 import json
 import shutil
 from pathlib import Path
@@ -9,8 +10,9 @@ import pytest
 from test_tune_run import lasting, tune
 from tune_fake import SPEC, FakeProblem
 
-from nermo_mjx.runs import OtherCode, codes_of, kind_of
+from nermo_mjx.runs import DirectoryError, OtherCode, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.sweep import SpecError
 from nermo_mjx.tune import Tuning, TuningInterrupted, directory, load_tuning, read_history, run_tuning
 from nermo_mjx.tune.redraw import redraw
 
@@ -112,6 +114,23 @@ def test_a_history_that_goes_further_than_the_checkpoints_is_kept_aside(tmp_path
     assert read_history(tmp_path).equals(done.history)
 
 
+def test_a_history_that_cannot_be_read_now_stays_where_it_is(tmp_path, monkeypatch):
+    """A disk that does not answer ends it in a sentence: nothing is moved, and nothing written."""
+    tune(tmp_path, FEW)
+    before, read = sorted(path.name for path in tmp_path.iterdir()), Path.read_bytes
+
+    def fail(path):
+        if path.name == "history.parquet":
+            raise OSError(errno.EIO, "Input/output error")
+        return read(path)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", fail)
+        with pytest.raises(DirectoryError, match=r"history\.parquet cannot be read: Input/output error"):
+            tune(tmp_path, FEW)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
 # --- moved
 
 
@@ -154,6 +173,8 @@ def test_an_earlier_directory_with_an_absolute_path_goes_on_working(tmp_path, go
     if gone:
         (tmp_path / "walk.npz").unlink()
         assert len(redraw(out, formats=("svg",))) == 4
+        with pytest.raises(SpecError, match=r"recording is .*walk\.npz: cannot be read"):
+            run_tuning(load_tuning(out), out, problem=FakeProblem(tuning))
         return
     again = dataclasses.replace(Tuning.from_file(out / "tuning.yaml"), iterations=2)
     assert run_tuning(again, out, problem=FakeProblem(again)).iterations_run == 1

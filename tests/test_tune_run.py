@@ -16,6 +16,7 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem
 
+from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
 from nermo_mjx.tune.state import initial_state
@@ -313,7 +314,7 @@ def test_two_processes_never_write_one_directory(tmp_path):
 def test_a_path_that_cannot_hold_results_is_said_so(tmp_path):
     """A file in place of the directory is the user's error."""
     (tmp_path / "out").write_text("")
-    with pytest.raises(ValueError, match="is a file: a directory is needed"):
+    with pytest.raises(WrongDirectory, match="is a file: a directory is needed"):
         tune(tmp_path / "out")
 
 

@@ -100,6 +100,28 @@ def parquet_bytes(table: pa.Table) -> bytes:
     return bytes(sink.getvalue().to_pybytes())
 
 
+def content_of(path: Path) -> bytes | None:
+    """What a file holds; None if there is none.
+
+    Raises:
+        DirectoryError: it cannot be read now. It may be whole, so it is no reason to make it anew.
+    """
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
+
+
+def parquet_table(content: bytes) -> pa.Table | None:
+    """The table of a Parquet file's content; None if it is damaged."""
+    try:
+        return pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
+    except (OSError, pa.ArrowException, ValueError):
+        return None
+
+
 @contextlib.contextmanager
 def clear_errors(out: Path) -> Iterator[None]:
     """Turn an `OSError` into a `DirectoryError` that names the directory."""

@@ -11,10 +11,10 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS, Run
-from nermo_mjx.runs import DirectoryError, stamp
+from nermo_mjx.runs import stamp
+from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.bounds import FURTHEST
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR
@@ -110,15 +110,9 @@ def background_of(tuning: Tuning, table: pa.Table) -> Background:
 
 def read(path: Path, tuning: Tuning, others: Mapping[str, float]) -> pa.Table | None:
     """The table of a file, if it is one and still the right one; raises `DirectoryError` if it cannot be read now."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
-    try:
-        table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
-    except (OSError, pa.ArrowException, ValueError):
+    content = content_of(path)
+    table = None if content is None else parquet_table(content)
+    if table is None:
         return None
     return table if (table.schema.metadata or {}).get(_KEY) == key(tuning, others).encode() else None
 

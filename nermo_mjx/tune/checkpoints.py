@@ -115,7 +115,8 @@ class Checkpoints:
                 damaged.append(step)
             for step in damaged:
                 aside = self._held.move_aside(self.folder.relative_to(self._held.out) / str(step))
-                warn(f"checkpoint {step} in {self.folder} is damaged; it is kept as {aside and aside.name}.")
+                if aside is not None:
+                    warn(f"checkpoint {step} in {self.folder} is damaged; it is kept as {aside.name}.")
             if damaged:
                 self._manager.reload()
         return found

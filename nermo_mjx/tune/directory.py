@@ -22,12 +22,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from nermo_mjx.runs import DirectoryError, RunDirectory, session, stamp
-from nermo_mjx.runs.files import WrongDirectory, clear_errors, parquet_bytes
+from nermo_mjx.runs import RunDirectory, session, stamp
+from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.summary import to_json
 from nermo_mjx.tune.checkpoints import Checkpoints
-from nermo_mjx.tune.history import FILE, Log, history_table, read_history
+from nermo_mjx.tune.history import FILE, Log, history_table
 from nermo_mjx.tune.outcome import best_of, tuned_sweep
 from nermo_mjx.tune.spec import FREE, Tuning, changes
 from nermo_mjx.tune.state import TuneState, initial_state
@@ -51,7 +51,6 @@ class Directory:
 
     Raises:
         DirectoryError: the directory holds another tuning, is in use, or cannot be written.
-        ParameterError: it is a file.
     """
 
     def __init__(
@@ -130,10 +129,9 @@ class Directory:
         """Whether what the directory shows is of this history, or of its beginning."""
         if log is None:
             return not any((self.out / name).exists() for name in _MADE)
-        try:
-            return not (self.out / FILE).exists() or read_history(self.out).num_rows <= log.rows[:, :, 0].size
-        except DirectoryError:
-            return False
+        shown = content_of(self.out / FILE)
+        table = None if shown is None else parquet_table(shown)
+        return shown is None or (table is not None and table.num_rows <= log.rows[:, :, 0].size)
 
     def _check(self) -> None:
         """Refuse a directory that was begun for another tuning."""
@@ -163,7 +161,7 @@ def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], Non
         return tuning
     own = folder / RECORDING
     content = tuning.recording.read_bytes()
-    if not own.exists() or own.read_bytes() != content:
+    if content_of(own) != content:
         set_aside(held, "another recording", [RECORDING], warn)
         held.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=own)

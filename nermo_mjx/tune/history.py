@@ -15,10 +15,9 @@ from typing import Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.spec import Tuning
@@ -143,10 +142,10 @@ def read_history(out: str | os.PathLike[str]) -> pa.Table:
     """The history of a tuning's directory, as far as it goes.
 
     Raises:
-        DirectoryError: there is none, or it is damaged.
+        DirectoryError: there is none, it is damaged, or cannot be read now.
     """
-    path = Path(out) / FILE
-    try:
-        return pq.read_table(path, page_checksum_verification=True, partitioning=None)
-    except (OSError, pa.ArrowException, ValueError):
-        raise DirectoryError(f"{out} holds no history of a tuning.") from None
+    content = content_of(Path(out) / FILE)
+    table = None if content is None else parquet_table(content)
+    if table is None:
+        raise DirectoryError(f"{out} holds no history of a tuning.")
+    return table

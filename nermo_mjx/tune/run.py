@@ -121,11 +121,11 @@ def run_tuning(
     with Directory(out, tuning, warn or (lambda _: None)) as directory, _explained(directory) as interruption:
         state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)
+        goes_on = log is None or len(log) <= tuning.iterations
+        code = directory.take_code(log, accept=accept_new_code) if goes_on else ""
         report = progress or (lambda _: None)
         report(Progress(min(resumed, tuning.iterations), tuning.iterations, resumed))
-        goes_on = log is None or len(log) <= tuning.iterations
         if goes_on:
-            code = directory.take_code(log, accept=accept_new_code)
             tuner = Tuner(tuning, problem or simulation_of(tuning))
         directory.claim(log)
         tuning = directory.tuning

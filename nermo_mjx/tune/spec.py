@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.sweep.axes import Axis
-from nermo_mjx.sweep.reading import Document, describe, dump, nearest, read_file, read_mapping, read_text
+from nermo_mjx.sweep.reading import Document, SpecError, describe, dump, nearest, read_file, read_mapping, read_text
 from nermo_mjx.sweep.sections import SETUP_FIELDS, read_fixed, read_run, read_setup, read_whole
 from nermo_mjx.sweep.walk_spec import WalkSpec, check_sources
 from nermo_mjx.sweep.workspace import check_workspace
@@ -126,11 +126,18 @@ class Tuning(WalkSpec):
         """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
 
         How many iterations there are, figures and video do not count: a tuning can be prolonged.
+
+        Raises:
+            SpecError: the recording cannot be read.
         """
+        try:
+            recorded = b"" if self.recording is None else self.recording.read_bytes()
+        except OSError as error:
+            raise SpecError(f"recording is {self.recording}: cannot be read ({error.strerror or error}).") from None
         return {
             "fields": {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")},
             "defaults": {name: about.default for name, about in self.parameters.items()},
-            "recording": "" if self.recording is None else hashlib.sha256(self.recording.read_bytes()).hexdigest(),
+            "recording": "" if self.recording is None else hashlib.sha256(recorded).hexdigest(),
         }
 
     def digest(self) -> str:

@@ -11,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.runs import DirectoryError, RunDirectory
+from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.files import content_of
 from nermo_mjx.tune.directory import set_aside
 
 _FOLDER: Final = "batches"
@@ -40,13 +41,9 @@ class Batches:
         Raises:
             DirectoryError: it cannot be read now.
         """
-        path = self.out / self._path(first)
-        try:
-            content = path.read_bytes()
-        except FileNotFoundError:
+        content = content_of(self.out / self._path(first))
+        if content is None:
             return None
-        except OSError as error:
-            raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 columns = {name: file[name] for name in file.files}

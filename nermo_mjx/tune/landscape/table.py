@@ -15,10 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory
+from nermo_mjx.runs.files import DirectoryError, WrongDirectory, content_of, parquet_table
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches
@@ -98,16 +97,12 @@ def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None
     Raises:
         DirectoryError: it is another one's, damaged, or cannot be read now.
     """
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
+    content = content_of(path)
+    if content is None:
         return None
-    except OSError as error:
-        raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
-    try:
-        table = pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
-    except (OSError, pa.ArrowException, ValueError):
-        raise DirectoryError(f"{path} is damaged: remove it, or choose another directory.") from None
+    table = parquet_table(content)
+    if table is None:
+        raise DirectoryError(f"{path} is damaged: remove it, or choose another directory.")
     notes = {name.decode(): text.decode() for name, text in (table.schema.metadata or {}).items()}
     if wanted is not None and notes.get(KEY) != key(wanted):
         known = json.loads(notes[IDENTITY]) if IDENTITY in notes else wanted
