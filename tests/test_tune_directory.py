@@ -14,7 +14,7 @@ from nermo_mjx.runs import DirectoryError, OtherCode, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
 from nermo_mjx.tune import Tuning, TuningInterrupted, directory, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.redraw import redraw
+from nermo_mjx.tune.plots import redraw
 
 FEW = {"starts": 1, "iterations": 1}
 #: A tuning that compares with a recording.

@@ -38,7 +38,7 @@ KINDS: Final = {
     kind.name: kind
     for kind in (
         Kind("sweep", "a sweep", "sweep.status:status", "sweep.redraw:redraw"),
-        Kind("tuning", "a tuning", "tune.status:status", "tune.redraw:redraw"),
+        Kind("tuning", "a tuning", "tune.status:status", "tune.plots:redraw"),
         Kind("landscape", "a landscape", "tune.landscape.status:status", "tune.landscape.run:redraw"),
         Kind("experiments", "published experiments", "experiments.status:status", "experiments.redraw:redraw"),
         Kind("identification", "an identification", "experiments.status:identification_status",

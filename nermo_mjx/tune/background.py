@@ -25,6 +25,8 @@ from nermo_mjx.tune.spec import Tuning
 
 #: Points along each parameter: of one, and of two. A periodic one ends where it begins, which is simulated once.
 POINTS: Final = {1: 37, 2: 17}
+#: Where a tuning's directory keeps it, so that it is simulated once.
+LANDSCAPE: Final = "plots/landscape.parquet"
 _KEY: Final = b"landscape"
 
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import pyarrow as pa
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.tune import background
-from nermo_mjx.tune.background import Background, SimulatorLike
+from nermo_mjx.tune.background import LANDSCAPE, Background, SimulatorLike
 from nermo_mjx.tune.directory import VIDEO, Directory
 from nermo_mjx.view import RecordingError, VideoError
-
-#: The landscape is kept, so that it is simulated once.
-LANDSCAPE: Final = "plots/landscape.parquet"
 
 
 @dataclasses.dataclass(frozen=True)
