@@ -1,4 +1,4 @@
-"""Which figures a tuning gives, from its history: objective, parameters, gradients, paths; and those of a directory again."""
+"""Which figures a tuning gives: objective, parameters and gradients over the iterations, and its paths."""
 
 from __future__ import annotations
 
