@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import io
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from ruamel.yaml import YAML
-from ruamel.yaml.comments import CommentedMap, CommentedSeq
-from ruamel.yaml.constructor import DuplicateKeyError
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
 FieldPath = tuple["str | int", ...]
+#: How YAML's own tags begin, and those of plain values; each other tag is refused.
+_STANDARD: Final = "tag:yaml.org,2002:"
+_PLAIN_TAGS: Final = frozenset(_STANDARD + name for name in ("map", "seq", "str", "int", "float", "bool", "null"))
+_MERGE: Final = f"{_STANDARD}merge"
 
 
 class SpecError(ParameterError):
@@ -69,28 +73,28 @@ def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
 
 def read_text(text: str, source: str, what: str = "sweep") -> Document:
     """Read YAML text; see `read_file`."""
+    yaml = YAML(typ="safe", pure=True)
     try:
-        root = YAML(typ="rt").load(text)
-    except DuplicateKeyError as error:
-        key = (error.problem or "").split('"')[1:2] or ["?"]
-        raise SpecError(f"{_mark(source, error)}: field '{key[0]}' stands twice; keep one of them.") from None
+        root = yaml.compose(text)
     except MarkedYAMLError as error:
-        what = " ".join(part for part in (error.context, error.problem) if part)
-        raise SpecError(f"{_mark(source, error)}: not valid YAML: {what}.") from None
+        wrong = " ".join(part for part in (error.context, error.problem) if part)
+        mark = error.problem_mark or error.context_mark
+        where = f"{source}:{mark.line + 1}" if mark is not None else source
+        raise SpecError(f"{where}: not valid YAML: {wrong}.") from None
     except (YAMLError, ValueError) as error:
         raise SpecError(f"{source}: not valid YAML: {str(error).splitlines()[0]}.") from None
-    lines: dict[FieldPath, int] = {(): 1}
-    data = _plain(root, (), lines)
+    reader = _NodeReader(source, what, yaml)
+    data = None if root is None else reader.value(root, ())
     if not isinstance(data, dict):
         raise SpecError(f"{source}:1: a {what} is a mapping of fields, but this file holds {describe(data)}.")
-    return Document(source, data, lines)
+    return Document(source, data, reader.lines)
 
 
 def read_mapping(data: Mapping[str, Any], what: str = "sweep") -> Document:
     """A document of a dict given in Python; arrays and tuples count as lists. `what` names its kind."""
     if not isinstance(data, Mapping):
         raise SpecError(f"{what}: a {what} is a mapping of fields, not {describe(data)}.")
-    return Document(what, _plain(data, (), {}))
+    return Document(what, _plain(data))
 
 
 def dump(data: Mapping[str, Any]) -> str:
@@ -124,24 +128,108 @@ def nearest(name: str, allowed: Iterable[str]) -> str:
     return f"; did you mean '{found[0]}'?" if found else "."
 
 
-def _mark(source: str, error: MarkedYAMLError) -> str:
-    mark = error.problem_mark or error.context_mark
-    return f"{source}:{mark.line + 1}" if mark is not None else source
+class _NodeReader:
+    """Plain values of YAML's nodes: aliases and merge keys are resolved, and each field's line is noted."""
+
+    def __init__(self, source: str, what: str, yaml: YAML) -> None:
+        self.source, self.what, self._scalars = source, what, yaml.constructor
+        self.lines: dict[FieldPath, int] = {(): 1}
+        self._open: list[Node] = []
+
+    def value(self, node: Node, path: FieldPath) -> Any:
+        """The plain value of a node, which belongs to the field at `path`."""
+        if node.tag not in _PLAIN_TAGS:
+            self._refuse(
+                node,
+                f"{self._subject(path)} is {_tagged(node)}: allowed are texts (in quotes where needed), numbers, "
+                "true, false, lists and mappings.",
+            )
+        if isinstance(node, ScalarNode):
+            try:
+                return self._scalars.construct_object(node)
+            except (ValueError, YAMLError):
+                self._refuse(node, f"{self._subject(path)} is {_tagged(node)}, which it is not.")
+        with self._opened(node, path):
+            if isinstance(node, SequenceNode):
+                return [self._item(item, (*path, i), item) for i, item in enumerate(node.value)]
+            return {
+                name: self._item(item, (*path, name), key) for name, (key, item) in self._fields(node, path).items()
+            }
+
+    def _item(self, node: Node, path: FieldPath, place: Node) -> Any:
+        """The value of a field, whose line is that of `place`."""
+        self.lines[path] = place.start_mark.line + 1
+        return self.value(node, path)
+
+    def _fields(self, node: Node, path: FieldPath) -> dict[str, tuple[Node, Node]]:
+        """Key and value of each field of a mapping; those of merged mappings come first and are overridden."""
+        own: dict[str, tuple[Node, Node]] = {}
+        merged: dict[str, tuple[Node, Node]] = {}
+        bases = None
+        for key, item in node.value:
+            if key.tag == _MERGE:
+                if bases is not None:
+                    self._refuse(key, f"{self._subject((*path, '<<'))} stands twice; merge a list instead.")
+                bases = item.value if isinstance(item, SequenceNode) else [item]
+                for base in bases:
+                    merged = {**self._base(base, (*path, "<<")), **merged}
+                continue
+            name = self._name(key)
+            if name in own:
+                self._refuse(key, f"{self._subject((*path, name))} stands twice; keep one of them.")
+            own[name] = key, item
+        return {**merged, **own}
+
+    def _base(self, node: Node, path: FieldPath) -> dict[str, tuple[Node, Node]]:
+        """The fields of a mapping that is merged."""
+        if not isinstance(node, MappingNode) or node.tag not in _PLAIN_TAGS:
+            found = describe(self.value(node, path))
+            self._refuse(node, f"{self._subject(path)} is {found}: expected a mapping or a list of mappings.")
+        with self._opened(node, path):
+            return self._fields(node, path)
+
+    def _name(self, key: Node) -> str:
+        if key.tag in _PLAIN_TAGS and isinstance(key, ScalarNode):
+            value = self._scalars.construct_object(key)
+            if isinstance(value, str):
+                return value
+            self._refuse(key, f"the name of a field is {describe(value)}: expected a text.")
+        self._refuse(key, f"the name of a field is {_tagged(key)}: expected a text.")
+
+    @contextlib.contextmanager
+    def _opened(self, node: Node, path: FieldPath) -> Iterator[None]:
+        """While what is in a node is read, an alias to it has no end."""
+        if any(node is other for other in self._open):
+            self._refuse(node, f"{self._subject(path)} contains itself through an alias.")
+        self._open.append(node)
+        yield
+        self._open.pop()
+
+    def _subject(self, path: FieldPath) -> str:
+        return f"field '{'.'.join(map(str, path))}'" if path else f"the {self.what}"
+
+    def _refuse(self, node: Node, message: str) -> NoReturn:
+        raise SpecError(f"{self.source}:{node.start_mark.line + 1}: {message}") from None
 
 
-def _plain(value: Any, path: FieldPath, lines: dict[FieldPath, int]) -> Any:
-    """Plain dicts, lists, strings and numbers; notes the line of each key on the way."""
+def _tagged(node: Node) -> str:
+    """A node in words, with its tag where it is none of a list or mapping."""
+    tag = str(node.tag).replace(_STANDARD, "!!")
+    if isinstance(node, ScalarNode):
+        return f"'{node.value}' with the tag {tag}"
+    kind = "a list" if isinstance(node, SequenceNode) else "a mapping"
+    return kind if node.tag in _PLAIN_TAGS else f"{kind} with the tag {tag}"
+
+
+def _plain(value: Any) -> Any:
+    """Plain dicts, lists, strings and numbers of what Python gave."""
     if isinstance(value, Mapping):
-        if isinstance(value, CommentedMap):
-            lines |= {(*path, str(key)): value.lc.key(key)[0] + 1 for key in value}
-        return {str(key): _plain(item, (*path, str(key)), lines) for key, item in value.items()}
-    if isinstance(value, CommentedSeq):
-        lines |= {(*path, i): value.lc.item(i)[0] + 1 for i in range(len(value))}
+        return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item, (*path, i), lines) for i, item in enumerate(value)]
+        return [_plain(item) for item in value]
     if hasattr(value, "tolist"):  # numpy and JAX arrays and scalars
         return value.tolist()
-    for kind in (bool, int, float, str):  # ruamel's ScalarFloat, ScalarInt, quoted strings
+    for kind in (bool, int, float, str):  # and what derives from them
         if isinstance(value, kind):
             return kind(value)
     return value
