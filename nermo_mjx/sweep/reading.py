@@ -172,9 +172,10 @@ class _NodeReader:
                     self._refuse(key, f"{self._subject((*path, '<<'))} stands twice; merge a list instead.")
                 bases = item.value if isinstance(item, SequenceNode) else [item]
                 for base in bases:
-                    merged = {**self._base(base, (*path, "<<")), **merged}
+                    for name, field in self._base(base, (*path, "<<")).items():
+                        merged.setdefault(name, field)
                 continue
-            name = self._name(key)
+            name = self._name(key, path)
             if name in own:
                 self._refuse(key, f"{self._subject((*path, name))} stands twice; keep one of them.")
             own[name] = key, item
@@ -188,13 +189,13 @@ class _NodeReader:
         with self._opened(node, path):
             return self._fields(node, path)
 
-    def _name(self, key: Node) -> str:
-        if key.tag in _PLAIN_TAGS and isinstance(key, ScalarNode):
-            value = self._scalars.construct_object(key)
-            if isinstance(value, str):
-                return value
-            self._refuse(key, f"the name of a field is {describe(value)}: expected a text.")
-        self._refuse(key, f"the name of a field is {_tagged(key)}: expected a text.")
+    def _name(self, key: Node, path: FieldPath) -> str:
+        """The name of a field of the mapping at `path`."""
+        if isinstance(key, ScalarNode) and key.tag == f"{_STANDARD}str":
+            return str(key.value)
+        plain = isinstance(key, ScalarNode) and key.tag in _PLAIN_TAGS
+        found = describe(self.value(key, path)) if plain else _tagged(key)
+        self._refuse(key, f"the name of a field is {found}: expected a text.")
 
     @contextlib.contextmanager
     def _opened(self, node: Node, path: FieldPath) -> Iterator[None]:
