@@ -1,6 +1,8 @@
 """The documentation site: `sphinx-build docs build/site`. Its tables of names are made from the package itself."""
 
 import pathlib
+import re
+import sys
 from typing import Any
 
 from docutils import nodes
@@ -10,9 +12,11 @@ from sphinx.application import Sphinx
 import nermo_mjx
 from nermo_mjx import METRICS, all_parameters
 
+sys.path.insert(0, str(pathlib.Path(__file__).parent))
+import address
+
 ROOT = pathlib.Path(__file__).parents[1]
-#: Where links to files that are no pages lead.
-SOURCE = "https://github.com/nermo-mjx/nermo_mjx/blob/main"
+REPOSITORY = address.repository()
 
 project = "nermo_mjx"
 version = release = nermo_mjx.__version__
@@ -42,14 +46,14 @@ suppress_warnings = ["myst.header"]
 html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "nermo_mjx"
-html_static_path: list[str] = []
+html_static_path = ["_static"]
+html_css_files = ["formulas.css"]
 html_theme_options = {
-    "source_repository": "https://github.com/nermo-mjx/nermo_mjx/",
-    "source_branch": "main",
-    "source_directory": "docs/",
     "light_css_variables": {"color-brand-primary": "#0072b2", "color-brand-content": "#0072b2"},
     "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
 }
+if REPOSITORY is not None:
+    html_theme_options |= {"source_repository": REPOSITORY, "source_branch": "main", "source_directory": "docs/"}
 
 
 def parameter_table() -> str:
@@ -69,14 +73,21 @@ def metric_table() -> str:
 
 
 def fill(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Put tables where a page asks for them, and lead links to files that are no pages to the repository."""
+    """Put tables where a page asks for them, and lead links to files that are no pages to the repository, if any."""
     for mark, table in (("{{parameters}}", parameter_table), ("{{metrics}}", metric_table)):
         if mark in source[0]:
             source[0] = source[0].replace(mark, table())
-    page = pathlib.Path(app.srcdir, docname)
-    for folder in ("sweeps", "notebooks", "nermo_mjx"):
-        up = "../" * (len(page.relative_to(ROOT).parts) - 1)
-        source[0] = source[0].replace(f"]({up}{folder}", f"]({SOURCE}/{folder}")
+    up = "../" * (len(pathlib.Path(app.srcdir, docname).relative_to(ROOT).parts) - 1)
+    link = rf"\[([^\]]*)\]\({re.escape(up)}((?:sweeps|notebooks|nermo_mjx)\b[^)]*)\)"
+    source[0] = re.sub(link, _file, source[0])
+
+
+def _file(link: re.Match[str]) -> str:
+    """A link to a file, or its text and its path."""
+    text, path = link.groups()
+    if REPOSITORY is not None:
+        return f"[{text}]({address.source(REPOSITORY)}/{path})"
+    return text if text.strip("`") in path else f"{text} (`{path}`)"
 
 
 def formula(translator: Any, node: nodes.Element) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import functools
 import os
+from collections.abc import Iterator
 
+import chromium
 import numpy as np
 import pytest
 
@@ -33,6 +35,24 @@ def drawing():
         if os.environ.get("CI"):
             raise
         pytest.skip(str(missing))
+
+
+@pytest.fixture(scope="module")
+def program() -> str:
+    """Path of a browser; skips, with the remedy, where there is none. In CI, which installs one, that is a failure."""
+    path = chromium.find()
+    if path is None:
+        remedy = "no Chromium to test pages in: `apt-get install chromium`, or set CHROMIUM to the path of one"
+        if os.environ.get("CI"):
+            pytest.fail(remedy)
+        pytest.skip(remedy)
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser(program: str) -> Iterator[chromium.Browser]:
+    with chromium.browser(program) as running:
+        yield running
 
 
 @pytest.fixture(scope="session")

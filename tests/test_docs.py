@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import chromium
 import pytest
 
 from nermo_mjx.cli import main
@@ -63,6 +64,18 @@ def test_the_site_has_every_name_that_a_user_may_write(site: Path) -> None:
     commands = (site / "reference" / "commands.html").read_text()
     for name in main.commands:
         assert f'id="nermo-mjx-{name}"' in commands, name
+
+
+def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> None:
+    """Else Chromium scrolls it up and down, with arrows beside it."""
+    with browser.tab() as tab:
+        tab.open(site / "control.html")
+        tab.wait("document.readyState === 'complete' && document.querySelectorAll('.math-wrapper').length")
+        heights = tab.evaluate(
+            "[...document.querySelectorAll('.math-wrapper')].map(f => [f.scrollHeight, f.clientHeight])"
+        )
+    assert len(heights) >= 5
+    assert [(needed, there) for needed, there in heights if needed > there] == []
 
 
 def test_examples_were_found() -> None:

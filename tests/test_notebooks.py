@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
+import types
 from pathlib import Path
+from typing import Any
 
 import nbformat
 import pytest
+from IPython.core.inputtransformer2 import TransformerManager
 from nbclient import NotebookClient
 
-NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+ROOT = Path(__file__).parents[1]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 
 
 @pytest.mark.usefixtures("drawing")
@@ -25,12 +32,73 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_opens_in_colab_and_carries_no_output(path: Path) -> None:
+def test_a_notebook_carries_no_output_and_installs_as_the_others_do(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
-    assert f"/blob/main/notebooks/{path.name})" in notebook.cells[0].source
-    assert "%pip install" in notebook.cells[1].source
+    assert notebook.cells[1].source == INSTALL
     assert all(not cell.outputs for cell in notebook.cells if cell.cell_type == "code")
+
+
+class Shell:
+    """Takes note of what an install cell would run."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, Any] = {"get_ipython": lambda: self}
+        self.ran: list[str] = []
+
+    def run_line_magic(self, name: str, line: str) -> None:
+        assert name == "pip"
+        self.ran.append(line.format(**self.names))
+
+    def system(self, line: str) -> None:
+        self.ran.append(line)
+
+    def run(self, source: str = "") -> list[str]:
+        """Run the cell with a `SOURCE`."""
+        cell = INSTALL.replace('SOURCE = ""', f'SOURCE = "{source}"')
+        exec(TransformerManager().transform_cell(cell), self.names)
+        return self.ran
+
+
+@pytest.fixture
+def missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The package is not installed."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+
+
+def test_an_install_cell_does_nothing_where_the_package_is_there() -> None:
+    assert Shell().run("git+https://example.org/a") == []
+
+
+@pytest.mark.usefixtures("missing")
+def test_a_notebook_installs_the_checkout_it_stands_in_before_anything_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT / "notebooks")
+    assert Shell().run("git+https://example.org/a") == [f'install -q "{ROOT}"']
+
+
+@pytest.mark.usefixtures("missing")
+def test_elsewhere_a_notebook_installs_its_source_or_says_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert Shell().run("git+https://example.org/a") == ['install -q "git+https://example.org/a"']
+    with pytest.raises(RuntimeError, match="nermo_mjx is not installed: set SOURCE above, or open the notebook in a"):
+        Shell().run()
+
+
+@pytest.mark.usefixtures("missing")
+def test_in_colab_a_wheel_is_chosen_in_the_file_dialogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    colab = types.ModuleType("google.colab")
+    colab.files = types.SimpleNamespace(upload=lambda: {"nermo_mjx-0.1.0-py3-none-any.whl": b""})
+    monkeypatch.setitem(sys.modules, "google", types.ModuleType("google"))
+    monkeypatch.setitem(sys.modules, "google.colab", colab)
+    draw = "apt-get -qq install -y libosmesa6 > /dev/null"
+    assert Shell().run() == ['install -q "nermo_mjx-0.1.0-py3-none-any.whl"', draw]
+    assert Shell().run("https://example.org/a.whl") == ['install -q "https://example.org/a.whl"', draw]
+    colab.files.upload = dict  # the dialogue was closed
+    with pytest.raises(RuntimeError, match="set SOURCE"):
+        Shell().run()
 
 
 def test_there_is_a_notebook() -> None:

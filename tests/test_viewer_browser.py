@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,24 +24,6 @@ CONTROLS = ["play", "scrub", "speed", "loop", "plots-toggle", "help-toggle", "ca
 READY = "document.documentElement?.dataset.ready === 'yes'"
 #: The last change has been drawn as well as stills are.
 RESTING = "!viewer.stage.stale && !viewer.stage.quality.unsettled"
-
-
-@pytest.fixture(scope="module")
-def program() -> str:
-    """Path of a browser; skips, with the remedy, where there is none. In CI, which installs one, that is a failure."""
-    path = chromium.find()
-    if path is None:
-        remedy = "no Chromium to test pages in: `apt-get install chromium`, or set CHROMIUM to the path of one"
-        if os.environ.get("CI"):
-            pytest.fail(remedy)
-        pytest.skip(remedy)
-    return path
-
-
-@pytest.fixture(scope="module")
-def browser(program: str) -> Iterator[chromium.Browser]:
-    with chromium.browser(program) as running:
-        yield running
 
 
 @pytest.fixture(scope="module")

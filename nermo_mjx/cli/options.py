@@ -104,9 +104,6 @@ def gait(function: F) -> F:
     return function
 
 
-accept_new_code = click.option("--accept-new-code", is_flag=True, help="Go on in a DIR that other code began.")
-
-
 def report(function: F) -> F:
     """`--json` and `--quiet`."""
     quiet = click.option("--quiet", "-q", is_flag=True, help="No progress, no summary; errors only.")
