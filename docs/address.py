@@ -49,7 +49,7 @@ def texts(address: str | None, root: Path = ROOT) -> dict[Path, str]:
     links = ", ".join(f"[{_title(content)}]({_colab(address, path)})" for path, content in contents.items() if address)
     found = {path: _notebook(content, path, address) for path, content in contents.items()}
     for path in (root / "README.md", root / "docs" / "howto" / "colab.md"):
-        text = _region(path.read_text(encoding="utf-8"), "code", code)
+        text = _region(path.read_text(encoding="utf-8"), "code", f"\n{code}\n")
         found[path] = _region(text, "colab", f" Open one: {links}." if links else "")
     citation = root / "CITATION.cff"
     text = re.sub(r"^repository-code: .*\n", "", citation.read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -82,7 +82,7 @@ def _colab(address: str | None, path: Path) -> str:
 
 
 def _region(text: str, name: str, content: str) -> str:
-    """A page with other content between the comments `name` and `/name`."""
+    """A page with other content between the comments `name` and `/name`; a line that begins with one is no Markdown."""
     pattern = rf"(<!-- {name} -->).*?(<!-- /{name} -->)"
     return re.sub(pattern, lambda match: match[1] + content + match[2], text, flags=re.DOTALL)
 
