@@ -15,7 +15,12 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ADDRESS = "https://github.com/someone/nermo_mjx"
 #: What users read, beside the files that depend on the address.
-READ = [ROOT / "pyproject.toml", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "sweeps").glob("*.[my]*")]
+READ = [
+    ROOT / "pyproject.toml",
+    ROOT / "CHANGELOG.md",
+    *(ROOT / "docs").rglob("*.md"),
+    *(ROOT / "sweeps").glob("*.[my]*"),
+]
 
 
 @pytest.fixture(scope="module")
