@@ -86,8 +86,7 @@ class Directory:
             OtherCode: another code made the history, and `accept` is not given.
         """
         made_by = stamp(self.tuning.setup.load().fingerprint, ENGINE)
-        # A directory without any iteration is anyone's.
-        self._run.take_code(made_by, holds_rows=log is not None, accept=accept or log is None)
+        self._run.take_code(made_by, holds_rows=log is not None, accept=accept)
         return made_by.id
 
     def claim(self, log: Log | None) -> None:
