@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import os
 import platform
 import shlex
@@ -42,15 +41,6 @@ def session(**more: Any) -> dict[str, Any]:
     """One session of work: when, by which command, with which versions, where."""
     started = time.strftime("%Y-%m-%dT%H:%M:%S%z")
     return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
-
-
-def with_session(path: Path, session: dict[str, Any]) -> bytes:
-    """The content of run.json with one more session."""
-    try:
-        sessions = json.loads(path.read_text())["sessions"]
-    except (OSError, ValueError, KeyError):
-        sessions = []
-    return (json.dumps({"sessions": [*sessions, session]}, indent=2) + "\n").encode()
 
 
 def _processor() -> str:

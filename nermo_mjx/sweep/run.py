@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import clear_errors, replace_file
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.workers import LocalWorkers, Workers
@@ -144,7 +145,7 @@ def _engine(wanted: str, simulator: SimulatorLike | None, work: Work) -> str:
     """Name of the engine that really runs."""
     if simulator is not None:
         return str(getattr(simulator.engine, "name", simulator.engine))
-    begun = work.store.begun_with() or next(iter(work.engines), "auto")
+    begun = engine_of(work.store.out) or next(iter(work.engines), "auto")
     return wanted if wanted != "auto" else begun if begun != "auto" else resolve_engine(wanted)
 
 

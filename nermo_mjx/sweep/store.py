@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs.code import CodeStamp
-from nermo_mjx.runs.directory import RunDirectory, codes_of, remove_leftovers
+from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file, parquet_bytes
 from nermo_mjx.sweep.difference import differences
 from nermo_mjx.sweep.layout import rows_digest
@@ -121,10 +121,6 @@ class Store:
     def move_chunk_aside(self, chunk: int) -> None:
         """Take a chunk's file out of the table, and keep it."""
         self.directory.move_aside(f"results/{_name(chunk)}", "results.aside")
-
-    def begun_with(self) -> str | None:
-        """The engine of the code that last took the directory; None if it does not say."""
-        return next((stamp.engine for stamp in reversed(codes_of(self.out).values())), None)
 
     def take_code(self, stamp: CodeStamp, *, accept: bool) -> None:
         """See `RunDirectory.take_code`."""
