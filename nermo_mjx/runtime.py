@@ -15,12 +15,9 @@ import importlib.util
 import os
 import platform
 import sys
-import time
 from pathlib import Path
 from typing import Any, Final
 
-#: When this process began, as far as this package is concerned [s since 1970].
-STARTED: Final = time.time()
 #: Below this many processors JAX's CPU runtime gets `SAFE_THREADS` threads. JAX 0.10.2 hangs (all threads idle, no
 #: error) in a vmapped MJX step of 64 worlds or more with two threads; with one or eight it does not.
 SAFE_THREADS: Final = 8

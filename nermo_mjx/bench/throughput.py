@@ -144,7 +144,6 @@ class Puppet:
     """A loop that plays given targets, (ticks, n_servos) for each world, again and again: physics alone."""
 
     steps_per_tick: int
-    identity: None = None
 
     def init(self, params: jax.Array, sensordata: jax.Array) -> jax.Array:
         """The tick, 0."""

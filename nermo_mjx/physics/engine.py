@@ -27,13 +27,6 @@ class Loop(Protocol):
     def steps_per_tick(self) -> int:
         """Physics steps in a control tick."""
 
-    @property
-    def identity(self) -> str | None:
-        """Text that tells this loop apart from any other, also in another process; None if there is none.
-
-        Compiled programs are kept under it.
-        """
-
     def init(self, params: Any, sensordata: Any) -> Any:
         """First state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
 

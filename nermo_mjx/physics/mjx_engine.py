@@ -22,7 +22,6 @@ from nermo_mjx.physics import differentiable
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
-from nermo_mjx.physics.program_cache import KeptProgram, is_ours, model_digest
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 
@@ -67,16 +66,9 @@ class MjxEngine:
         self.robot, self.loop = robot, loop
         self.devices = choose_devices(devices)
         self.model, self.data = self.put(robot.physical)
-        identity = self._identity()
-        self.open_worlds = KeptProgram(self._open_worlds, identity)
-        self.advance = KeptProgram(self._advance, identity, donated=(2,))
-        self.record = KeptProgram(self._record, identity, donated=(2,), static=(3,))
-
-    def _identity(self) -> str | None:
-        """What the programs close over, as text; None where they cannot be kept."""
-        known = is_ours(self, self.loop) and self.loop.identity is not None
-        names = f"{type(self).__qualname__} {type(self.loop).__qualname__}"
-        return f"{names} {self.loop.identity} {model_digest(self.robot.physical)}" if known else None
+        self.open_worlds = jax.jit(self._open_worlds)
+        self.advance = jax.jit(self._advance, donate_argnums=2)
+        self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3)
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """The model for MJX, and data of a world alone."""

@@ -6,6 +6,8 @@ which for a few worlds is half of a call.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -30,14 +32,16 @@ class PackedLoop:
             params: of a batch like those to come, leaves (n, ...).
             sensordata: readings of that batch (n, n_sensordata).
         """
-        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], params)
-        state = jax.eval_shape(loop.init, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
-        unpack_params = ravel_pytree(one)[1]
-        unpack_state = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), state))[1]
+        one = jax.eval_shape(lambda params: jax.tree.map(lambda leaf: leaf[0], params), params)
+        # Jitted, what is used twice is traced once.
+        start = jax.jit(loop.init, inline=True)
+        state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
+        unpack_params, unpack_state = _unpacking(one), _unpacking(state)
 
         def init(params: Float[Array, " p"], sensordata: Float[Array, " n"]) -> Float[Array, " s"]:
-            return ravel_pytree(loop.init(unpack_params(params), sensordata))[0]
+            return ravel_pytree(start(unpack_params(params), sensordata))[0]
 
+        @functools.partial(jax.jit, inline=True)
         @jax.vmap
         def step(
             params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]
@@ -62,3 +66,10 @@ class PackedLoop:
         self.init, self.step = jax.jit(jax.vmap(init)), jax.jit(step_once)
         #: First argument of `step`: not a constant, or XLA would see that the loop is none.
         self.once = jax.device_put(np.int32(1))
+
+
+def _unpacking(tree: Any) -> Callable[[Array], Any]:
+    """What makes a tree of such shapes of its row; found without computing one, which compiles many small programs."""
+    found: list[Callable[[Array], Any]] = []
+    jax.eval_shape(lambda tree: found.append(ravel_pytree(tree)[1]), tree)
+    return found[0]

@@ -109,7 +109,7 @@ class Simulator:
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(metrics.result, closed_over="nothing")
+        self._results = Lanes(metrics.result)
 
     @functools.cached_property
     def _defaults(self) -> WorldParameters:
