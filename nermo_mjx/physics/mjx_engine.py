@@ -7,7 +7,6 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -96,34 +95,39 @@ class MjxEngine:
         steps = self.loop.steps_per_tick
         return Carry(physics, self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1)))
 
-    def tick(
-        self, params: Any, fields: dict[str, Array], carry: Carry, data: mjx.Data | None = None
-    ) -> tuple[Carry, Array]:
+    def tick(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
             params, fields: of the loop, and what differs from the model.
             carry: before the tick.
-            data: to fill; by default that of a world alone.
         """
-        model, blank = self.model.tree_replace(fields), self.data if data is None else data
-        loop, ctrl = self.loop.step(params, carry.loop, carry.sensordata)
+        return self._tick(lambda of_one_world: of_one_world, self.data, params, fields, carry)
 
-        def step(state: MjxState, _: None) -> tuple[MjxState, Array]:
+    def _tick(
+        self, each: Callable[[Any], Any], blank: mjx.Data, params: Any, fields: dict[str, Array], carry: Carry
+    ) -> tuple[Carry, Array]:
+        """`tick` of one world, or of all worlds of a device with `jax.vmap` for `each`.
+
+        Inside the loop over the steps, `vmap` meets the physics as it is traced, and not once more afterwards.
+        """
+        loop, ctrl = each(self.loop.step)(params, carry.loop, carry.sensordata)
+
+        def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, Array]:
+            model = self.model.tree_replace(fields)
             after = self.physics_step(model, blank.replace(ctrl=ctrl, **state._asdict()))
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), after.sensordata
 
+        def step(state: MjxState, _: None) -> tuple[MjxState, Array]:
+            after: tuple[MjxState, Array] = each(advanced)(fields, ctrl, state)
+            return after
+
         physics, sensordata = jax.lax.scan(step, carry.physics, None, length=self.loop.steps_per_tick)
-        return Carry(physics, loop, sensordata), ctrl
+        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2)), ctrl
 
     def _ticks(self, params: Any, fields: dict[str, Array]) -> Callable[[Carry], tuple[Carry, Array]]:
         """`tick` for all worlds of a device."""
-
-        def ticks(carry: Carry) -> tuple[Carry, Array]:
-            data = self.data_among(len(carry.physics.qpos))
-            return jax.vmap(functools.partial(self.tick, data=data))(params, fields, carry)
-
-        return ticks
+        return lambda carry: self._tick(jax.vmap, self.data_among(len(carry.physics.qpos)), params, fields, carry)
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(params, qpos, qvel, sensordata)
