@@ -21,6 +21,7 @@ from nermo_mjx.physics import differentiable
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 
@@ -88,6 +89,7 @@ class MjxEngine:
         """One step of physics in one world."""
         return differentiable.step(model, data)
 
+    @full_precision
     def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         """Carry of one world before its first tick, from its state and its sensors there."""
         nothing = jnp.zeros((self.model.nv,), qpos.dtype)
@@ -104,6 +106,7 @@ class MjxEngine:
         """
         return self._tick(lambda of_one_world: of_one_world, self.data, params, fields, carry)
 
+    @full_precision
     def _tick(
         self, each: Callable[[Any], Any], blank: mjx.Data, params: Any, fields: dict[str, Array], carry: Carry
     ) -> tuple[Carry, Array]:

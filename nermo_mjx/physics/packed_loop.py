@@ -17,6 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from nermo_mjx.physics.engine import Loop
+from nermo_mjx.physics.precision import full_precision
 
 
 class PackedLoop:
@@ -34,7 +35,7 @@ class PackedLoop:
         """
         one = jax.eval_shape(lambda params: jax.tree.map(lambda leaf: leaf[0], params), params)
         # Jitted, what is used twice is traced once.
-        start = jax.jit(loop.init, inline=True)
+        start = jax.jit(full_precision(loop.init), inline=True)
         state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
         unpack_params, unpack_state = _unpacking(one), _unpacking(state)
 
@@ -42,6 +43,7 @@ class PackedLoop:
             return ravel_pytree(start(unpack_params(params), sensordata))[0]
 
         @functools.partial(jax.jit, inline=True)
+        @full_precision
         @jax.vmap
         def step(
             params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]

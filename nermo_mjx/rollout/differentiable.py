@@ -17,6 +17,7 @@ from nermo_mjx.control.build import check
 from nermo_mjx.control.parameters import with_gait_factor
 from nermo_mjx.physics.checkpointing import checkpointed_scan
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
+from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
 from nermo_mjx.rollout import metrics
@@ -95,6 +96,7 @@ class Rollout:
         """
         return self.record(values, qpos, qvel)[0]
 
+    @full_precision
     def record(
         self, values: Mapping[str, ArrayLike], qpos: ArrayLike | None = None, qvel: ArrayLike | None = None
     ) -> tuple[dict[str, Float[Array, ""]], Path]:

@@ -11,6 +11,8 @@ from typing import Any, Final
 import jax
 import numpy as np
 
+from nermo_mjx.physics.precision import full_precision
+
 #: Worlds of a piece; the last one is filled up.
 LANES: Final = 256
 
@@ -23,7 +25,7 @@ class Lanes:
         Args:
             function: of one world.
         """
-        self._program = jax.jit(jax.vmap(function))
+        self._program = jax.jit(full_precision(jax.vmap(function)))
 
     def __call__(self, *arguments: Any) -> Any:
         """The results of all worlds; n is at least 1."""
