@@ -19,11 +19,11 @@ from nermo_mjx.physics.checkpointing import checkpointed_scan
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
-from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
+from nermo_mjx.robot.quantity import ParameterError, replace_quantities
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.setup import Run, Setup, check_world
 from nermo_mjx.rollout.start import StartPose
 
 
@@ -128,7 +128,7 @@ class Rollout:
         params = replace_quantities(self._defaults, given)
         known = {name: value for name, value in values.items() if not isinstance(value, jax.core.Tracer)}
         checked = replace_quantities(self._defaults, known)
-        check_quantities(checked)
+        check_world(checked, self.setup.timestep)
         if len(known) == len(values):
             check(checked.control, routing=self.setup.routing)
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
