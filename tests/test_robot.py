@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.kinematics import body, leg, spine
-from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, assemble, load_robot
+from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.assembly import STANCE_HEIGHT
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.masses import PARTS, part_of

@@ -45,11 +45,12 @@ class Rollout:
 
         rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=4, warmup_cycles=1))
         speed = lambda amplitude: rollout({"spine.amplitude": amplitude})["speed"]
-        slope = jax.jit(jax.grad(speed))(0.2)
+        slope = jax.jit(jax.grad(speed), compiler_options=nermo_mjx.compiler_options())(0.2)
 
     Derivatives are exact: of controller, metrics, start pose and body in JAX, of the physics by
     `physics.differentiable`. In reverse mode memory grows with the square root of the run's length. The precision is
-    JAX's own when the rollout is made (`jax.enable_x64`). What it runs is what the engine `mjx` runs.
+    JAX's own when the rollout is made (`jax.enable_x64`). What it runs is what the engine `mjx` runs. The compiler's
+    options halve the time that it takes on a CPU, and can be left out.
     """
 
     def __init__(self, setup: Setup | None = None, run: Run | None = None, *, slowest: float | None = None) -> None:

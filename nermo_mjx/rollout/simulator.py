@@ -95,21 +95,28 @@ class Batch:
 class Simulator:
     """Runs batches of one setup; compiled programs are shared by all its runs."""
 
-    def __init__(self, setup: Setup | None = None, engine: str = "auto", devices: int | None = None) -> None:
+    def __init__(
+        self,
+        setup: Setup | None = None,
+        engine: str = "auto",
+        devices: int | None = None,
+        threads: int | None = None,
+    ) -> None:
         """
         Args:
             setup: what is chosen by name.
             engine: `auto`, `c`, `mjx` or `warp`.
             devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
+            threads: processors that share a batch in `c`; None for `$NERMO_MJX_THREADS`, or else all.
 
         Raises:
-            ParameterError: an unknown engine, one that cannot run here, or not as many devices.
+            ParameterError: an unknown engine, one that cannot run here, not as many devices, or no thread.
         """
         self.setup = setup or Setup()
         self.robot = self.setup.load()
         self.controller = self.setup.controller()
         self.loop = ClosedLoop(self.robot, self.controller)
-        self.engine = make_engine(engine, self.robot, self.loop, devices)
+        self.engine = make_engine(engine, self.robot, self.loop, devices, threads)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
@@ -236,9 +243,9 @@ def _compile_time() -> Iterator[list[float]]:
     pieces: list[float] = []
     thread = threading.get_ident()
 
-    def listen(event: str, seconds: float, **_: object) -> None:
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
         if event.startswith("/jax/core/compile/") and threading.get_ident() == thread:
-            pieces.append(seconds)
+            pieces.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
