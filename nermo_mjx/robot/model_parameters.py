@@ -28,6 +28,8 @@ class Servo:
 class Contact:
     """Rubber sole, and the tail's tip, on a mat; the impedance grows from zero with depth (continuous onset).
 
+    With a damping ratio or an impedance of 0.3 the soles of a standing robot bounce in the steps of `fast`.
+
     Friction of the sole, time constant and damping ratio are those of the author's model (basic_scene.xml). His
     impedance is 0.9 without any depth and 0.95 at 1 mm. One that begins at 0 needs half of that width: with 1 mm the
     soles sink by 0.8 mm under the standing robot, with 0.5 mm by 0.43 (his: 0.25). Steeper still, the objective becomes
@@ -37,8 +39,8 @@ class Contact:
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
     tail_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="sliding friction of the tail on the ground")
     time_constant: Any = quantity(0.008, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
-    damping_ratio: Any = quantity(2.0, unit="1", low=0.1, high=10.0, doc="solref damping ratio")
-    impedance: Any = quantity(0.95, unit="1", low=0.1, high=0.9999, doc="solimp at full depth")
+    damping_ratio: Any = quantity(2.0, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
+    impedance: Any = quantity(0.95, unit="1", low=0.5, high=0.9999, doc="solimp at full depth")
     width: Any = quantity(0.0005, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
 
 
