@@ -231,11 +231,11 @@ class Controller:
         self, params: ControlParameters, state: ControllerState, point: PathPoint
     ) -> tuple[guidance.Guidance, Array]:
         """The guidance's estimate, and the curvature that it wants [1/m]."""
-        strides = self._strides(params, state.speed, state.turn_rate)
-        speed = turning.body_speed(params.gait, jnp.mean(strides)) / params.tracking.clock_ratio
-        expected = params.pilot.grip * turning.path_curvature(params, state.turn_rate)
-        turned = speed**2 * (expected - point.curvature)
-        cycle_rate = params.gait.frequency / params.tracking.clock_ratio
+        rate = 1.0 / params.tracking.clock_ratio
+        speed, yaw_rate = turning.walked(params, state.points, state.stance, state.turn_rate)
+        speed, yaw_rate = rate * speed, rate * params.pilot.grip * yaw_rate
+        turned = speed * (yaw_rate - speed * point.curvature)
+        cycle_rate = rate * params.gait.frequency
         estimate = guidance.observe(
             params.pilot, state.guidance, point.error, state.phase, turned, cycle_rate, 1.0 / self.pilot_rate
         )
