@@ -3,7 +3,7 @@
     python -m nermo_mjx.experiments.published.shares DIR
 
 writes them from a directory that `nermo-mjx experiment all --bodies N --out DIR` has filled. Bodies of the experiments
-with predicted lines, straight-line and maze, are enough: only those are evidence, and the others take ten times as long.
+with predicted lines, straight-line and maze, are enough: only those are evidence, and the others take ten times longer.
 """
 
 from __future__ import annotations
