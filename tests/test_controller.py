@@ -385,21 +385,20 @@ def test_the_observer_has_its_poles_where_its_bandwidth_says(bandwidth, frequenc
     """Of the plant in the frame that turns with the sway, under the gains: exp(-bandwidth f dt) times the plant's."""
     cycles = frequency / 50.0
     with jax.enable_x64(True):
-        path, sway = map(np.asarray, guidance.observer_gains(bandwidth, cycles))
-    plant = np.zeros((3 + 2 * len(guidance.HARMONICS),) * 2)
-    plant[:3, :3] = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
+        course, sway = map(np.asarray, guidance.observer_gains(bandwidth, cycles))
+    plant = np.zeros((2 + 2 * len(guidance.HARMONICS),) * 2)
+    plant[:2, :2] = [[1.0, 1.0], [0.0, 1.0]]
     seen = np.zeros(len(plant))
     seen[0] = 1.0
-    for place, harmonic in zip(range(3, len(plant), 2), guidance.HARMONICS, strict=True):
+    for place, harmonic in zip(range(2, len(plant), 2), guidance.HARMONICS, strict=True):
         angle = 2 * np.pi * harmonic * cycles
         cosine, sine = np.cos(angle), np.sin(angle)
         plant[place : place + 2, place : place + 2] = [[cosine, -sine], [sine, cosine]]
         seen[place] = 1.0
-    left_over = plant - np.outer(np.concatenate([path, sway.ravel()]), seen @ plant)
-    # A triple eigenvalue is found to the cube root of rounding only, its polynomial's coefficients are not.
+    left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), seen @ plant)
     angles = 2 * np.pi * cycles * np.asarray(guidance.HARMONICS)
-    open_loop = np.concatenate([np.ones(3), np.exp(1j * angles), np.exp(-1j * angles)])
-    wanted = np.poly(np.exp(-bandwidth * cycles) * open_loop).real
+    fast, slow = np.exp(-bandwidth * cycles), np.exp(-guidance.SLOW * bandwidth * cycles)
+    wanted = np.poly([fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]).real
     np.testing.assert_allclose(np.poly(left_over), wanted, atol=1e-9 * np.abs(wanted).max())
 
 
@@ -440,7 +439,7 @@ def test_guidance_does_not_steer_against_the_sway(steering, harmonic):
         state, _ = controller.update(
             params, state, dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
         )
-        return state, (state.turn_rate, state.guidance.error)
+        return state, (state.turn_rate, state.guidance.course[0])
 
     start = controller.init(params, sensors_at())
     sway = jnp.asarray(0.01 * np.cos(2 * np.pi * harmonic * 0.5 * time + 0.3), jnp.float32)
@@ -454,18 +453,20 @@ def unicycle(controller, params, curvature, beside=0.03, seconds=40):
     """Cross-track error of a unicycle at 0.08 m/s from `beside` [m] left of the start."""
     speed, dt = 0.08, 0.01
 
-    def seen_at(x, y):
-        return dataclasses.replace(sensors_at(), position=jnp.stack([x, y, jnp.zeros(())]))
+    def seen_at(x, y, yaw):
+        position, level = jnp.stack([x, y, jnp.zeros(())]), jnp.zeros(())
+        turned = jnp.stack([jnp.cos(yaw / 2), level, level, jnp.sin(yaw / 2)])
+        return dataclasses.replace(sensors_at(), position=position, orientation=turned)
 
     @jax.jit
     def run(place):
         def step(carry, _):
             state, x, y, yaw = carry
-            state, _ = controller.update(params, state, seen_at(x, y))
+            state, _ = controller.update(params, state, seen_at(x, y, yaw))
             yaw = yaw + dt * speed * curvature(state.turn_rate)
             return (state, x + dt * speed * jnp.sin(yaw), y - dt * speed * jnp.cos(yaw), yaw), state.path_point.error
 
-        start = controller.init(params, seen_at(*place))
+        start = controller.init(params, seen_at(*place, jnp.zeros(())))
         return jax.lax.scan(step, (start, *place, jnp.zeros(())), None, length=100 * seconds)[1]
 
     return np.asarray(run((jnp.asarray(beside), jnp.asarray(0.0))))

@@ -103,7 +103,7 @@ class Pilot:
     )
     damping: Any = quantity(1.0, unit="1", low=0.0, high=10.0, doc="damping ratio of the way back to the path")
     bandwidth: Any = quantity(
-        1.2, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
+        1.6, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
     )
     grip: Any = quantity(
         0.52, unit="1", low=0.1, high=2.0, doc="turn that the guidance expects of the robot, over that without slip"
