@@ -30,9 +30,10 @@ from nermo_mjx.control.parameters import Pilot
 #: which leaves the odd ones; in a turn the second joins them. Measured in trots with and without the spine: 5 to 8 mm
 #: in the first, 1 to 2 mm in the third, 0.3 mm at most in the second and fourth.
 HARMONICS: Final = (1, 2, 3)
-#: Decay of what the inputs leave out, over that of all else. It stands in the loop with a plant that may turn twice as
-#: much as is expected, or half; learned as fast as the course, it made the trot with the spine swing in four cycles.
-SLOW: Final = 0.4
+#: Decay of what the inputs leave out, over that of all else: of cross-track error and heading. What turns the robot
+#: besides stands in the loop with a plant that may turn twice as much as is expected, or half; learned as fast as the
+#: course, it made the trot with the spine swing in four cycles.
+SLOW: Final = (1.0, 0.4)
 #: Longest step of the observer [gait cycles]: beyond, a harmonic would look like a slower one, or like its own mirror.
 LONGEST_STEP: Final = 0.4 / max(HARMONICS)
 
@@ -50,8 +51,8 @@ class Guidance:
         cycles: observed since the start [gait cycles].
     """
 
-    course: Float[Array, "2"]
-    unexplained: Float[Array, "2"]
+    course: Float[Array, " 2"]
+    unexplained: Float[Array, " 2"]
     sway: Float[Array, "2 harmonics 2"]
     cycles: Float[Array, ""]
 
@@ -76,7 +77,7 @@ def start(error: Float[Array, ""], heading: Float[Array, ""], speed: Float[Array
 def observe(
     pilot: Pilot,
     state: Guidance,
-    seen: Float[Array, "2"],
+    seen: Float[Array, " 2"],
     phase: Array,
     speed: Array,
     yaw_rate: Array,
@@ -99,7 +100,7 @@ def observe(
     angle = 2.0 * jnp.pi * phase * jnp.asarray(HARMONICS, seen.dtype)
     wave = jnp.stack([jnp.cos(angle), jnp.sin(angle)], axis=-1)
     # The gain on an oscillator's complex amplitude is fixed in the frame that turns with it.
-    real, imaginary = sway[:, :1], sway[:, 1:]
+    real, imaginary = sway[..., :1], sway[..., 1:]
     turned = wave * real + wave[:, ::-1] * jnp.asarray([1.0, -1.0], seen.dtype) * imaginary
 
     known = jnp.stack([speed * jnp.sin(state.course[1]), yaw_rate])
@@ -115,7 +116,7 @@ def observe(
 
 def observer_gains(
     bandwidth: Float[Array, ""] | float, cycles: Float[Array, ""] | float
-) -> tuple[Float[Array, "2"], Float[Array, "harmonics 2"]]:
+) -> tuple[Float[Array, "2 2"], Float[Array, "2 harmonics 2"]]:
     """Gains that put each pole of an observer at exp(-bandwidth * cycles) of the plant's: stable for every bandwidth.
 
     The one of what the inputs leave out lies at exp(-SLOW * bandwidth * cycles).
@@ -125,17 +126,18 @@ def observer_gains(
         cycles: length of a step [gait cycles]; longer ones than `LONGEST_STEP` count as that long.
 
     Returns:
-        of (value, unexplained rate dt), and real and imaginary part of each harmonic's.
+        of (value, unexplained rate dt), the observers in the last axis, and real and imaginary part of each harmonic's,
+        the observers in the first.
     """
     step = jnp.minimum(cycles, LONGEST_STEP)
     decay = jnp.exp(-bandwidth * step)
     closed = -jnp.expm1(-bandwidth * step)
-    slow = -jnp.expm1(-SLOW * bandwidth * step)
+    slow = -jnp.expm1(-jnp.asarray(SLOW) * bandwidth * step)
     angle = 2.0 * jnp.pi * step * jnp.asarray(HARMONICS, float)
     curve = 4.0 * jnp.sin(0.5 * angle) ** 2
 
-    # p / a near z = 1 + w is (w + closed) (w + slow) / w^2 times, for each oscillator, (w^2 + n1 w + n0) / (w^2 + d w + d)
-    # with n0 = closed^2 + decay d, n1 = 2 closed + decay d, d = 2 - 2 cos(angle). Up to w:
+    # p / a near z = 1 + w is (w + closed) (w + slow) / w^2 times, for each oscillator, (w^2 + n1 w + n0) / (w^2 + d w
+    # + d) with n0 = closed^2 + decay d, n1 = 2 closed + decay d, d = 2 - 2 cos(angle). Up to w:
     series = (closed * slow, closed + slow)
     for each in range(len(HARMONICS)):
         d = curve[each]
@@ -153,8 +155,8 @@ def observer_gains(
         for other in range(len(HARMONICS)):
             rest *= (here - decay * turn[other]) * (here - decay * turn[other].conj())
             rest /= (1.0 if other == each else here - turn[other]) * (here - turn[other].conj())
-        sway.append(jnp.stack([rest.real, rest.imag]))
-    return course, jnp.stack(sway)
+        sway.append(jnp.stack([rest.real, rest.imag], axis=-1))
+    return course, jnp.stack(sway, axis=1)
 
 
 def correction(pilot: Pilot, state: Guidance, speed: Array) -> Float[Array, ""]:
