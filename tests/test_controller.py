@@ -379,6 +379,16 @@ def test_guidance_finds_out_how_much_the_robot_really_turns(steering, share):
     assert np.abs(error).max() < 0.07
 
 
+@pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
+def test_a_robot_that_turns_less_than_expected_keeps_to_a_narrow_bend(steering):
+    """15 % less, on 0.5 m: within half of the 25 mm that count as followed, which the look-ahead of a line would leave."""
+    params = control_parameters(steering=steering, **{"pilot.radius": 0.5})
+    grip = 0.85 * params.pilot.grip
+    robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
+    error = unicycle(Controller(pilot="arc"), params, robot, 0.0, seconds=30)
+    assert np.abs(error).max() < 0.0125
+
+
 @pytest.mark.parametrize("which", [0, 1])
 @pytest.mark.parametrize("bandwidth", [0.3, 1.2, 3.0, 5.0])
 @pytest.mark.parametrize("frequency", [0.05, 0.8, 5.0])

@@ -240,7 +240,7 @@ class Controller:
             params.pilot.grip * yaw_rate - speed * point.curvature,
             params.gait.frequency / params.tracking.clock_ratio, 1.0 / self.pilot_rate,
         )  # fmt: skip
-        return estimate, point.curvature + guidance.correction(params.pilot, estimate, speed)
+        return estimate, point.curvature + guidance.correction(params.pilot, estimate, speed, point.curvature)
 
     @staticmethod
     def _walked(params: ControlParameters, state: ControllerState) -> tuple[Array, Array]:

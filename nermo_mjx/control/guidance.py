@@ -34,6 +34,8 @@ HARMONICS: Final = (1, 2, 3)
 #: besides stands in the loop with a plant that may turn twice as much as is expected, or half; learned as fast as the
 #: course, it made the trot with the spine swing in four cycles.
 SLOW: Final = (1.0, 0.4)
+#: Look-ahead on a bend, as a share of its radius, see `correction`.
+BEND: Final = 0.7
 #: Longest step of the observer [gait cycles]: beyond, a harmonic would look like a slower one, or like its own mirror.
 LONGEST_STEP: Final = 0.4 / max(HARMONICS)
 
@@ -159,8 +161,11 @@ def observer_gains(
     return course, jnp.stack(sway, axis=1)
 
 
-def correction(pilot: Pilot, state: Guidance, speed: Array) -> Float[Array, ""]:
-    """Curvature to add to the path's [1/m]: poles of the way walked at 1/`look_ahead`, unexplained turns taken back.
+def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) -> Float[Array, ""]:
+    """Curvature to add to the path's [1/m]: poles of the way walked at 1 / look-ahead, unexplained turns taken back.
+
+    The look-ahead is `look_ahead` on a line, and on a bend `BEND` of its radius at most: what the robot turns less than
+    is expected of it leads away from the path the faster the narrower the bend is.
 
     It grows to its full size in the 2 / `bandwidth` gait cycles in which the observers learn the sway: what they take
     for an error before is mostly sway.
@@ -169,11 +174,13 @@ def correction(pilot: Pilot, state: Guidance, speed: Array) -> Float[Array, ""]:
         pilot: `look_ahead` [m], `damping` and `bandwidth`.
         state: the estimate.
         speed: of the walk [m/s].
+        curvature: of the path [1/m].
     """
+    per_way = jnp.sqrt(1.0 / pilot.look_ahead**2 + (curvature / BEND) ** 2)
     per_speed = 1.0 / jnp.maximum(speed, 0.01)
     error, heading = state.course
     drift, turn = state.unexplained * per_speed
-    spring = error / pilot.look_ahead**2
-    damper = 2.0 * pilot.damping * (jnp.sin(heading) + drift) / pilot.look_ahead
+    spring = error * per_way**2
+    damper = 2.0 * pilot.damping * (jnp.sin(heading) + drift) * per_way
     learned = jnp.clip(pilot.bandwidth * state.cycles / 2.0, 0.0, 1.0)
     return -learned * (spring + damper + turn)

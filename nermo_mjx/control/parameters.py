@@ -99,11 +99,15 @@ class Pilot:
         1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate for the curvature that leads back to the path"
     )
     look_ahead: Any = quantity(
-        0.6, unit="m", low=0.02, high=10.0, doc="way on which the guidance takes back most of a cross-track error"
+        0.9,
+        unit="m",
+        low=0.02,
+        high=10.0,
+        doc="way on which the guidance takes back most of a cross-track error, on a line; shorter on a bend",
     )
     damping: Any = quantity(1.0, unit="1", low=0.0, high=10.0, doc="damping ratio of the way back to the path")
     bandwidth: Any = quantity(
-        1.2, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
+        1.6, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
     )
     grip: Any = quantity(
         0.525, unit="1", low=0.1, high=2.0, doc="turn that the guidance expects of the robot, over that without slip"
