@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 _GAIN: Final = (
-    "Without a pilot the spine adds 8 % at 0.5 Hz and 16 % at 0.8 Hz to the trot and 12 and 20 % to the walking trot, with it 9 and 13 %, 12 and 19 %: at 0.8 Hz a turn of the legs turns the trot three times as much with the spine as without, so that its pilot steers too much. "
-    "Rear legs that stand 3 mm longer give 16 % at each frequency; their published height is kept."
+    "Without a pilot the spine adds 8 % at 0.5 Hz and 17 % at 0.8 Hz to the trot and 12 and 19 % to the walking trot, with it 9 and 14 %, 12 and 19 %. "
+    "A foot lift of 15 mm gives 14 and 18 %, rear legs that stand 3 mm longer 17 to 19 % at each frequency: feet that touch while they swing hinder it. The published lift and height are kept."
 )
 _NO_SLIP: Final = (
     "Twin and theory differ in how a stance goes: a foot moves slowly at both ends of it and fast in the middle, and where stances overlap the fast feet carry most. So the walking trot and the lateral walk are faster than (5.22), which has all feet move evenly; without overlap the trot is 2 % slower. "
@@ -18,10 +18,10 @@ _NO_SLIP: Final = (
 )
 _YAW: Final = "The torso turns by half of the spine's bend, 12 degrees to either side, whatever the legs do, while the robot without the spine hardly yaws (0.2 degrees). The author's model has 0.6 to 0.8 and 7.4 to 7.7 degrees (ratio 10 to 12) with its tail still and 3.5 with its tail swinging: the published ratio is that of a robot that sways already, and not a property of the body."
 _ROLL: Final = (
-    "Roll is set by the tail: the body falls onto the tip of the tail in every diagonal stance, with the spine and without. Without that contact the ratio is 1.55 and compensation leaves 0.67 of the roll; without the push-down at mid-stance, which lowers the fall, it is 1.31 and 0.79. "
-    "The author's model has ratios of 1.16 to 1.38. Friction of the tail (0.2 to 1), lift and servo gain change the ratio by 0.03."
+    "Roll is set by the tail: the body falls onto the tip of the tail in every diagonal stance, with the spine and without. Without that contact the ratio is 1.50 and compensation leaves 0.70 of the roll; without the push-down at mid-stance, which lowers the fall, it is 1.34 and 0.83. "
+    "The author's model has ratios of 1.16 to 1.38. Friction of the tail (0.2 to 1), lift and servo gain change the ratio by 0.04."
 )
-_PITCH: Final = "With the spine the robot rests less on its tail (32 instead of 49 % of the time) and pitches as much as without (1.8 and 1.9 degrees); without a pilot the ratio is 1.03. The author's model has 1.4."
+_PITCH: Final = "With the spine the robot rests less on its tail (32 instead of 49 % of the time) and pitches as much as without (1.9 degrees both); without a pilot the ratio is 1.02. The author's model has 1.4."
 _DUTY: Final = "The lateral walk lifts one foot at a time, and the body falls toward each of the four in turn: its roll (5.0 to 5.8 degrees) and yaw (0.5 to 1.0) are the largest of the three gaits, because its rear feet are set down late and drag (loaded in 68 % of the time). The trot's symmetric falls cancel in yaw."
 _HARDWARE: Final = "67 and 77 mm/s are measured on the robot, which is 16 and 14 % slower than the twin at 0.67 Hz: the published simulation stood 12 and 6 % above it. The twin's speed is between the published simulation's (10 % below theory) and the theory's, see speed over theory."
 _MIX: Final = "At full lock the inner legs stop and the spine bends toward them, so that the robot turns about its inner feet: 0.05 to 0.07 m in every gait. The author's own model has 0.05 to 0.10 m; (5.42) with a shortened diagonal, 0.134 m, leaves out the spine's own turn, and the published 0.135 m equals that formula to a millimetre."
