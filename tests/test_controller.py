@@ -381,7 +381,7 @@ def test_guidance_finds_out_how_much_the_robot_really_turns(steering, share):
 
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
 def test_a_robot_that_turns_less_than_expected_keeps_to_a_narrow_bend(steering):
-    """15 % less, on 0.5 m: within half of the 25 mm that count as followed, which the look-ahead of a line would leave."""
+    """15 % less, on 0.5 m: within half of the 25 mm that count as followed; with the look-ahead of a line up to 26."""
     params = control_parameters(steering=steering, **{"pilot.radius": 0.5})
     grip = 0.85 * params.pilot.grip
     robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
