@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -163,6 +164,15 @@ def test_shares_of_anything_else_are_not_written(fakes, tmp_path, options, sente
     with pytest.raises(ValueError, match=sentence):
         shares.write(tmp_path / "all", file)
     assert not file.exists()
+
+
+def test_an_experiment_without_predicted_lines_needs_no_bodies(fakes, tmp_path, monkeypatch):
+    chosen = [dataclasses.replace(figure, kind="chosen") for figure in EXPERIMENTS["turning"].figures]
+    monkeypatch.setitem(EXPERIMENTS, "turning", dataclasses.replace(EXPERIMENTS["turning"], figures=tuple(chosen)))
+    others = tuple(name for name in EXPERIMENTS if name != "turning")
+    run_experiments(others, tmp_path / "all", bodies=2, video=False)
+    assert shares.write(tmp_path / "all", file := tmp_path / "shares.json") == 2
+    assert set(json.loads(file.read_text())["shares"]) == set(others)
 
 
 def test_the_shares_that_ship_belong_to_lines():

@@ -132,7 +132,9 @@ class Controller:
         """
         state = self._start(params, phase)
         point = self.locate(params, sensors.position, state.path_point.progress)
-        located = dataclasses.replace(state, path_point=point, guidance=guidance.start(point.error))
+        speed, _ = self._walked(params, state)
+        course = guidance.start(point.error, pilot.heading(point, sensors), speed)
+        located = dataclasses.replace(state, path_point=point, guidance=course)
         return with_dtypes_of(state, located)
 
     def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Float[Array, ""]) -> PathPoint:
@@ -190,7 +192,7 @@ class Controller:
         state = ControllerState(
             tick=jnp.zeros((), dtype=jnp.int32), time=zero, phase=phase, stance=limbs.stance, points=points,
             foot=foot, speed=speed, turn_rate=turn_rate, spine=spine, path_point=point,
-            guidance=guidance.start(zero),
+            guidance=guidance.start(zero, zero, zero),
         )  # fmt: skip
         return canonical(state)
 
@@ -213,7 +215,7 @@ class Controller:
         point = self.locate(params, sensors.position, state.path_point.progress)
         estimate, curvature = state.guidance, point.curvature
         if self.pilot in pilot.FOLLOWERS:
-            estimate, curvature = self._guide(params, state, point)
+            estimate, curvature = self._guide(params, state, point, sensors)
             # No Newton step is spent on a turn rate that nobody takes up.
             curvature = jnp.where(due, curvature, 0.0)
         speed, turn_rate = self._given_command(params, state.time, curvature)
@@ -228,18 +230,23 @@ class Controller:
         return jax.tree.map(lambda now, before: jnp.where(due, now, before), new, held)
 
     def _guide(
-        self, params: ControlParameters, state: ControllerState, point: PathPoint
+        self, params: ControlParameters, state: ControllerState, point: PathPoint, sensors: Sensors
     ) -> tuple[guidance.Guidance, Array]:
         """The guidance's estimate, and the curvature that it wants [1/m]."""
-        strides = self._strides(params, state.speed, state.turn_rate)
-        speed = turning.body_speed(params.gait, jnp.mean(strides)) / params.tracking.clock_ratio
-        expected = params.pilot.grip * turning.path_curvature(params, state.turn_rate)
-        turned = speed**2 * (expected - point.curvature)
-        cycle_rate = params.gait.frequency / params.tracking.clock_ratio
+        speed, yaw_rate = self._walked(params, state)
+        seen = jnp.stack([point.error, pilot.heading(point, sensors)])
         estimate = guidance.observe(
-            params.pilot, state.guidance, point.error, state.phase, turned, cycle_rate, 1.0 / self.pilot_rate
-        )
-        return estimate, point.curvature + guidance.correction(params.pilot, estimate, speed)
+            params.pilot, state.guidance, seen, state.phase, speed,
+            params.pilot.grip * yaw_rate - speed * point.curvature,
+            params.gait.frequency / params.tracking.clock_ratio, 1.0 / self.pilot_rate,
+        )  # fmt: skip
+        return estimate, point.curvature + guidance.correction(params.pilot, estimate, speed, point.curvature)
+
+    @staticmethod
+    def _walked(params: ControlParameters, state: ControllerState) -> tuple[Array, Array]:
+        """(speed [m/s], yaw rate without slip [rad/s]) of the strides that the legs make now."""
+        speed, yaw_rate = turning.walked(params, state.points, state.stance, state.turn_rate)
+        return speed / params.tracking.clock_ratio, yaw_rate / params.tracking.clock_ratio
 
     def _points(
         self, params: ControlParameters, state: ControllerState, limbs: clock.LimbStates, command: _Command

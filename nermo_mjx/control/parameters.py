@@ -99,14 +99,18 @@ class Pilot:
         1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate for the curvature that leads back to the path"
     )
     look_ahead: Any = quantity(
-        0.6, unit="m", low=0.02, high=10.0, doc="way on which the guidance takes back most of a cross-track error"
+        0.9,
+        unit="m",
+        low=0.02,
+        high=10.0,
+        doc="way on which the guidance takes back most of a cross-track error, on a line; shorter on a bend",
     )
     damping: Any = quantity(1.0, unit="1", low=0.0, high=10.0, doc="damping ratio of the way back to the path")
     bandwidth: Any = quantity(
-        1.5, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
+        1.6, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
     )
     grip: Any = quantity(
-        0.57, unit="1", low=0.1, high=2.0, doc="turn that the guidance expects of the robot, over that without slip"
+        0.525, unit="1", low=0.1, high=2.0, doc="turn that the guidance expects of the robot, over that without slip"
     )
     error_gain: Any = quantity(
         0.0, unit="1/m", low=0.0, high=1000.0, doc="PD: turn rate per metre of cross-track error"
@@ -155,10 +159,10 @@ class ControlParameters:
 
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
-#: What the robot turns over what `turning.path_curvature` expects, by what steers it. Measured at the held turn rate
-#: that is expected to walk a radius of 0.5 m, without a path: mean over three gaits, three frequencies and strides of
-#: 0.8 and 1.0 (docs/experiments.md has the spread).
-GRIP: dict[str, float] = {"leg": 0.57, "spine": 1.11, "mix": 0.96}
+#: What the robot turns over what `turning.path_curvature` expects, by what steers it. Measured at the held turn rates
+#: that are expected to walk radii of 0.5 and 1 m, without a path: mean over three gaits, three frequencies and strides
+#: of 0.8 and 1.0 (docs/experiments.md has the spread).
+GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
 PROFILES: tuple[str, ...] = ("exact", "as_published")
 
 

@@ -13,6 +13,8 @@ from jaxtyping import Array, Float
 from nermo_mjx.control.course import Course, locate
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.control.path import PATHS, PathPoint
+from nermo_mjx.kinematics.spine import joint_angle, yaw
+from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Rate on the controller's clock for which the published gain on the change of the error holds [Hz].
@@ -44,6 +46,23 @@ def path_point(
         assert course is not None
         return locate(course, progress, position)
     return PATHS.get(name, PATHS["straight"])(pilot, position)
+
+
+def heading(point: PathPoint, sensors: Sensors) -> Float[Array, ""]:
+    """Heading of the robot from the tangent of its path [rad], positive left, in (-pi, pi].
+
+    A bent spine turns torso and hip to opposite sides of it, so it is the torso's less half of the bend.
+
+    Args:
+        point: of the path, beside the robot.
+        sensors: orientation and the spine's servo angle count.
+    """
+    w, x, y, z = sensors.orientation
+    ahead = jnp.stack([2.0 * (w * z - x * y), 2.0 * (x * x + z * z) - 1.0])
+    across = point.tangent[0] * ahead[1] - point.tangent[1] * ahead[0]
+    along = jnp.sum(point.tangent * ahead)
+    bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")]))
+    return jnp.arctan2(across, along) - 0.5 * bend
 
 
 def steer(

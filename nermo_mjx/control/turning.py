@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.control.parameters import ControlParameters, Gait, Stance, Turning
 from nermo_mjx.control.power import signed_power
@@ -144,6 +144,36 @@ def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"])
     of 0.28. Both parts add. What the simulated robot turns over this is the pilot's `grip`.
     """
     return _path_curvature(params, _turn_of_two_feet(params.stance), turn_rate)
+
+
+def walked(
+    params: ControlParameters,
+    points: Float[Array, "4 3 2"],
+    stance: Bool[Array, " 4"],
+    turn_rate: Float[Array, ""],
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """(speed [m/s], yaw rate [rad/s, positive left]) to expect of the strides that the legs make now.
+
+    As `path_curvature`, but from what the legs have taken up of the turn rates before: a leg takes up its new stride
+    when it switches, so that the legs' turn follows the command by half a gait cycle. The spine follows at once. On
+    the controller's clock.
+
+    Args:
+        params: unbatched parameters.
+        points: control points of the half-cycles that the legs are in [m].
+        stance: planned contact. The legs on the ground count, and on a side that has none there those in the air.
+        turn_rate: held now, for the spine.
+    """
+    across, _ = _turn_of_two_feet(params.stance)
+    strides = jnp.abs(points[:, 2, 0] - points[:, 0, 0])
+    weight = jnp.where(stance, 1.0, 1e-3)
+    left, right = (
+        jnp.sum(weight * strides * of_side) / jnp.sum(weight * of_side)
+        for of_side in (jnp.asarray(_SIDE) > 0.0, jnp.asarray(_SIDE) < 0.0)
+    )
+    per_stride = params.gait.frequency * params.gait.gait_factor
+    speed = 0.5 * (left + right) * per_stride
+    return speed, (right - left) * across * per_stride + speed * _spine_part(params, turn_rate)
 
 
 def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

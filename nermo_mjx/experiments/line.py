@@ -6,7 +6,8 @@ What a line is worth depends on what was known when the twin was made, its kind:
 - `theory`: a formula of the publication against the same formula here; nothing is simulated;
 - `chosen`: something was decided with this figure, or one of its group, in view. Mass share, stance, offset
   compensation and the servo gain's bound were chosen with the balance outcomes known, and the masses by the balance
-  test's forces and height; the sole's contact and the stride of the turning test with the turning results known;
+  test's forces and height; the sole's contact and the stride of the turning test with the turning results known; the
+  pilot's look-ahead and observers with circles and with trots over frequency and stride, with and without the spine;
   dimensions and stiffnesses were entered by hand;
 - `predicted`: none of these. Only predicted lines are evidence. Where there is doubt, a line is not called predicted.
 """

@@ -18,8 +18,8 @@ from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 class Servo:
     """All position servos (Power HD-DSM44 at 6 V)."""
 
-    kp: Any = quantity(19.9, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
-    kv: Any = quantity(0.01538, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
+    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
+    kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
 
@@ -59,9 +59,9 @@ class Damping:
     """Viscous damping of the joints."""
 
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
-    knee: Any = quantity(0.02366, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
-    ankle: Any = quantity(0.02366, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
-    spine: Any = quantity(0.04664, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
+    knee: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    ankle: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
+    spine: Any = quantity(0.09242, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
     pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of the knee and spine servos")
 
 

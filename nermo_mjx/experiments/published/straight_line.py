@@ -164,7 +164,7 @@ _SIMULATION: Final = (
     ),
     Figure(
         "speed over stride with the spine: a line, above that without",
-        "predicted",
+        "chosen",
         Same(True),
         _stride_linear_with_spine,
         source="6.2.1, Figure 6.6(b)",
@@ -181,7 +181,7 @@ _ON_HARDWARE: Final = (
     ),
     Figure(
         "hardware: speed of trt, 0.67 Hz, spine",
-        "predicted",
+        "chosen",
         Number(77.0),
         speed("trt", 0.67, True),
         "mm/s",
@@ -189,7 +189,7 @@ _ON_HARDWARE: Final = (
     ),
     Figure(
         "hardware: speed of trt, 0.67 Hz, spine over none",
-        "predicted",
+        "chosen",
         Range(1.15, 1.22),
         quotient(speed("trt", 0.67, True), speed("trt", 0.67, False)),
         source=HARDWARE,
@@ -210,7 +210,7 @@ _ON_HARDWARE: Final = (
     ),
     Figure(
         "hardware below simulation, trt, spine",
-        "predicted",
+        "chosen",
         gain(0.06),
         below(_constant(77.0), speed("trt", 0.67, True)),
         source=f"{HARDWARE}: its 77 mm/s below this simulation's speed at 0.67 Hz",
