@@ -6,9 +6,8 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,12 +24,6 @@ from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options
-
-#: Most iterations of the solver's line search. C's ends by itself after a few, and needs more than this in one step of
-#: thousands, where it would stop at a wrong solution. MJX's never reaches its tolerance in float32 and makes all of
-#: MuJoCo's 50, which are half of a step's time; with 10 of them 77,000 solutions had the same residual after the Newton
-#: step of `differentiable`.
-LINE_SEARCH: Final = 10
 
 
 class MjxState(NamedTuple):
@@ -74,8 +67,6 @@ class MjxEngine:
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """The model for MJX, and data of a world alone."""
-        model = copy.copy(model)
-        model.opt.ls_iterations = LINE_SEARCH
         ours = mjx.put_model(model)
         return ours, mjx.make_data(ours)
 
