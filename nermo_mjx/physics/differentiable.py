@@ -9,6 +9,9 @@ a and all that it depends on, p,
 
 The rule is linear in dp, so that JAX transposes it: it serves forward and reverse mode and `vmap`, for any number of
 iterations. Every kind of row that MJX has is written out.
+
+One more step of Newton's method ends at rounding. It is taken from what the solver came to, which reverse mode keeps,
+and from the problem of the state that reverse mode makes anew.
 """
 
 from __future__ import annotations
@@ -70,7 +73,8 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
     start = data.qacc_warmstart if starts_warm else data.qacc_smooth
     found = solver.solve(layout, *jax.lax.stop_gradient((problem, start)))
-    qacc = _solution(layout, checkpoint_name(found.qacc, KEPT), problem)
+    qacc = checkpoint_name(found.qacc, KEPT)
+    qacc = _solution(layout, _newton(layout, qacc, jax.lax.stop_gradient(problem)), problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
     return rows.with_solution(data, qacc, force, problem.jacobian.T @ force, found.needed)
 
@@ -88,3 +92,9 @@ def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
     _, change = tangents
     _, residual = jax.jvp(lambda p: constraint.gradient(layout, p, qacc), (problem,), (change,))
     return qacc, -cho_solve(cho_factor(constraint.hessian(layout, problem, qacc)), residual)
+
+
+def _newton(layout: Layout, qacc: Float[Array, " nv"], problem: Problem) -> Float[Array, " nv"]:
+    """One step of Newton's method from `qacc`."""
+    factor = cho_factor(constraint.hessian(layout, problem, qacc))
+    return qacc - cho_solve(factor, constraint.gradient(layout, problem, qacc))

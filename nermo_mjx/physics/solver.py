@@ -5,7 +5,7 @@ whose length only the device knows, and compares costs, which near the minimum a
 acceleration is still off by the root of that digit. Here a round is: gradient and Hessian in closed form (see
 `constraint`), one Cholesky decomposition, and the full step; where the slope of the cost along it says that it went too
 far, the step to where the slope vanishes, found by a few rounds of false position. A world whose last step was so
-small that the next would be rounding takes no more.
+small that one more would end at rounding takes no more; `differentiable` takes that one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Solution(NamedTuple):
 
     Attributes:
         qacc: acceleration.
-        converged: whether the last step was so small that another would be rounding.
+        converged: whether the last step was so small that another ends at rounding.
         rounds: how many were made.
     """
 
@@ -75,7 +75,7 @@ def solve(layout: Layout, problem: Problem, start: Float[Array, " nv"]) -> Solut
 
 
 def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple[Array, Array]:
-    """The next acceleration, and whether it is the solution up to rounding."""
+    """The next acceleration, and whether one full step more ends at rounding."""
     factor = cho_factor(constraint.hessian(layout, problem, qacc))
     gradient = constraint.gradient(layout, problem, qacc)
     step = -cho_solve(factor, gradient)
@@ -90,9 +90,9 @@ def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple
         value: Array = smooth + share * energy - along @ force
         return value
 
-    # Newton's method squares the error, so that what follows a step of this size is below the last digit. A world that
-    # lost its numbers, which compare as false, has nothing to wait for.
-    small = ~(energy > jnp.finfo(qacc.dtype).eps ** (4 / 3) * (qacc @ (problem.inertia @ qacc)))
+    # Newton's method squares the error, so that another step would end at rounding. A world that lost its numbers, which
+    # compare as false, has nothing to wait for.
+    small = ~(energy > jnp.finfo(qacc.dtype).eps * (qacc @ (problem.inertia @ qacc)))
     before, after = step @ gradient, slope(jnp.ones_like(energy))
     full = small | (after <= -ACCEPTED * before)
     return qacc + jnp.where(full, 1.0, _zero(slope, before, after)) * step, small
