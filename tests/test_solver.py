@@ -60,6 +60,8 @@ def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarr
                 data.ctrl[:] = random.uniform(-0.8, 0.8, model.nu)
             warm = data.qacc_warmstart.copy()
             mujoco.mj_step(model, data)
+            if sum(warning.number for warning in data.warning):  # at the ends of the ranges C loses some worlds
+                break
             limits = data.nl
             contacts = (data.nefc - limits) // edges
             if step % 2 or limits > LIMITS or contacts > CONTACTS:
@@ -113,15 +115,56 @@ def error(found: np.ndarray, right: np.ndarray, problem: Problem) -> np.ndarray:
 @pytest.mark.parametrize("real", [np.float64, np.float32])
 @pytest.mark.parametrize("kind", ["elliptic", "pyramidal", "maze", "ends"])
 def test_solutions_are_those_of_c(kind: str, real: type) -> None:
-    """To the precision of the numbers in all of thousands of states; what has not converged says so, and is rare."""
-    layout, problem, warm, right = problems(kind)
+    """In all of thousands of states: to the rounding of float32, and to C's own 1e-8 in float64.
+
+    At the ends of the contacts' ranges some need more rounds than there are, and say so.
+    """
+    layout, problem, warm, right = problems(kind, 30 if kind == "ends" else WORLDS)
     found, rounds = solve(layout, problem, warm, real)
     converged = rounds <= solver.ROUNDS
     assert len(right) > 2000
-    assert np.mean(converged) >= (0.99 if kind == "ends" else 1.0)
-    wrong = error(found, right, problem)[converged]
-    print(kind, real.__name__, len(right), np.bincount(rounds), np.quantile(wrong, [0.5, 0.99, 0.999, 1.0]))
-    if real is np.float64:
-        assert wrong.max() < 1e-7
-    else:
-        assert np.quantile(wrong, 0.99) < 1e-5
+    assert np.mean(converged) >= (0.995 if kind == "ends" else 1.0)
+    assert error(found, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["elliptic", "maze"])
+def test_solutions_are_those_of_c_in_many_states(kind: str) -> None:
+    """50,000 states each on the ground and between walls, in float32."""
+    layout, problem, warm, right = problems(kind, 440)
+    found, rounds = solve(layout, problem, warm, np.float32)
+    assert len(right) > 50_000
+    assert rounds.max() <= solver.ROUNDS
+    assert error(found, right, problem).max() < 2e-6
+
+
+def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With two rounds, those states have converged, and no others, that are solved."""
+    layout, problem, warm, right = problems("elliptic")
+    monkeypatch.setattr(solver, "ROUNDS", 2)
+    found, rounds = solve(layout, problem, warm, np.float64)
+    wrong = error(found, right, problem)
+    assert set(rounds) == {2, 3}
+    assert wrong[rounds == 2].max() < 1e-7
+    assert np.mean(wrong[rounds == 3] > 1e-7) > 0.5
+
+
+def test_a_world_without_numbers_leaves_the_others_alone() -> None:
+    """It takes one round and not all, and the solution beside it is the same to the last bit."""
+    layout, problem, warm, _ = problems("elliptic")
+    problem, warm = jax.tree.map(lambda leaf: leaf[:4].copy(), (problem, warm))
+    whole, _ = solve(layout, problem, warm, np.float32)
+    problem.smooth[1] = np.nan
+    broken, rounds = solve(layout, problem, warm, np.float32)
+    others = [0, 2, 3]
+    np.testing.assert_array_equal(broken[others], whole[others])
+    assert np.isnan(broken[1]).all() and rounds[1] == 1
+
+
+def test_accelerators_know_the_length_of_every_loop() -> None:
+    """Only on a CPU is there a loop that ends when all worlds have: XLA's `while` without a number of rounds."""
+    layout, problem, warm, _ = problems("elliptic")
+    one = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float32), (problem, warm))
+    program = str(jax.make_jaxpr(lambda *given: solver.solve(layout, *given))(*one))
+    on_cpu, elsewhere = program.count("while["), program.count(f"length={solver.ROUNDS}")
+    assert (on_cpu, elsewhere) == (1, 1)
