@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import Variation, constraint, solver
+from nermo_mjx.physics import Variation, solver
 from nermo_mjx.physics.differentiable import _newton
 from nermo_mjx.physics.rows import Layout, Problem
 from nermo_mjx.robot import ModelParameters, load_robot
@@ -139,14 +139,15 @@ def test_solutions_are_those_of_c_in_many_states(kind: str) -> None:
 
 
 def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With two rounds, those states have converged, and no others, that are solved."""
+    """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")
     monkeypatch.setattr(solver, "ROUNDS", 2)
     found, rounds = solve(layout, problem, warm, np.float64)
     wrong = error(found, right, problem)
     assert set(rounds) == {2, 3}
     assert wrong[rounds == 2].max() < 1e-7
-    assert np.mean(wrong[rounds == 3] > 1e-7) > 0.5
+    assert np.sum(wrong > 1e-4) > 100
+    assert set(rounds[wrong > 1e-4]) == {3}
 
 
 def test_a_world_without_numbers_leaves_the_others_alone() -> None:
@@ -158,7 +159,8 @@ def test_a_world_without_numbers_leaves_the_others_alone() -> None:
     broken, rounds = solve(layout, problem, warm, np.float32)
     others = [0, 2, 3]
     np.testing.assert_array_equal(broken[others], whole[others])
-    assert np.isnan(broken[1]).all() and rounds[1] == 1
+    assert np.isnan(broken[1]).all()
+    assert rounds[1] == 1
 
 
 def test_accelerators_know_the_length_of_every_loop() -> None:

@@ -21,8 +21,8 @@ from jaxtyping import Array, Bool, Float, Int
 from nermo_mjx.physics import constraint
 from nermo_mjx.physics.rows import Layout, Problem
 
-#: Most rounds. Walks, falls and impacts need 4 in the mean and 9 at most; at the ends of the contacts' ranges 1 state
-#: in 500 needs more than 20.
+#: Most rounds. Walks, falls and impacts need 4 in the mean and 12 at most; at the ends of the contacts' ranges 2 states
+#: in 1,000 need more than 20.
 ROUNDS: Final = 20
 #: Evaluations of the slope along a step that goes too far; fewer make more rounds.
 SEARCH: Final = 5
@@ -90,8 +90,8 @@ def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple
         value: Array = smooth + share * energy - along @ force
         return value
 
-    # Newton's method squares the error, so that another step would end at rounding. A world that lost its numbers, which
-    # compare as false, has nothing to wait for.
+    # Newton's method squares the error, so that another step would end at rounding. A world that lost its numbers,
+    # which compare as false, has nothing to wait for.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** (4 / 3) * (qacc @ (problem.inertia @ qacc)))
     before, after = step @ gradient, slope(jnp.ones_like(energy))
     full = small | (after <= -ACCEPTED * before)
