@@ -127,17 +127,6 @@ def test_solutions_are_those_of_c(kind: str, real: type) -> None:
     assert error(found, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["elliptic", "maze"])
-def test_solutions_are_those_of_c_in_many_states(kind: str) -> None:
-    """50,000 states each on the ground and between walls, in float32."""
-    layout, problem, warm, right = problems(kind, 440)
-    found, rounds = solve(layout, problem, warm, np.float32)
-    assert len(right) > 50_000
-    assert rounds.max() <= solver.ROUNDS
-    assert error(found, right, problem).max() < 2e-6
-
-
 def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
     layout, problem, warm, right = problems("elliptic")
