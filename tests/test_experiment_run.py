@@ -34,13 +34,9 @@ def fakes(monkeypatch):
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
 
-    def draw(outcome, lines, out, *, write):
-        files = [out / f"{outcome.experiment}-speed.{form}" for form in ("png", "svg")]
-        for file in files:
-            write(file, b"a picture")
-        return files
-
-    monkeypatch.setattr(plots, "draw", draw)
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [(f"{outcome.experiment}-speed", b"a picture")])
+    monkeypatch.setattr("nermo_mjx.plotting.files.lay_out", lambda figure: None)
+    monkeypatch.setattr("nermo_mjx.plotting.files._encode", lambda figure, form: figure)
     return made
 
 
@@ -255,10 +251,10 @@ def test_ctrl_c_says_how_to_go_on(fakes, tmp_path):
 
 
 def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
-    def draw(*_, **__):
+    def fail(*_):
         raise ValueError("no such colour")
 
-    monkeypatch.setattr(plots, "draw", draw)
+    monkeypatch.setattr(plots, "figures_of", fail)
     with pytest.raises(ValueError, match="no such colour"):
         run_experiment("turning", tmp_path, video=False)
     assert len(report_of(tmp_path)["lines"]) == 5
@@ -270,12 +266,11 @@ def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
 def pictures_of(monkeypatch, *names):
     """From now on an experiment has these pictures."""
 
-    def draw(outcome, lines, out, *, write):
+    def figures(outcome, lines):
         for name in names:
-            write(out / f"{outcome.experiment}-{name}.png", f"{name} of {outcome.recordings[RUN].duration}".encode())
-        return [out / f"{outcome.experiment}-{name}.png" for name in names]
+            yield f"{outcome.experiment}-{name}", f"{name} of {outcome.recordings[RUN].duration}".encode()
 
-    monkeypatch.setattr(plots, "draw", draw)
+    monkeypatch.setattr(plots, "figures_of", figures)
 
 
 def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path, monkeypatch):
@@ -283,7 +278,7 @@ def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path, mon
     run_experiment("turning", tmp_path, video=False)
     pictures_of(monkeypatch, "speed")
     run_experiment("turning", tmp_path, video=False, again=True)
-    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["turning-speed.png"]
+    assert [path.name for path in sorted((tmp_path / "plots").iterdir())] == ["turning-speed.png", "turning-speed.svg"]
 
 
 def test_what_a_killed_process_left_half_written_is_removed(fakes, tmp_path):
@@ -353,7 +348,8 @@ def test_files_of_an_earlier_release_are_moved_aside_if_they_are_not_drawn_alike
     forget_code(tmp_path)
     pictures_of(monkeypatch, "speed")
     run_experiment("turning", tmp_path, video=False, accept_new_code=True)
-    assert [path.name for path in tmp_path.rglob("*aside*")] == ["turning-speed.png.aside-1"]
+    aside = sorted(path.name for path in tmp_path.rglob("*aside*"))
+    assert aside == ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"]
 
 
 # --- which code

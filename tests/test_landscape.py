@@ -19,7 +19,7 @@ from nermo_mjx.tune.landscape import run, table
 from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
-from nermo_mjx.tune.landscape.plots import line_figure
+from nermo_mjx.tune.landscape.plots import figures, line_figure
 
 TUNING = Tuning.from_dict(SPEC)
 #: Height of a stair, and stairs over the bounds of the amplitude.
@@ -245,7 +245,7 @@ def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
     measure(tmp_path / "here", change=compared, points=5)
     (tmp_path / "here").rename(tmp_path / "there")
     (tmp_path / "walk.npz").unlink()
-    assert len(run.redraw(tmp_path / "there", formats=("svg",))) == 2
+    assert len(list(figures(tmp_path / "there"))) == 2
     own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
     assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0
 

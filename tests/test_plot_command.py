@@ -20,10 +20,10 @@ from nermo_mjx.cli import main
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
-from nermo_mjx.experiments.plots.draw import draw
+from nermo_mjx.experiments.plots.draw import figures_of
 from nermo_mjx.experiments.published import REASONS
-from nermo_mjx.experiments.written import Written
-from nermo_mjx.runs import RunDirectory
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.lock import hold
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
@@ -177,18 +177,20 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     outcome, out = walked(), tmp_path / "experiments"
     with RunDirectory(out, "experiments") as held:
         about = {"settings": {}, "engine": "fake", "code": "0a1b2c3d", "wall_seconds": 1.0}
-        Directory(out).save(outcome, about, Written(held, {}))
+        Directory(out).save(outcome, about, Written(held))
         held.note_session({})
     result = plot(out)
     assert result.exit_code == 0, result.stderr
     lines = compare(outcome, EXPERIMENTS["straight-line"].figures, REASONS.get("straight-line", {}))
-    made = draw(outcome, lines, tmp_path / "drawn")
+    made = write_figures(figures_of(outcome, lines), tmp_path / "drawn")
     assert len(made) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")
     # A picture that a user has changed is kept.
     picture = next((out / "plots").glob("*.png"))
     picture.write_text("painted over")
-    assert plot(out).exit_code == 0
+    result = plot(out)
+    assert result.exit_code == 0
+    assert "plot: A file was in the way that is not as this program wrote it: moved aside" in result.stderr
     assert picture.with_name(f"{picture.name}.aside-1").read_text() == "painted over"
     (out / "results" / "straight-line.parquet").write_text("damaged")
     result = plot(out)

@@ -27,10 +27,9 @@ from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.published.shares import shipped
 from nermo_mjx.experiments.settings import Settings, check_bodies, checked, differences
 from nermo_mjx.experiments.videos import shoot
-from nermo_mjx.experiments.written import Written
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ParameterError, load_robot
-from nermo_mjx.runs import CodeStamp, RunDirectory, codes_of, engine_of, session, stamp
+from nermo_mjx.runs import CodeStamp, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import remove_leftovers
 from nermo_mjx.view import RecordingError, VideoError
 
@@ -191,7 +190,7 @@ class _Work:
 
     def run(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Simulate, or take what is kept; then everything that is made from it."""
-        written = Written(self.held, self.directory.written(chosen.name))
+        written = Written(self.held)
         if kept is None:
             stored = self._simulate(chosen, written)
         else:
@@ -205,12 +204,12 @@ class _Work:
         entry = report.entry_of(chosen.title, stored, lines) | {
             name: (former or {}).get(name, []) for name in _MADE_LATER
         }
-        entry["bodies"] = several.bodies if several else None
+        entry |= {"bodies": several.bodies if several else None, "finished": False}
         self._publish(chosen, entry, written)
         plots = self._plots(chosen, stored.outcome, lines, written)
-        entry["plots"] = [self.directory.relative(plot) for plot in plots]
+        entry["plots"] = [written.name(plot) for plot in plots]
         entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"], written)
-        self._publish(chosen, entry, written)
+        self._publish(chosen, entry | {"finished": True}, written)
         if written.aside:
             self.notify(f"{chosen.name}: {written.sentence()}")
         return ExperimentResult(
@@ -284,16 +283,18 @@ class _Work:
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any], written: Written) -> None:
         """Store an experiment's entry, and the report of all that the directory holds."""
-        self.directory.write_entry(chosen.name, entry | {"files": written.known})
-        report.write(self.directory, EXPERIMENTS)
+        self.directory.write_entry(chosen.name, entry)
+        report.write(self.directory, EXPERIMENTS, written)
+        written.note()
 
     def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line], written: Written) -> list[Path]:
-        from nermo_mjx.experiments.plots.draw import draw
+        from nermo_mjx.experiments.plots.draw import figures_of
+        from nermo_mjx.plotting.files import write_figures
 
         self.progress(f"{chosen.name}, plots", 0.0)
-        plots = draw(outcome, lines, self.directory.out / "plots", write=written.write)
-        made = {self.directory.relative(plot) for plot in plots}
-        written.remove([name for name in written.known if name.startswith("plots/") and name not in made])
+        plots = write_figures(figures_of(outcome, lines), self.directory.out / "plots", written.write)
+        made, own = {written.name(plot) for plot in plots}, f"plots/{chosen.name}-"
+        written.remove([name for name in written.known if name.startswith(own) and name not in made])
         return plots
 
     def _videos(
@@ -316,7 +317,7 @@ class _Work:
             note = f"There is no video of {chosen.name}. {error}"
             self.notify(note)
             return [], [note]
-        return [{"file": self.directory.relative(path), "shows": shows, "speed": speed}], []
+        return [{"file": written.name(path), "shows": shows, "speed": speed}], []
 
 
 def _ignore(*_: Any) -> None:

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE
 from nermo_mjx.experiments.identification.ensemble_report import csv_text, ensemble_content, ensemble_section
-from nermo_mjx.experiments.identification.memory import FILE, CandidateFile
-from nermo_mjx.experiments.identification.plots import draw
+from nermo_mjx.experiments.identification.memory import FILE, RESULT, CandidateFile
+from nermo_mjx.experiments.identification.plots import figures_of
 from nermo_mjx.experiments.identification.search import Identified, identify, walks
 from nermo_mjx.experiments.identification.space import FREE, START
 from nermo_mjx.experiments.identification.targets import TARGETS, Target
@@ -21,6 +21,7 @@ from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.report_page import table
 from nermo_mjx.experiments.table import MISSING, number
 from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.runs import RunDirectory, codes_of, engine_of, session, stamp
@@ -39,8 +40,6 @@ TARGET_HEADINGS: Final = (
 PARAMETER_HEADINGS: Final = (
     ("parameter", "left"), ("start", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
 )  # fmt: skip
-#: The file that a finished identification has.
-RESULT: Final = "identification.json"
 #: Nearer to a bound than this share of the range of its logarithm, a parameter lies at it.
 _AT_BOUND: Final = 0.01
 
@@ -100,8 +99,8 @@ def run_identification(
         held.write(RESULT, to_json(content))
         if content["ensemble"] and content["ensemble"]["size"]:
             held.write("ensemble.csv", csv_text(content).encode())
-        with clear_errors(folder):
-            content["plots"] = [path.relative_to(folder).as_posix() for path in draw(content, folder / "plots")]
+        plots = write_figures(figures_of(content), folder / "plots")
+        content["plots"] = [path.relative_to(folder).as_posix() for path in plots]
         held.write(RESULT, to_json(content))
         held.write("identification.md", _page(content).encode())
         return content
