@@ -408,7 +408,7 @@ def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], 
     assert result["summary"]["by_kind"]["predicted"]["hold"] == 5
     assert result["lines"] == json.loads((out / "report.json").read_text())["lines"]
     asked = fakes["maze"].asked[0]
-    assert (asked["seed"], asked["quick"], asked["repeats"], asked["values"]) == (5, True, 1, {"contact.friction": 0.8})
+    assert (asked.seed, asked.quick, asked.repeats, asked.values) == (5, True, 1, {"contact.friction": 0.8})
     again = json_of("experiment", "maze", "--out", out, "--quick", "--seed", "5", "--set", "contact.friction=0.8")
     assert again["run"] == {"maze": {"kept": True}}
     assert len(fakes["maze"].asked) == 1

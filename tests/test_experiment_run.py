@@ -17,6 +17,7 @@ from nermo_mjx.experiments.plots import draw as plots
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.run import ExperimentError, ExperimentsInterrupted, run_experiment, run_experiments
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.experiments.table import number
 from nermo_mjx.experiments.videos import Shot, shoot
 from nermo_mjx.robot import ParameterError
@@ -109,7 +110,7 @@ def test_every_world_is_a_row_and_every_column_says_its_unit_meaning_and_role(fa
 
 def test_what_is_stored_is_what_was_measured(fakes, tmp_path):
     """Truth values, texts and what is not a number come back as they were."""
-    given = fakes["maze"].run(profiles=("exact",), repeats=3, progress=lambda share: None)
+    given = fakes["maze"].run(Settings(("exact",), repeats=3, progress=lambda share: None))
     result = run_experiment("maze", tmp_path, profiles=("exact",), video=False)
     for name, values in given.columns.items():
         np.testing.assert_array_equal(result.outcome.columns[name], values)
@@ -424,9 +425,9 @@ def test_a_directory_of_an_earlier_release_is_refused_until_it_is_accepted(fakes
 def test_a_directory_keeps_the_engine_it_was_begun_with(fakes, tmp_path):
     run_experiment("turning", tmp_path, engine="mjx", video=False)
     run_experiment("maze", tmp_path, video=False)
-    assert fakes["maze"].asked[0]["engine"] == "mjx"
+    assert fakes["maze"].asked[0].engine == "mjx"
     run_experiment("maze", tmp_path, video=False, again=True)
-    assert fakes["maze"].asked[1]["engine"] != "mjx", "what is run again is run as on a new directory"
+    assert fakes["maze"].asked[1].engine != "mjx", "what is run again is run as on a new directory"
 
 
 def test_one_process_runs_experiments_in_a_directory(fakes, tmp_path):
@@ -445,11 +446,7 @@ def test_settings_reach_the_experiment(fakes, tmp_path):
         video=False, progress=lambda what, share: heard.append((what, share)),
     )  # fmt: skip
     (asked,) = fakes["maze"].asked
-    asked.pop("progress")
-    assert asked == {
-        "engine": "c", "profiles": ("as_published",), "repeats": 2, "seed": 5, "quick": False,
-        "values": {"contact.friction": 0.8},
-    }  # fmt: skip
+    assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, "c")
     assert ("maze", 0.5) in heard
     report = report_of(tmp_path)
     assert {line["exact"] for line in report["lines"]} == {None}
@@ -462,8 +459,8 @@ def test_a_quick_run_is_one_repeat_and_no_video(fakes, tmp_path, monkeypatch):
 
     monkeypatch.setattr("nermo_mjx.experiments.run.shoot", none)
     run_experiment("maze", tmp_path, quick=True)
-    assert fakes["maze"].asked[0]["repeats"] == 1
-    assert fakes["maze"].asked[0]["quick"]
+    assert fakes["maze"].asked[0].repeats == 1
+    assert fakes["maze"].asked[0].quick
 
 
 @pytest.mark.parametrize(

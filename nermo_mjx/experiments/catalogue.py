@@ -12,6 +12,7 @@ from nermo_mjx.experiments.cases import settable
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.experiments.videos import Shot
 
 
@@ -21,7 +22,7 @@ class Experiment:
 
     Attributes:
         name: as on the command line.
-        run: simulates all its cases, see `straight_line.run`.
+        run: simulates all its cases.
         figures: what was published, and how the same is measured.
         settable: parameters that may be set for all its worlds.
         title: for the report.
@@ -33,7 +34,7 @@ class Experiment:
     """
 
     name: str
-    run: Callable[..., Outcome]
+    run: Callable[[Settings], Outcome]
     figures: tuple[Figure, ...]
     settable: frozenset[str]
     title: str

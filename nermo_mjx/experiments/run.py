@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,14 +19,13 @@ import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import ensemble, report
-from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored
 from nermo_mjx.experiments.line import Line, compare
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.published.shares import shipped
-from nermo_mjx.experiments.settings import Settings, check_bodies, checked, differences
+from nermo_mjx.experiments.settings import QUICK_REPEATS, REPEATS, Settings, body_count, check_bodies, differences
 from nermo_mjx.experiments.videos import shoot
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ParameterError, load_robot
@@ -130,7 +130,9 @@ def run_experiments(
         ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
-    settings = checked(profiles, repeats, seed, quick, values)
+    if repeats is None:
+        repeats = QUICK_REPEATS if quick else REPEATS
+    settings = Settings(profiles, repeats, seed, quick, values or {})
     check_bodies(bodies)
     drawn = None if bodies is None else ensemble.draw(bodies, seed)
     _check_settable(chosen, settings)
@@ -142,6 +144,7 @@ def run_experiments(
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = stamp(load_robot().fingerprint, resolve_engine(engine))
+        settings = settings.but(engine=code.engine)
         work = _Work(held, directory, settings, code, drawn, again, video and not quick, progress or _ignore,
                      notify or _ignore)  # fmt: skip
         # All are looked up before anything runs: a refusal costs no simulation.
@@ -230,13 +233,10 @@ class _Work:
         return session(settings=self.settings.as_dict(), engine=self.code.engine, code=self.code.id, **more)
 
     def _simulate(self, chosen: Experiment, written: Written) -> Stored:
-        asked, about = self.settings, self._about()
+        about = self._about()
         begun = time.monotonic()
         with self._explained(chosen):
-            outcome = chosen.run(
-                engine=self.code.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed,
-                quick=asked.quick, values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
-            )  # fmt: skip
+            outcome = chosen.run(self.settings.but(progress=functools.partial(self.progress, chosen.name)))
         bodies = self.directory.load_bodies(chosen.name)
         if self.again or bodies is None or bodies.about["settings"] != about["settings"]:
             self.directory.discard_bodies(chosen.name, written)
@@ -256,14 +256,12 @@ class _Work:
         return None if settings["quick"] or settings["values"] else shipped(chosen.name)
 
     def _simulate_bodies(self, chosen: Experiment, bodies: Mapping[str, np.ndarray], written: Written) -> Stored:
-        asked, count = self.settings, body_count(bodies)
+        count = body_count(bodies)
         about = self._about(bodies=count, drawn=ensemble.fingerprint(bodies))
         begun = time.monotonic()
         with self._explained(chosen):
-            outcome = ensemble.walked(
-                chosen, bodies, lambda share: self.progress(f"{chosen.name}, {count} bodies", share),
-                engine=self.code.engine, seed=asked.seed, quick=asked.quick, values=dict(asked.values),
-            )  # fmt: skip
+            report = functools.partial(self.progress, f"{chosen.name}, {count} bodies")
+            outcome = ensemble.walked(chosen, bodies, report, self.settings)
         return self.directory.save_bodies(outcome, about | {"wall_seconds": time.monotonic() - begun}, written)
 
     @contextlib.contextmanager

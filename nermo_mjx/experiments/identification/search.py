@@ -20,6 +20,7 @@ from nermo_mjx.experiments.identification.candidates import Candidates, Memory
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE, Bodies, find_bodies
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Setup, Simulator
 
@@ -91,7 +92,7 @@ def identify(
         raise ParameterError(f"tolerance is {tolerance:g}: allowed is more than 0.")
     simulator = Simulator(walks(), engine=engine)
     defaults = simulator.setup.defaults()
-    cases = worlds(CASES, defaults, profiles=("exact",), seed=seed).values
+    cases = worlds(CASES, defaults, Settings(("exact",), repeats=1, seed=seed)).values
     batches = -(-(samples + 1) // population) + generations + (sweeps + 1) * -(-bodies // population)
     done = 0
 
