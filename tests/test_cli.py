@@ -23,9 +23,9 @@ from experiment_fake import Fake
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main, options
-from nermo_mjx.cli.output import plain
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.text import plain
 from nermo_mjx.version import __version__
 
 COMMANDS = (
@@ -539,6 +539,22 @@ def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
     assert alone.nv == summary["degrees_of_freedom"]
     assert alone.body_subtreemass[0] == pytest.approx(mass["total"])
     assert "total" in call("model").stdout
+
+
+def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import nermo_mjx.bench
+
+    run = {"date": "2026-01-01", "commit": "abc", "hardware": None, "cases": []}
+    monkeypatch.setattr(nermo_mjx.bench, "run_bench", lambda *_: run)
+    for _ in range(2):
+        assert "moved aside" not in call("bench", "--into", tmp_path).stderr
+    (tmp_path / "results.md").write_text("my remarks")
+    result = call("bench", "--into", tmp_path)
+    assert f"moved aside in {tmp_path}, to results.md.aside-1." in result.stderr
+    assert (tmp_path / "results.md.aside-1").read_text() == "my remarks"
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 3
 
 
 def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ def fakes(monkeypatch):
     made = {name: Fake(name) for name in EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     monkeypatch.setattr(ensemble, "draw", lambda n, seed: {"contact.friction": np.roll(FRICTION, seed)[:n]})
     return made
 

@@ -321,6 +321,19 @@ def test_a_users_file_in_the_way_is_moved_aside_with_a_sentence(fakes, tmp_path)
     assert aside.read_text() == "another walk"
 
 
+def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(fakes, tmp_path):
+    said = []
+    run_experiment("turning", tmp_path, video=False)
+    report = (tmp_path / "report.md").read_text()
+    run_experiment("turning", tmp_path, video=False, notify=said.append)
+    assert not any("moved aside" in sentence for sentence in said)
+    (tmp_path / "report.md").write_text("my remarks")
+    run_experiment("turning", tmp_path, video=False, notify=said.append)
+    assert f"moved aside in {tmp_path}, to report.md.aside-1." in said[-1]
+    assert (tmp_path / "report.md.aside-1").read_text() == "my remarks"
+    assert (tmp_path / "report.md").read_text() == report
+
+
 def test_a_directory_may_be_named_from_here_and_moved(fakes, tmp_path, monkeypatch):
     """Its files know their own as well as in a directory that is named from the root."""
     monkeypatch.chdir(tmp_path)

@@ -182,6 +182,19 @@ def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
     assert (tmp_path / "killed" / "ensemble.csv").read_text() == (tmp_path / "whole" / "ensemble.csv").read_text()
 
 
+def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp_path):
+    said = []
+    (tmp_path / "identification.md").write_text("my plan")
+    (tmp_path / "ensemble.csv").write_text("my bodies")
+    report.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, notify=said.append)
+    assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
+    assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
+    assert said == [
+        "Files were in the way that are not as this program wrote them: moved aside in "
+        f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
+    ]
+
+
 def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, monkeypatch):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
     report.run_identification(tmp_path, **settings)

@@ -154,6 +154,23 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     assert (content["engine"], content["code"]) == ("c", [])
 
 
+def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
+    fakes: dict[str, Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as drawing:
+        drawing.setattr(plots, "figures_of", killed)
+        with pytest.raises(ExperimentsInterrupted):
+            run_experiments(["turning"], tmp_path, engine="c", video=False)
+    assert known(said(tmp_path)) == ("experiments", None, 12, False)
+    assert "turning is not finished." in status(tmp_path).stdout
+    run_experiments(["turning"], tmp_path, video=False)
+    assert known(said(tmp_path)) == ("experiments", 12, 12, True)
+    assert len(fakes["turning"].asked) == 1
+
+
 def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = 0
 
@@ -176,8 +193,19 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
     content = said(tmp_path)
     assert known(content) == ("identification", None, 9, False)
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
+
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as drawing:
+        drawing.setattr(report, "figures_of", killed)
+        with pytest.raises(KeyboardInterrupt):
+            report.run_identification(tmp_path, **settings)
+    assert known(said(tmp_path)) == ("identification", None, 21, False)
+    walked = calls
     report.run_identification(tmp_path, **settings)
     assert known(said(tmp_path)) == ("identification", 21, 21, True)
+    assert calls == walked, "what was found is only drawn"
 
 
 def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Path) -> None:

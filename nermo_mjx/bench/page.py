@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,30 +16,30 @@ from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, horizontal_grid
 from nermo_mjx.runs.files import DirectoryError, replace_file
+from nermo_mjx.runs.text import table
 
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
 #: Where logarithmic axes may begin and end.
 _STEPS = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 
 
-def add_run(folder: Path, run: Mapping[str, Any]) -> None:
-    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots."""
+def add_run(folder: Path, run: Mapping[str, Any], write: Callable[[Path, bytes], None] = replace_file) -> None:
+    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots from that.
+
+    Args:
+        write: how page and plots are written; by default they replace what is there.
+    """
     append(folder, run)
-    draw_page(folder)
-
-
-def draw_page(folder: Path) -> None:
-    """Remake FOLDER/results.md and FOLDER/plots from FOLDER/results.jsonl."""
     history = read(folder)
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
     for remark in history.remarks:
         text += [remark, ""]
     for number, (machine, measured) in enumerate(history.machines.items(), 1):
         text += [f"## {machine}", "", *_tables(measured)]
-        for path in write_figures(_figures(machine, measured, number), folder / "plots"):
+        for path in write_figures(_figures(machine, measured, number), folder / "plots", write):
             if path.suffix == ".png":
                 text += [f"![{path.stem.removesuffix(f'_{number}')}](plots/{path.name})", ""]
-    replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
+    write(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
 
 
 def figures(out: Path) -> Figures:
@@ -70,9 +70,9 @@ def _tables(measured: Sequence[Measured]) -> Iterator[str]:
         yield from (f"- {failure}" for each in own if (failure := each.failure()))
         if found:
             shown = [column for column in COLUMNS[case] if any(row.get(column.key) is not None for row in found)]
-            yield from ("", "| " + " | ".join(column.heading for column in shown) + " |", "|---" * len(shown) + "|")
-            yield from ("| " + " | ".join(column.cell(row) for column in shown) + " |" for row in found)
-            yield from ("", "Measured " + "; ".join(dict.fromkeys(line["made"] for line in good)) + ".")
+            cells = ([column.cell(row) for column in shown] for row in found)
+            yield from ("", table([column.heading for column in shown], cells))
+            yield f"Measured {'; '.join(dict.fromkeys(line['made'] for line in good))}."
         yield ""
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from nermo_mjx.experiments.line import KINDS, Line
 from nermo_mjx.experiments.settings import differences
-from nermo_mjx.experiments.table import MISSING, case_count, number, status_counts
+from nermo_mjx.experiments.table import case_count, number, status_counts
 from nermo_mjx.runs import Written
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs.text import MISSING, to_json
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.catalogue import Experiment

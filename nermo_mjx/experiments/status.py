@@ -47,7 +47,7 @@ def identification_status(out: Path) -> Status:
         content: dict[str, Any] = json.loads((out / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         content = {}
-    complete = bool(content)
+    complete = "plots" in content  # comes last
     engine = engine_of(out) or content.get("engine") or (_engine(lines[0]) if lines else None)
     return Status(
         "candidates", done, done if complete else None, complete,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import os
 import time
@@ -18,15 +19,14 @@ from nermo_mjx.experiments.identification.search import Identified, identify, wa
 from nermo_mjx.experiments.identification.space import FREE, START
 from nermo_mjx.experiments.identification.targets import TARGETS, Target
 from nermo_mjx.experiments.report import published
-from nermo_mjx.experiments.report_page import table
-from nermo_mjx.experiments.table import MISSING, number
+from nermo_mjx.experiments.table import number
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs import RunDirectory, codes_of, engine_of, session, stamp
-from nermo_mjx.runs.files import clear_errors
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session, stamp
+from nermo_mjx.runs.files import clear_errors, content_of
+from nermo_mjx.runs.text import MISSING, listed, table, to_json
 
 FORMULA: Final = (
     "root of the mean over all targets of r^2, where r = ln(value / published) / tolerance, of an interval its nearer "
@@ -57,6 +57,7 @@ def run_identification(
     seed: int = 0,
     accept_new_code: bool = False,
     progress: Callable[[float], None] | None = None,
+    notify: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Identify, and write the result into a directory; a search that was stopped there goes on.
 
@@ -64,6 +65,7 @@ def run_identification(
         out: the directory.
         engine: of the simulations; `auto` is the one that the directory was begun with, if it was.
         accept_new_code: go on with candidates of other code; the file's `code` tells them apart.
+        notify: called with a sentence on files that were in the way.
 
     The others are those of `identification.identify`.
 
@@ -79,9 +81,12 @@ def run_identification(
     folder = Path(out)
     search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
     settings: dict[str, Any] = {**search, "bodies": bodies, "sweeps": sweeps, "tolerance": tolerance}
-    with RunDirectory(folder, "identification") as held:
-        if (folder / RESULT).exists():
-            raise ParameterError(f"{folder} holds an identification; choose another directory.")
+    with RunDirectory(folder, "identification") as held, Written(held) as written:
+        if found := content_of(folder / RESULT):
+            content = json.loads(found)
+            if "plots" in content or content["settings"] != settings:
+                raise ParameterError(f"{folder} holds an identification; choose another directory.")
+            return _publish(written, content, notify)
         if engine == "auto":
             engine = engine_of(folder) or engine
         model, defaults = walks().load().fingerprint, walks().defaults()
@@ -92,18 +97,26 @@ def run_identification(
         begun = time.monotonic()
         with clear_errors(folder):
             memory = CandidateFile(folder / FILE, {**search, "defaults": defaults}, code.id)
-        found = identify(engine=code.engine, **settings, memory=memory, progress=progress)
+        identified = identify(engine=code.engine, **settings, memory=memory, progress=progress)
         made = {"model": model, "defaults": defaults, "codes": list(codes_of(folder))}
-        content = {**_content(found), **made, **about, "wall_seconds": time.monotonic() - begun}
+        content = {**_content(identified), **made, **about, "wall_seconds": time.monotonic() - begun}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))
-        if content["ensemble"] and content["ensemble"]["size"]:
-            held.write("ensemble.csv", csv_text(content).encode())
-        plots = write_figures(figures_of(content), folder / "plots")
-        content["plots"] = [path.relative_to(folder).as_posix() for path in plots]
-        held.write(RESULT, to_json(content))
-        held.write("identification.md", _page(content).encode())
-        return content
+        return _publish(written, content, notify)
+
+
+def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], None] | None) -> dict[str, Any]:
+    """Make the rest of the directory from its result, which has `plots` when all is there."""
+    folder = written.held.out
+    if content["ensemble"] and content["ensemble"]["size"]:
+        written.write(folder / "ensemble.csv", csv_text(content).encode())
+    plots = write_figures(figures_of(content), folder / "plots", written.write)
+    content = content | {"plots": [written.name(path) for path in plots]}
+    written.write(folder / "identification.md", _page(content).encode())
+    written.held.write(RESULT, to_json(content))
+    if notify and written.aside:
+        notify(written.sentence())
+    return content
 
 
 def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
@@ -181,8 +194,6 @@ def _page(content: Mapping[str, Any]) -> str:
     pictures = "\n".join(
         f"![{Path(path).stem.replace('-', ' ')}]({path})\n" for path in content["plots"] if path.endswith(".png")
     )
-    versions = ", ".join(f"{package} {version}" for package, version in content["versions"].items())
-    machine = ", ".join(f"{key} {value}" for key, value in content["machine"].items())
     return f"""\
 # Identification of what the publication does not give
 
@@ -219,8 +230,8 @@ In a sweep file:
   {search["population"]} by CMA-ES from the best of them; both in the logarithms of the parameters.
 - Seed {search["seed"]}, engine {content["engine"]}, {content["wall_seconds"]:.0f} s, begun on {content["started"]}.
 - Command: `{content["command"]}`
-- Model {content["model"]}, code {", ".join(content["codes"])}; versions: {versions}
-- Machine: {machine}
+- Model {content["model"]}, code {", ".join(content["codes"])}; versions: {listed(content["versions"])}
+- Machine: {listed(content["machine"])}
 """
 
 

@@ -24,7 +24,7 @@ import pyarrow as pa
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.files import clear_errors, parquet_bytes
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.tune.directory import ENGINE, keep_recording, set_aside, write_tuning
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches, any_batch
