@@ -388,12 +388,12 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.experiments.plots import draw as plots
+    from nermo_mjx.experiments.plots import figures as plots
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     return made
 
 
@@ -484,7 +484,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
         return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
 
-    monkeypatch.setattr("nermo_mjx.experiments.identification.report.identify", identify)
+    monkeypatch.setattr("nermo_mjx.experiments.identification.run.identify", identify)
     return asked
 
 

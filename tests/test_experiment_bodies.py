@@ -11,7 +11,7 @@ from experiment_fake import RUN, Fake
 from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.published import shares
 from nermo_mjx.experiments.run import run_experiment, run_experiments
 from nermo_mjx.experiments.settings import Settings

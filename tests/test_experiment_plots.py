@@ -16,12 +16,12 @@ from nermo_mjx.experiments.balance import measures as balance_measures
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.plots import balance as plot_balance
-from nermo_mjx.experiments.plots import draw
+from nermo_mjx.experiments.plots import figures
 from nermo_mjx.experiments.plots import maze as plot_maze
 from nermo_mjx.experiments.plots import orientation as plot_orientation
 from nermo_mjx.experiments.plots import straight_line as plot_straight_line
 from nermo_mjx.experiments.plots import turning as plot_turning
-from nermo_mjx.experiments.plots.draw import DRAWERS
+from nermo_mjx.experiments.plots.figures import DRAWERS
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.plotting.files import lay_out, write_figures
 from nermo_mjx.plotting.style import STYLE
@@ -144,7 +144,7 @@ def pictures(outcome, lines):
     """The figures by the names of their pictures, in the house's style and laid out as in files."""
     with matplotlib.rc_context(STYLE):
         drawn = {
-            name.removeprefix(f"{outcome.experiment}-"): figure for name, figure in draw.figures_of(outcome, lines)
+            name.removeprefix(f"{outcome.experiment}-"): figure for name, figure in figures.figures_of(outcome, lines)
         }
         for figure in drawn.values():
             lay_out(figure)
@@ -182,7 +182,7 @@ def entries(figure):
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     """Both files of each, named after the experiment, and nothing else; the PNG is not blank."""
     outcome = MADE[experiment](quick=True)
-    files = write_figures(draw.figures_of(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
+    files = write_figures(figures.figures_of(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
     assert {path.suffix for path in files} == {".png", ".svg"}
     assert sorted(files) == sorted((tmp_path / "plots").iterdir())
     assert all(path.name.startswith(f"{experiment}-") for path in files)
@@ -195,7 +195,7 @@ def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
 def test_the_same_outcome_gives_the_same_bytes(tmp_path):
     """Drawn twice, every file is the same."""
     outcome = mazed(profiles=("exact",))
-    written = [write_figures(draw.figures_of(outcome, []), tmp_path / name) for name in "ab"]
+    written = [write_figures(figures.figures_of(outcome, []), tmp_path / name) for name in "ab"]
     once, again = ({path.name: path.read_bytes() for path in paths} for paths in written)
     assert once == again
 

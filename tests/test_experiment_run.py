@@ -13,7 +13,7 @@ from experiment_fake import RUN, Fake
 
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.run import ExperimentError, ExperimentsInterrupted, run_experiment, run_experiments

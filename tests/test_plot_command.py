@@ -20,7 +20,7 @@ from nermo_mjx.cli import main
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
-from nermo_mjx.experiments.plots.draw import figures_of
+from nermo_mjx.experiments.plots.figures import figures_of
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written

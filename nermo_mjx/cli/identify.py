@@ -45,7 +45,7 @@ def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any)
     """
     notes: list[str] = []
     with stdout_reserved():
-        from nermo_mjx.experiments.identification.report import run_identification
+        from nermo_mjx.experiments.identification.run import run_identification
 
         with Progress("identify", quiet=quiet, compiles=True) as progress:
             content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=notes.append)
@@ -58,7 +58,7 @@ def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any)
 
 
 def _print(content: dict[str, Any], out: Path) -> None:
-    from nermo_mjx.experiments.identification.report import (
+    from nermo_mjx.experiments.identification.run import (
         PARAMETER_HEADINGS,
         TARGET_HEADINGS,
         parameter_rows,

@@ -45,12 +45,12 @@ KINDS: Final = {
     for kind in (
         Kind("sweep", "a sweep", "sweep.redraw:figures", "sweep.status:status", ("x", "y", "color", "notify")),
         Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
-        Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.landscape.status:status"),
-        Kind("experiments", "published experiments", "experiments.plots.draw:figures", "experiments.status:status",
+        Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.status:landscape_status"),
+        Kind("experiments", "published experiments", "experiments.plots.figures:figures", "experiments.status:status",
              tracked=True),
         Kind("identification", "an identification", "experiments.identification.plots:figures",
              "experiments.status:identification_status", tracked=True),
-        Kind("benchmarks", "benchmarks", "bench.page:figures", "bench.status:status", tracked=True),
+        Kind("benchmarks", "benchmarks", "bench.page:figures", "bench.history:status", tracked=True),
     )
 }  # fmt: skip
 RECORDING: Final = Kind("recording", "a recording", "cli.recordings:figures", options=("notify",))

@@ -1,9 +1,9 @@
-"""Cases of an experiment, and the one batch of worlds that they become."""
+"""Cases of an experiment, the one batch of worlds that they become, and its run."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -12,8 +12,10 @@ from nermo_mjx.control.parameters import published_values
 from nermo_mjx.experiments.outcome import BODY, Column
 from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.rollout import METRICS, Run, RunResult, Simulator
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
+from nermo_mjx.view.recording import Recording, recording_of
 
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4
@@ -120,3 +122,41 @@ def settable(cases: Sequence[Case]) -> frozenset[str]:
     for case in cases:
         decided |= {*published_values(case.gait, profile="as_published"), *case.values}
     return frozenset(name for name, _ in quantities(WorldParameters)) - decided
+
+
+def measured(
+    simulator: Simulator, batch: Worlds, run: Run, *, progress: Callable[[float], None] | None = None
+) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """Labels, metrics and status of each world, and what the measured columns mean."""
+    return table_of(batch, simulator.run(batch.values, run, progress=progress))
+
+
+def recorded(simulator: Simulator, batch: Worlds, run: Run, names: Sequence[str]) -> dict[str, Recording]:
+    """The recording of each world, by the names given."""
+    return recordings_of(simulator, batch, simulator.run(batch.values, run, record=True), dict(enumerate(names)))
+
+
+def table_of(batch: Worlds, result: RunResult) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """See `measured`."""
+    columns = {**batch.labels, **result.metrics, "status": result.status}
+    about = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
+    return columns, about | {"status": Column("1", "ok, or what became of the run")}
+
+
+def recordings_of(
+    simulator: Simulator, batch: Worlds, result: RunResult, names: Mapping[int, str]
+) -> dict[str, Recording]:
+    """The recordings of the worlds whose name is given."""
+    recordings = {}
+    for world, name in names.items():
+        metadata = {
+            "case": name,
+            "setup": {"scene": simulator.setup.scene, "spine": simulator.setup.spine},
+            "labels": {key: column[world].item() for key, column in batch.labels.items()},
+            "parameters": {key: float(column[world]) for key, column in batch.values.items()},
+            "metrics": {key: float(column[world]) for key, column in result.metrics.items()}
+            | {"status": str(result.status[world])},
+            "engine": result.engine,
+        }
+        recordings[name] = recording_of(result.trace, simulator.robot.model, world=world, metadata=metadata)
+    return recordings

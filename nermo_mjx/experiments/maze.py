@@ -7,11 +7,10 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.experiments.cases import AMPLITUDE, LABELS, Case, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, LABELS, Case, recordings_of, table_of, worlds
 from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.experiments.settings import Settings
-from nermo_mjx.experiments.worlds_run import recordings_of, table_of
 from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import History, Run, Setup, Simulator
 

@@ -33,7 +33,6 @@ from nermo_mjx.runs import CodeStamp, RunDirectory, Written, codes_of, engine_of
 from nermo_mjx.runs.directory import remove_leftovers
 from nermo_mjx.view import RecordingError, VideoError
 
-Progress = Callable[[str, float], None]
 #: What is made from the results, and is added to an experiment's entry when it is there.
 _MADE_LATER: Final = ("plots", "videos", "notes")
 
@@ -99,7 +98,7 @@ def run_experiments(
     video: bool = True,
     again: bool = False,
     accept_new_code: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[str, float], None] | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> ExperimentsResult:
     """Run experiments one after the other; the report is written anew after each.
@@ -175,7 +174,7 @@ class _Work:
     bodies: Mapping[str, np.ndarray] | None
     again: bool
     video: bool
-    progress: Progress
+    progress: Callable[[str, float], None]
     notify: Callable[[str], None]
 
     def kept(self, chosen: Experiment) -> Stored | None:
@@ -286,7 +285,7 @@ class _Work:
         written.note()
 
     def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line], written: Written) -> list[Path]:
-        from nermo_mjx.experiments.plots.draw import figures_of
+        from nermo_mjx.experiments.plots.figures import figures_of
         from nermo_mjx.plotting.files import write_figures
 
         self.progress(f"{chosen.name}, plots", 0.0)

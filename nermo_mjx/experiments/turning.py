@@ -13,10 +13,9 @@ from typing import Final
 import numpy as np
 
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, measured, recorded, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.settings import Settings
-from nermo_mjx.experiments.worlds_run import measured, recorded
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.view.recording import Recording
 

@@ -61,7 +61,7 @@ THEORY_COLUMN: Final = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Case:
+class Lift:
     """One world: profile, lifted limb (index in `LIMBS`), SBC or not, number of the repeat and of the body.
 
     The body is 0 where there is one only.
@@ -149,14 +149,14 @@ def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[f
     return [stability(loop.robot.mass_model, feet, limbs[i], float(bends[i])) for i in range(worlds)]
 
 
-def _cases(settings: Settings) -> Iterator[Case]:
+def _cases(settings: Settings) -> Iterator[Lift]:
     """All worlds; the profile `exact` first, whose runs are recorded."""
     numbers = range(1, body_count(settings.bodies) + 1) or (0,)
     repeats = range(1 if settings.quick else settings.repeats)
     for body, profile, limb, sbc, repeat in itertools.product(
         numbers, settings.profiles, range(4), (False, True), repeats
     ):
-        yield Case(profile, limb, sbc, repeat, body)
+        yield Lift(profile, limb, sbc, repeat, body)
 
 
 def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
@@ -173,7 +173,7 @@ def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
     return model, controller
 
 
-def _batch(cases: Sequence[Case], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
+def _batch(cases: Sequence[Lift], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
     """Parameters of all worlds, every leaf with a leading axis, in JAX's default precision."""
     spines = [jax.tree.map(lambda leaf, i=i: np.broadcast_to(leaf, len(cases))[i], spine) for i in range(len(cases))]
     worlds = [
@@ -217,7 +217,7 @@ def _one(history: History, world: int, ticks: int) -> History:
     return History(history.time[:ticks], qpos, qvel, ctrl, {k: v[one, :ticks] for k, v in history.sensors.items()})
 
 
-def _evaluate(case: Case, world: History, robot: Robot, model: mujoco.MjModel) -> tuple[dict[str, Any], Recording]:
+def _evaluate(case: Lift, world: History, robot: Robot, model: mujoco.MjModel) -> tuple[dict[str, Any], Recording]:
     """A world's row of the table, and its recording.
 
     The recording also holds `measures.readings` as sensors, and in its metadata `phases`: begin and end of each phase

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import FAIL, PASS, SPINE, profiles, shade_phases, shown, stroke, swatch
+from nermo_mjx.experiments.plots.marks import FAIL, PASS, SPINE, profiles, shade_phases, shown, stroke, swatch
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, GRID, INK, SHADE, horizontal_grid
 from nermo_mjx.robot import LIMBS

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots.page import Published, mark_published, published_entry, swatch
+from nermo_mjx.experiments.plots.marks import Published, mark_published, published_entry, swatch
 from nermo_mjx.plotting.quantity import shown as in_shown_unit
 from nermo_mjx.plotting.style import INK, MUTED, horizontal_grid
 

@@ -17,7 +17,7 @@ from nermo_mjx.experiments.maze import FREQUENCY, box_outlines
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     CLOCK,
     SPINE,
     angles,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     ANGLES,
     COMPENSATED,
     GAIT,

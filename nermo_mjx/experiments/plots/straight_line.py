@@ -13,8 +13,7 @@ from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots import orientation
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.orientation import gait_page, walked_gaits
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     CLOCK,
     GAIT,
     SPINE,
@@ -28,6 +27,7 @@ from nermo_mjx.experiments.plots.page import (
     stroke,
     tone,
 )
+from nermo_mjx.experiments.plots.orientation import gait_page, walked_gaits
 from nermo_mjx.experiments.published.measure import clock
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import INK, horizontal_grid

@@ -15,8 +15,8 @@ from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.quantity import Quantity, shown
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.tune.landscape.lines import Line, lines_of
-from nermo_mjx.tune.landscape.table import TABLE, TUNING, read
+from nermo_mjx.tune.landscape.lines import Slice, lines_of
+from nermo_mjx.tune.landscape.points import TABLE, TUNING, read
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.spec import Tuning
 
@@ -28,7 +28,7 @@ _TANGENT: Final = 0.8
 _CUT: Final = 2.5
 
 
-def figures_of(tuning: Tuning, lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
+def figures_of(tuning: Tuning, lines: Sequence[Slice]) -> Iterator[tuple[str, Figure]]:
     """A figure for each line; one on which the robot nowhere walks has none."""
     for line in lines:
         if line.ok.any():
@@ -48,7 +48,7 @@ def figures(out: Path) -> Figures:
     return figures_of(tuning, lines_of(tuning, table))
 
 
-def line_figure(tuning: Tuning, line: Line) -> Figure:
+def line_figure(tuning: Tuning, line: Slice) -> Figure:
     """One line: the objective with a tangent at each point; below it the slope, and each secant over its width."""
     others = [f"{each.name} {_text(tuning, each)}" for each in tuning.tuned if each is not line.tuned]
     note = "above: objective with its exact tangents, star: lowest; below: exact slope, and secants over their width"
@@ -77,7 +77,7 @@ def _about(tuning: Tuning, name: str, values: np.ndarray) -> Quantity:
     return shown(name, tuning.parameters[name].unit, values)
 
 
-def _draw_objective(ax: Axes, line: Line, x: Quantity) -> None:
+def _draw_objective(ax: Axes, line: Slice, x: Quantity) -> None:
     """Points with tangents, their lowest a star, and a cross where the robot fell."""
     per_shown = np.ptp(line.x) / np.ptp(x.values)
     half = 0.5 * _TANGENT * np.ptp(x.values) / (len(line.x) - 1)
@@ -99,7 +99,7 @@ def _draw_objective(ax: Axes, line: Line, x: Quantity) -> None:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
 
 
-def _draw_slopes(ax: Axes, line: Line, x: Quantity) -> None:
+def _draw_slopes(ax: Axes, line: Slice, x: Quantity) -> None:
     """Exact slopes as a line, each secant as a bar over its width."""
     per_shown = np.ptp(line.x) / np.ptp(x.values)
     slope = line.slope * per_shown

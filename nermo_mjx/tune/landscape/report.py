@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from nermo_mjx.plotting.quantity import shown
 from nermo_mjx.runs.text import MISSING, listed, table
-from nermo_mjx.tune.landscape.lines import Line
+from nermo_mjx.tune.landscape.lines import Slice
 from nermo_mjx.tune.spec import Tuning
 
 #: Where slopes and secants of `JUDGED` agree so far, exact gradients lead the right way.
@@ -25,7 +25,7 @@ HEADINGS: Final = (
 )  # fmt: skip
 
 
-def content_of(tuning: Tuning, points: pa.Table, lines: Sequence[Line]) -> dict[str, Any]:
+def content_of(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) -> dict[str, Any]:
     """Content of landscape.json, in SI units and radians.
 
     `parameters`: by name `bounds`, `start`, the line `from` and `to`, the lowest and highest objective on it and where
@@ -113,7 +113,7 @@ def _page(content: Mapping[str, Any]) -> Iterator[str]:
     yield f"- Machine: {listed(content['machine'])}"
 
 
-def _about(tuning: Tuning, line: Line) -> dict[str, Any]:
+def _about(tuning: Tuning, line: Slice) -> dict[str, Any]:
     tuned, good = line.tuned, line.value[line.ok]
     widths = [
         {

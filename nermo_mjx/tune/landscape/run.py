@@ -30,8 +30,8 @@ from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches, any_batch
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import Plan, plan
+from nermo_mjx.tune.landscape.points import IDENTITY, KEY, TABLE, TUNING, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.landscape.report import content_of, page
-from nermo_mjx.tune.landscape.table import IDENTITY, KEY, TABLE, TUNING, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.run import as_tuning, simulation_of
 from nermo_mjx.tune.spec import Tuning
 
@@ -48,7 +48,7 @@ class LandscapeResult:
     Attributes:
         out: its directory.
         tuning: whose objective it is.
-        table: all points, see `nermo_mjx.tune.landscape.table`.
+        table: all points, see `nermo_mjx.tune.landscape.points`.
         content: of landscape.json.
         plots: files of the figures.
         evaluated: points that this call evaluated; 0 if the directory held them.

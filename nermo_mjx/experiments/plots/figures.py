@@ -12,7 +12,7 @@ from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import Line, compare
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots import balance, maze, report, straight_line, turning
+from nermo_mjx.experiments.plots import agreement, balance, maze, straight_line, turning
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.runs.files import DirectoryError
@@ -37,7 +37,7 @@ def figures_of(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, F
         lines: of its report; they hold what the publication says, which is drawn beside what was simulated.
     """
     lines = [line for line in lines if line.experiment == outcome.experiment]
-    for drawer in (DRAWERS[outcome.experiment], report.figures):
+    for drawer in (DRAWERS[outcome.experiment], agreement.figures):
         for name, figure in drawer(outcome, lines):
             if figure is not None:
                 yield f"{outcome.experiment}-{name}", figure
