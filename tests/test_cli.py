@@ -476,9 +476,11 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     asked: dict[str, Any] = {}
 
-    def identify(**options: Any) -> identification.Identified:
-        asked.update(options)
-        options["progress"](1.0)
+    def identify(
+        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None]
+    ) -> identification.Identified:
+        asked.update(vars(wanted))
+        progress(1.0)
         defaults = Setup().defaults()
         names = [name for free in identification.FREE.values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))

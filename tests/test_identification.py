@@ -9,7 +9,7 @@ import pytest
 
 from nermo_mjx.experiments.identification import run, search
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE
-from nermo_mjx.experiments.identification.search import identify
+from nermo_mjx.experiments.identification.search import Search, identify
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, UNCERTAIN, names, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS, figures, objective
 from nermo_mjx.robot.quantity import ParameterError, quantities
@@ -130,17 +130,17 @@ SMALL = {"samples": 16, "generations": 12, "population": 8, "seed": 3}
 
 
 def test_the_search_finds_a_known_optimum_and_is_the_same_again(pretended):
-    found = identify(**SMALL, bodies=0)
+    found = identify(Search(**SMALL, bodies=0))
     assert found.parameters["servo.kp"] == pytest.approx(9.0, rel=0.02)
     assert found.objective < found.start
     assert found.objective == min(found.costs)
     assert found.bodies is None
-    assert identify(**SMALL, bodies=0).parameters == found.parameters
+    assert identify(Search(**SMALL, bodies=0)).parameters == found.parameters
 
 
 def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pretended):
     """The pretended region is known: |(ln kp/9, ln friction/1.4)| is at most what 0.5 allows, whatever the rest."""
-    found = identify(**SMALL, bodies=64, sweeps=3)
+    found = identify(Search(**SMALL, bodies=64, sweeps=3))
     bodies, defaults = found.bodies, Setup().defaults()
     assert bodies.tolerance == TOLERANCE == 0.5
     assert len(bodies.objective) == 64
@@ -323,7 +323,7 @@ def test_units_of_every_free_parameter_are_known():
 )
 def test_a_search_too_small_is_refused(wrong, sentence):
     with pytest.raises(ParameterError, match=sentence):
-        identify(**wrong)
+        Search(**wrong)
 
 
 def test_what_the_module_says_to_copy_is_what_is_written():

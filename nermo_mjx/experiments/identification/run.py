@@ -11,11 +11,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.experiments.identification.ensemble import TOLERANCE
 from nermo_mjx.experiments.identification.ensemble_report import csv_text, ensemble_content, ensemble_section
 from nermo_mjx.experiments.identification.memory import FILE, RESULT, CandidateFile
 from nermo_mjx.experiments.identification.plots import figures_of
-from nermo_mjx.experiments.identification.search import Identified, identify, walks
+from nermo_mjx.experiments.identification.search import Identified, Search, identify, walks
 from nermo_mjx.experiments.identification.space import FREE, START
 from nermo_mjx.experiments.identification.targets import TARGETS, Target
 from nermo_mjx.experiments.report import published
@@ -48,16 +47,10 @@ def run_identification(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    samples: int = 64,
-    generations: int = 25,
-    population: int = 12,
-    bodies: int = 256,
-    sweeps: int = 5,
-    tolerance: float = TOLERANCE,
-    seed: int = 0,
     accept_new_code: bool = False,
     progress: Callable[[float], None] | None = None,
     notify: Callable[[str], None] | None = None,
+    **wanted: Any,
 ) -> dict[str, Any]:
     """Identify, and write the result into a directory; a search that was stopped there goes on.
 
@@ -65,9 +58,9 @@ def run_identification(
         out: the directory.
         engine: of the simulations; `auto` is the one that the directory was begun with, if it was.
         accept_new_code: go on with candidates of other code; the file's `code` tells them apart.
+        progress: called with the share done.
         notify: called with a sentence on files that were in the way.
-
-    The others are those of `identification.identify`.
+        wanted: of `search.Search`.
 
     Returns:
         Content of identification.json.
@@ -79,8 +72,8 @@ def run_identification(
     """
     resolve_engine(engine)
     folder = Path(out)
-    search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
-    settings: dict[str, Any] = {**search, "bodies": bodies, "sweeps": sweeps, "tolerance": tolerance}
+    search = Search(**wanted)
+    settings = dataclasses.asdict(search)
     with RunDirectory(folder, "identification") as held, Written(held) as written:
         if found := content_of(folder / RESULT):
             content = json.loads(found)
@@ -94,12 +87,14 @@ def run_identification(
         held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
-        begun = time.monotonic()
+        started = time.monotonic()
+        # What decides the candidates' course; the ensemble's settings only say how far it goes.
+        begun = {name: settings[name] for name in ("samples", "generations", "population", "seed")}
         with clear_errors(folder):
-            memory = CandidateFile(folder / FILE, {**search, "defaults": defaults}, code.id)
-        identified = identify(engine=code.engine, **settings, memory=memory, progress=progress)
+            memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
+        identified = identify(search, code.engine, memory, progress)
         made = {"model": model, "defaults": defaults, "codes": list(codes_of(folder))}
-        content = {**_content(identified), **made, **about, "wall_seconds": time.monotonic() - begun}
+        content = {**_content(identified), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))
         return _publish(written, content, notify)
