@@ -86,17 +86,8 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             _STRAIGHT_LINE,
             quick="0.8 Hz and the offset compensation only, over half a metre",
             metrics=(
-                "speed",
-                "theory_speed",
-                "slip",
-                "loaded_front",
-                "loaded_rear",
-                "front_load_share",
-                "tail_time",
-                "roll_std",
-                "pitch_mean",
-                "pitch_std",
-                "yaw_std",
+                "speed", "theory_speed", "slip", "loaded_front", "loaded_rear", "front_load_share", "tail_time",
+                "roll_std", "pitch_mean", "pitch_std", "yaw_std",
             ),
             shot=Shot("with spine"),
         ),
@@ -109,12 +100,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             _TURNING,
             quick="trot at 0.67 Hz only, on 0.5 m and at full lock",
             metrics=(
-                "speed",
-                "time",
-                "followed",
-                "cross_track_peak",
-                "turning_radius",
-                "theory_radius",
+                "speed", "time", "followed", "cross_track_peak", "turning_radius", "theory_radius",
                 "theory_equal_strides",
             ),
             needs={"followed": "cross_track_peak"},
@@ -128,13 +114,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             "Balance",
             _BALANCE,
             metrics=(
-                "passed",
-                "upright",
-                "clear",
-                "tilt_max",
-                "pitch_rest",
-                "theory_margin",
-                "com_margin_lift",
+                "passed", "upright", "clear", "tilt_max", "pitch_rest", "theory_margin", "com_margin_lift",
                 "com_margin_swing",
             ),
             shot=Shot("rear_left sbc"),
@@ -161,7 +141,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             metrics=tuple(body.ABOUT),
         ),
     )
-}
+}  # fmt: skip
 
 
 def experiment(name: str) -> Experiment:

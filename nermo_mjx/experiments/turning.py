@@ -56,14 +56,8 @@ def _case(gait: str, frequency: float, radius: float, strategy: str, side: str, 
         values["pilot.turn_rate"] = SIDES[side]
     else:
         values |= {"pilot.radius": radius, "pilot.direction": SIDES[side]}
-    labels: dict[str, Label] = {
-        "gait": gait,
-        "frequency": frequency,
-        "radius": radius,
-        "strategy": strategy,
-        "side": side,
-        "stride": stride,
-    }
+    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy,
+                                "side": side, "stride": stride}  # fmt: skip
     return Case(labels, gait, strategy, values)
 
 
