@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -17,6 +18,7 @@ from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli import main
+from nermo_mjx.cli.kinds import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
@@ -53,6 +55,13 @@ def sweep(swept: Path, tmp_path: Path) -> Path:
 def content(folder: Path) -> dict[str, bytes]:
     """The files of a folder but its lock."""
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != ".lock"}
+
+
+@pytest.mark.parametrize("kind", [*KINDS.values(), RECORDING], ids=lambda kind: kind.name)
+def test_each_kind_names_a_function_for_its_figures_and_one_for_its_status(kind: Kind) -> None:
+    keywords = inspect.signature(kind.load(kind.figures)).parameters
+    assert tuple(keywords)[1:] == kind.options
+    assert kind is RECORDING or callable(kind.load(kind.status))
 
 
 def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -> None:
