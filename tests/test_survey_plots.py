@@ -12,6 +12,7 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 
 from nermo_mjx.plotting.cloud import CROWD
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.quantity import Quantity
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
