@@ -12,9 +12,10 @@ from experiment_fake import RUN, Fake
 from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.published import shares
 from nermo_mjx.experiments.run import run_experiment, run_experiments
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import ParameterError
 
 #: A body walks as much faster as its friction says (see `experiment_fake`): 80 mm/s are published, so that those
@@ -28,7 +29,7 @@ def fakes(monkeypatch):
     made = {name: Fake(name) for name in EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     monkeypatch.setattr(ensemble, "draw", lambda n, seed: {"contact.friction": np.roll(FRICTION, seed)[:n]})
     return made
 
@@ -56,9 +57,9 @@ def test_a_line_says_in_which_share_of_the_bodies_it_holds(fakes, tmp_path):
 def test_bodies_walk_once_in_the_exact_profile_and_are_kept_beside_the_results(fakes, tmp_path):
     run_experiment("maze", tmp_path, bodies=3, repeats=2, video=False)
     own, of_bodies = fakes["maze"].asked
-    assert "bodies" not in own
-    assert (of_bodies["profiles"], of_bodies["repeats"]) == (("exact",), 1)
-    assert of_bodies["bodies"]["contact.friction"].tolist() == FRICTION[:3].tolist()
+    assert own.bodies is None
+    assert (of_bodies.profiles, of_bodies.repeats) == (("exact",), 1)
+    assert of_bodies.bodies["contact.friction"].tolist() == FRICTION[:3].tolist()
     stored = Directory(tmp_path).load_bodies("maze")
     assert stored is not None
     assert sorted(set(stored.outcome.columns["body"].tolist())) == [1, 2, 3]
@@ -77,7 +78,7 @@ def test_kept_bodies_are_not_walked_again_and_a_report_is_remade_from_them(fakes
     assert len(fakes["maze"].asked) == 2
     # Other bodies are walked, and the results of the default body stay.
     assert line_of(run_experiment("maze", tmp_path, bodies=2, video=False)).ensemble == 1.0
-    assert [("bodies" in asked) for asked in fakes["maze"].asked] == [False, True, True]
+    assert [(asked.bodies is not None) for asked in fakes["maze"].asked] == [False, True, True]
     # A fresh run has none.
     assert line_of(run_experiment("maze", tmp_path, again=True, video=False)).ensemble is None
     assert not (tmp_path / "results" / "maze-bodies.parquet").exists()
@@ -88,7 +89,7 @@ def test_bodies_outlive_a_damaged_table_of_the_same_settings(fakes, tmp_path):
     result = run_experiment("maze", tmp_path, bodies=4, video=False)
     result.table.write_text("damaged")
     assert line_of(run_experiment("maze", tmp_path, video=False)).ensemble == 0.5
-    assert [("bodies" in asked) for asked in fakes["maze"].asked] == [False, True, False]
+    assert [(asked.bodies is not None) for asked in fakes["maze"].asked] == [False, True, False]
     result.table.write_text("damaged")
     assert line_of(run_experiment("maze", tmp_path, seed=3, video=False)).ensemble is None
 
@@ -108,8 +109,8 @@ def test_what_is_set_for_all_worlds_is_not_taken_from_the_bodies(fakes, tmp_path
     monkeypatch.setattr(ensemble, "draw", lambda n, seed: both)
     run_experiment("maze", tmp_path, bodies=4, values={"servo.kp": 9.0}, video=False)
     asked = fakes["maze"].asked[1]
-    assert set(asked["bodies"]) == {"contact.friction"}
-    assert asked["values"] == {"servo.kp": 9.0}
+    assert set(asked.bodies) == {"contact.friction"}
+    assert asked.values == {"servo.kp": 9.0}
 
 
 def test_more_bodies_than_there_are_is_refused_before_anything_runs(fakes, tmp_path, monkeypatch):
@@ -128,9 +129,8 @@ def test_the_identified_ensemble_gives_parameters_of_the_body(tmp_path):
 
 def test_a_body_that_falls_does_not_hold(fakes):
     figures = fakes["maze"].experiment().figures
-    outcome = fakes["maze"].run(
-        profiles=("exact",), repeats=1, bodies={"contact.friction": np.array([1.0, np.nan])}, progress=lambda _: None
-    )
+    bodies = {"contact.friction": np.array([1.0, np.nan])}
+    outcome = fakes["maze"].run(Settings(("exact",), repeats=1, bodies=bodies, progress=lambda _: None))
     found = ensemble.of_outcome(outcome, figures)
     assert (found.bodies, found.shares["speed at 0.8 Hz"], found.shares["interval"]) == (2, 0.5, None)
 

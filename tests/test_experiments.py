@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from nermo_mjx.cli import main
 from nermo_mjx.experiments import maze, straight_line, turning
 from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
 
 pytestmark = pytest.mark.slow
@@ -18,17 +19,17 @@ TROTS = ("trt", "trt1")
 
 @pytest.fixture(scope="module")
 def line() -> Outcome:
-    return straight_line.run(engine="c", profiles=("exact",), repeats=1)
+    return straight_line.run(Settings(("exact",), repeats=1, engine="c"))
 
 
 @pytest.fixture(scope="module")
 def turns() -> Outcome:
-    return turning.run(engine="c", profiles=("exact",), repeats=1)
+    return turning.run(Settings(("exact",), repeats=1, engine="c"))
 
 
 @pytest.fixture(scope="module")
 def labyrinth() -> Outcome:
-    return maze.run(engine="c", profiles=("exact",), repeats=1)
+    return maze.run(Settings(("exact",), repeats=1, engine="c"))
 
 
 def value(outcome: Outcome, column: str, **case) -> float:

@@ -15,11 +15,11 @@ from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, ki
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
 from nermo_mjx.tune import Evaluation, Tuning, run_landscape, run_tuning
-from nermo_mjx.tune.landscape import run, table
+from nermo_mjx.tune.landscape import points, run
 from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
-from nermo_mjx.tune.landscape.plots import line_figure
+from nermo_mjx.tune.landscape.plots import figures, line_figure
 
 TUNING = Tuning.from_dict(SPEC)
 #: Height of a stair, and stairs over the bounds of the amplitude.
@@ -245,7 +245,7 @@ def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
     measure(tmp_path / "here", change=compared, points=5)
     (tmp_path / "here").rename(tmp_path / "there")
     (tmp_path / "walk.npz").unlink()
-    assert len(run.redraw(tmp_path / "there", formats=("svg",))) == 2
+    assert len(list(figures(tmp_path / "there"))) == 2
     own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
     assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0
 
@@ -396,10 +396,10 @@ def test_figures_have_a_tangent_at_each_point_and_a_bar_for_each_secant(smooth):
 
 def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     """Whatever the most is, all batches have one size, and no more is walked than that needs."""
-    monkeypatch.setattr(table, "CPU_BATCH", 7)
+    monkeypatch.setattr(points, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", table.batch_size(len(wanted)), "code")
-    found, count = table.evaluate(TUNING, problem, wanted, lambda *_: None, {table.KEY: "a"}, batches)
+    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", points.batch_size(len(wanted)), "code")
+    found, count = points.evaluate(TUNING, problem, wanted, lambda *_: None, {points.KEY: "a"}, batches)
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)

@@ -12,11 +12,12 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 
 from nermo_mjx.plotting.cloud import CROWD
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.quantity import Quantity
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results, draw_plots
-from nermo_mjx.sweep.chosen import draw_chosen
+from nermo_mjx.sweep.chosen import chosen_figure
 from nermo_mjx.sweep.figures import scatters
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_LINES, chosen_lines
 from nermo_mjx.sweep.points import points_of
@@ -196,7 +197,7 @@ def test_one_parameter_has_no_survey() -> None:
     ],
 )
 def test_columns_of_choice_give_their_figure(chosen: dict, name: str, tmp_path: Path) -> None:
-    files = draw_chosen(Results.of_table(table()), tmp_path, **chosen)
+    files = write_figures(chosen_figure(Results.of_table(table()), **chosen), tmp_path)
     assert [file.name for file in files] == [f"{name}.png", f"{name}.svg"]
     svg = files[1].read_text()
     for column in chosen.values():
@@ -215,17 +216,18 @@ def test_two_parameters_of_a_grid_give_a_heat_map_whose_star_is_the_best(tmp_pat
     columns.add("slip", 0.02 + 0.01 * x * y, "metric", "m/s", "")
     columns.add("status", np.full(6, "ok"), "status", "1", "")
     results = Results.of_table(columns.table({"sampler": "grid"}))
-    svg = draw_chosen(results, tmp_path, "frequency", "stride", "slip")[1].read_text()
+    svg = write_figures(chosen_figure(results, "frequency", "stride", "slip"), tmp_path)[1].read_text()
     assert "star: best, 22 mm/s" in svg
-    assert "star: best, 120 mm/s" in draw_chosen(results, tmp_path, "frequency", "stride")[1].read_text()
+    svg = write_figures(chosen_figure(results, "frequency", "stride"), tmp_path)[1].read_text()
+    assert "star: best, 120 mm/s" in svg
 
 
-def test_a_column_that_is_none_is_refused_with_the_nearest(tmp_path: Path) -> None:
+def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
     with pytest.raises(ParameterError, match=r"y is 'rol_std', no column of the table; did you mean 'roll_std'\?"):
-        draw_chosen(Results.of_table(table()), tmp_path, "speed", "rol_std")
+        chosen_figure(Results.of_table(table()), "speed", "rol_std")
     fallen = table().filter(pa.compute.equal(table().column("status"), "fell"))
     with pytest.raises(ParameterError, match="no run of the table went well"):
-        draw_chosen(Results.of_table(fallen), tmp_path, "speed", "slip")
+        chosen_figure(Results.of_table(fallen), "speed", "slip")
 
 
 def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

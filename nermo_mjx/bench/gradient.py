@@ -9,9 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from nermo_mjx.bench.compilation import compile_cold
 from nermo_mjx.bench.hardware import peak_bytes
-from nermo_mjx.bench.timing import compare
+from nermo_mjx.bench.timing import compare, compile_cold
 from nermo_mjx.rollout.derivative import value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.setup import Run, Setup

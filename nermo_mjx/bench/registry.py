@@ -42,7 +42,7 @@ class Option:
 
 
 @dataclasses.dataclass(frozen=True)
-class Case:
+class Benchmark:
     """A measurement: a function of its options that returns one line of figures.
 
     Attributes:
@@ -69,13 +69,13 @@ class Case:
 
 _WORLDS = Option((64,), whole=True)
 
-CASES: Final[dict[str, Case]] = {
-    "throughput": Case(
+CASES: Final[dict[str, Benchmark]] = {
+    "throughput": Benchmark(
         "a walk with its controller and metrics against plain physics",
         "nermo_mjx.bench.throughput:throughput_case",
         {"engine": Option(("c", "mjx"), ("c", "mjx", "warp")), "worlds": _WORLDS},
     ),
-    "gradient": Case(
+    "gradient": Benchmark(
         "value and gradient of a walk against the walk alone",
         "nermo_mjx.bench.gradient:gradient_case",
         {
@@ -84,22 +84,22 @@ CASES: Final[dict[str, Case]] = {
             "cycles": Option((1.0,)),
         },
     ),
-    "tuning": Case(
+    "tuning": Benchmark(
         "the speed that tuning by gradient, and CMA-ES, reach on a tenth of a dense sweep's simulated time",
         "nermo_mjx.bench.tuning:tuning_case",
         {"frequency": Option((0.5, 0.8))},
     ),
-    "startup": Case(
+    "startup": Benchmark(
         "from a new process to the first control tick, stage by stage, with a cold and a warm cache",
         "nermo_mjx.bench.startup:startup_case",
         {"engine": Option(("c", "mjx"), ("c", "mjx", "warp")), "worlds": _WORLDS},
     ),
-    "profile": Case(
+    "profile": Benchmark(
         "a physics step, stage by stage",
         "nermo_mjx.bench.profile:profile",
         {"engine": Option(("c", "mjx"), ("c", "mjx")), "worlds": _WORLDS},
     ),
-    "speedtest": Case(
+    "speedtest": Benchmark(
         "MuJoCo's own speed test of MJX on the same model",
         "nermo_mjx.bench.speedtest:speedtest_case",
         {"worlds": _WORLDS},

@@ -10,7 +10,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES
-from nermo_mjx.cli.output import plain, print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
 EPILOG = """\b
@@ -61,8 +61,9 @@ def command(
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
         from nermo_mjx.bench.page import add_run
-        from nermo_mjx.runs import RunDirectory, session
+        from nermo_mjx.runs import RunDirectory, Written, session
         from nermo_mjx.runs.files import clear_errors
+        from nermo_mjx.runs.text import plain
 
         # Held while it measures: what took an hour has a place to go to.
         with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
@@ -70,8 +71,10 @@ def command(
                 result = run_bench(cases or ("throughput",), given, progress.count)
             if held is not None:
                 held.note_session(session())
-                with clear_errors(held.out):
-                    add_run(held.out, plain(result))
+                with Written(held) as written, clear_errors(held.out):
+                    add_run(held.out, plain(result), written.write)
+                if written.aside and not quiet:
+                    click.echo(f"bench: {written.sentence()}", err=True)
     if as_json:
         print_json(result)
     elif not quiet:

@@ -14,7 +14,7 @@ from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
-    from nermo_mjx.tune import Progress, Tuning, TuningResult
+    from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
 
 EPILOG = """\b
 Examples:
@@ -72,14 +72,14 @@ class _Display:
         self._stages, self._tuning = stages, tuning
         self._begun = False
 
-    def report(self, progress: Progress) -> None:
+    def report(self, progress: TuningProgress) -> None:
         """Show how far the tuning is; there is one evaluation more than steps."""
         total = progress.iterations + 1
         done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
         self._begun = True
         self._stages.part("tune", "evaluations").share(done / total, done, total, self._known(progress))
 
-    def _known(self, progress: Progress) -> str:
+    def _known(self, progress: TuningProgress) -> str:
         """The best objective so far, and the metrics of this iteration's best point."""
         if progress.best is None:
             return ""

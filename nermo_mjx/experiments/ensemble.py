@@ -10,13 +10,13 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.line import Figure, agrees, measured
 from nermo_mjx.experiments.outcome import BODY, Outcome, joined
+from nermo_mjx.experiments.settings import Settings, body_count
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.catalogue import Experiment
@@ -58,14 +58,14 @@ def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
 
 
 def walked(
-    chosen: Experiment, bodies: Mapping[str, np.ndarray], progress: Callable[[float], None], **asked: Any
+    chosen: Experiment, bodies: Mapping[str, np.ndarray], progress: Callable[[float], None], settings: Settings
 ) -> Outcome:
     """The experiment of every body, once each in the profile `exact`; the column `BODY` tells them apart.
 
     Args:
         bodies: parameter name -> (n,) values.
         progress: called with the share done.
-        asked: of `straight_line.run`: engine, seed, quick and values.
+        settings: whose profiles and repeats do not matter.
     """
     count = body_count(bodies)
     parts: list[Outcome] = []
@@ -76,7 +76,7 @@ def walked(
         def report(share: float, begin: int = begin, size: int = size) -> None:
             progress((begin + share * size) / count)
 
-        part = chosen.run(profiles=(PROFILE,), repeats=1, bodies=some, progress=report, **asked)
+        part = chosen.run(settings.but(profiles=(PROFILE,), repeats=1, bodies=some, progress=report))
         numbers = {BODY: np.asarray(part.columns[BODY]) + begin}
         # The order of the columns stays: those before `repeat` tell the cases apart.
         columns = {name: numbers.get(name, column) for name, column in part.columns.items()}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,23 +19,20 @@ import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import ensemble, report
-from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored
 from nermo_mjx.experiments.line import Line, compare
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.published.shares import shipped
-from nermo_mjx.experiments.settings import Settings, check_bodies, checked, differences
+from nermo_mjx.experiments.settings import QUICK_REPEATS, REPEATS, Settings, body_count, check_bodies, differences
 from nermo_mjx.experiments.videos import shoot
-from nermo_mjx.experiments.written import Written
 from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot import ParameterError, load_robot
-from nermo_mjx.runs import CodeStamp, RunDirectory, codes_of, engine_of, session, stamp
+from nermo_mjx.runs import CodeStamp, RunDirectory, Written, codes_of, engine_of, session, stamp
 from nermo_mjx.runs.directory import remove_leftovers
 from nermo_mjx.view import RecordingError, VideoError
 
-Progress = Callable[[str, float], None]
 #: What is made from the results, and is added to an experiment's entry when it is there.
 _MADE_LATER: Final = ("plots", "videos", "notes")
 
@@ -100,7 +98,7 @@ def run_experiments(
     video: bool = True,
     again: bool = False,
     accept_new_code: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[str, float], None] | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> ExperimentsResult:
     """Run experiments one after the other; the report is written anew after each.
@@ -131,7 +129,9 @@ def run_experiments(
         ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
-    settings = checked(profiles, repeats, seed, quick, values)
+    if repeats is None:
+        repeats = QUICK_REPEATS if quick else REPEATS
+    settings = Settings(profiles, repeats, seed, quick, values or {})
     check_bodies(bodies)
     drawn = None if bodies is None else ensemble.draw(bodies, seed)
     _check_settable(chosen, settings)
@@ -143,6 +143,7 @@ def run_experiments(
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = stamp(load_robot().fingerprint, resolve_engine(engine))
+        settings = settings.but(engine=code.engine)
         work = _Work(held, directory, settings, code, drawn, again, video and not quick, progress or _ignore,
                      notify or _ignore)  # fmt: skip
         # All are looked up before anything runs: a refusal costs no simulation.
@@ -173,7 +174,7 @@ class _Work:
     bodies: Mapping[str, np.ndarray] | None
     again: bool
     video: bool
-    progress: Progress
+    progress: Callable[[str, float], None]
     notify: Callable[[str], None]
 
     def kept(self, chosen: Experiment) -> Stored | None:
@@ -191,7 +192,7 @@ class _Work:
 
     def run(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Simulate, or take what is kept; then everything that is made from it."""
-        written = Written(self.held, self.directory.written(chosen.name))
+        written = Written(self.held)
         if kept is None:
             stored = self._simulate(chosen, written)
         else:
@@ -205,12 +206,12 @@ class _Work:
         entry = report.entry_of(chosen.title, stored, lines) | {
             name: (former or {}).get(name, []) for name in _MADE_LATER
         }
-        entry["bodies"] = several.bodies if several else None
+        entry |= {"bodies": several.bodies if several else None, "finished": False}
         self._publish(chosen, entry, written)
         plots = self._plots(chosen, stored.outcome, lines, written)
-        entry["plots"] = [self.directory.relative(plot) for plot in plots]
+        entry["plots"] = [written.name(plot) for plot in plots]
         entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"], written)
-        self._publish(chosen, entry, written)
+        self._publish(chosen, entry | {"finished": True}, written)
         if written.aside:
             self.notify(f"{chosen.name}: {written.sentence()}")
         return ExperimentResult(
@@ -231,13 +232,10 @@ class _Work:
         return session(settings=self.settings.as_dict(), engine=self.code.engine, code=self.code.id, **more)
 
     def _simulate(self, chosen: Experiment, written: Written) -> Stored:
-        asked, about = self.settings, self._about()
+        about = self._about()
         begun = time.monotonic()
         with self._explained(chosen):
-            outcome = chosen.run(
-                engine=self.code.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed,
-                quick=asked.quick, values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
-            )  # fmt: skip
+            outcome = chosen.run(self.settings.but(progress=functools.partial(self.progress, chosen.name)))
         bodies = self.directory.load_bodies(chosen.name)
         if self.again or bodies is None or bodies.about["settings"] != about["settings"]:
             self.directory.discard_bodies(chosen.name, written)
@@ -257,14 +255,12 @@ class _Work:
         return None if settings["quick"] or settings["values"] else shipped(chosen.name)
 
     def _simulate_bodies(self, chosen: Experiment, bodies: Mapping[str, np.ndarray], written: Written) -> Stored:
-        asked, count = self.settings, body_count(bodies)
+        count = body_count(bodies)
         about = self._about(bodies=count, drawn=ensemble.fingerprint(bodies))
         begun = time.monotonic()
         with self._explained(chosen):
-            outcome = ensemble.walked(
-                chosen, bodies, lambda share: self.progress(f"{chosen.name}, {count} bodies", share),
-                engine=self.code.engine, seed=asked.seed, quick=asked.quick, values=dict(asked.values),
-            )  # fmt: skip
+            report = functools.partial(self.progress, f"{chosen.name}, {count} bodies")
+            outcome = ensemble.walked(chosen, bodies, report, self.settings)
         return self.directory.save_bodies(outcome, about | {"wall_seconds": time.monotonic() - begun}, written)
 
     @contextlib.contextmanager
@@ -284,16 +280,18 @@ class _Work:
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any], written: Written) -> None:
         """Store an experiment's entry, and the report of all that the directory holds."""
-        self.directory.write_entry(chosen.name, entry | {"files": written.known})
-        report.write(self.directory, EXPERIMENTS)
+        self.directory.write_entry(chosen.name, entry)
+        report.write(self.directory, EXPERIMENTS, written)
+        written.note()
 
     def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line], written: Written) -> list[Path]:
-        from nermo_mjx.experiments.plots.draw import draw
+        from nermo_mjx.experiments.plots.figures import figures_of
+        from nermo_mjx.plotting.files import write_figures
 
         self.progress(f"{chosen.name}, plots", 0.0)
-        plots = draw(outcome, lines, self.directory.out / "plots", write=written.write)
-        made = {self.directory.relative(plot) for plot in plots}
-        written.remove([name for name in written.known if name.startswith("plots/") and name not in made])
+        plots = write_figures(figures_of(outcome, lines), self.directory.out / "plots", written.write)
+        made, own = {written.name(plot) for plot in plots}, f"plots/{chosen.name}-"
+        written.remove([name for name in written.known if name.startswith(own) and name not in made])
         return plots
 
     def _videos(
@@ -316,7 +314,7 @@ class _Work:
             note = f"There is no video of {chosen.name}. {error}"
             self.notify(note)
             return [], [note]
-        return [{"file": self.directory.relative(path), "shows": shows, "speed": speed}], []
+        return [{"file": written.name(path), "shows": shows, "speed": speed}], []
 
 
 def _ignore(*_: Any) -> None:

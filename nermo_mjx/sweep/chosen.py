@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.quantity import Quantity
-from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.sweep.figures import pair_scatters, scatters
 from nermo_mjx.sweep.plots import MOST_POINTS, heat_map
@@ -23,40 +19,27 @@ from nermo_mjx.sweep.survey import trade_off_figure
 from nermo_mjx.sweep.table import columns_of
 
 
-def draw_chosen(
-    results: Results,
-    folder: Path,
-    x: str,
-    y: str | None = None,
-    color: str | None = None,
-    *,
-    write: Callable[[Path, bytes], None] | None = None,
-    formats: Sequence[str] = FORMATS,
-    remark: str = "",
-) -> list[Path]:
-    """Draw one figure of the named columns.
+def chosen_figure(
+    results: Results, x: str, y: str | None = None, color: str | None = None, remark: str = ""
+) -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of the named columns.
 
     Two parameters of a grid give a heat map, two metrics that have a better side a Pareto front, all else a scatter.
 
     Args:
         results: the table.
-        folder: where the files go.
         x, y: parameters or metrics; without y, it is the speed.
         color: a column that colours the points; of two parameters, the speed by default.
-        write, formats, remark: see `nermo_mjx.sweep.plots.draw_plots`.
+        remark: what the figure's note begins with.
 
     Raises:
         ParameterError: there is no such column, or no run that went well.
     """
     for option, name in (("x", x), ("y", y), ("color", color)):
         check_column(results, name, option)
-    y = y or LEADING
     if not results.statuses()[0].any():
         raise ParameterError("no run of the table went well, so that there is nothing to plot.")
-    with matplotlib.rc_context(STYLE):
-        name, figure = _figure(results, x, y, color, remark)
-        lay_out(figure)
-        return write_figure(figure, folder, name, write, formats)
+    return (_figure(results, x, y or LEADING, color, remark) for _ in range(1))
 
 
 def check_column(results: Results, name: str | None, option: str) -> None:

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 from scipy import stats
 
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.plotting.quantity import Quantity
-from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.runs.files import replace_file
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
 from nermo_mjx.sweep.points import quantity
 from nermo_mjx.sweep.results import Results
@@ -40,7 +39,7 @@ def draw_plots(
     folder: Path,
     *,
     metrics: Sequence[str] = ("speed",),
-    write: Callable[[Path, bytes], None] | None = None,
+    write: Callable[[Path, bytes], None] = replace_file,
     formats: Sequence[str] = FORMATS,
     remark: str = "",
 ) -> list[Path]:
@@ -50,7 +49,7 @@ def draw_plots(
         table: as `read_table` returns it, or `Results`, of which only the columns drawn are read.
         folder: where the files go.
         metrics: the metrics to draw; one that the table lacks is left out.
-        write: how a file is written; `Path.write_bytes` if it is None.
+        write: how a file is written; by default whole or not at all.
         formats: of `png` and `svg`.
         remark: what the note of each figure begins with.
 
@@ -58,14 +57,13 @@ def draw_plots(
         The files, in the order drawn.
     """
     results = table if isinstance(table, Results) else Results.of_table(table)
-    files: list[Path] = []
-    folder.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context(STYLE):
-        for metric in metrics:
-            for name, figure in _figures(results, metric, remark) if metric in results.schema.names else []:
-                lay_out(figure)
-                files += write_figure(figure, folder, name, write, formats)
-    return files
+    return write_figures(figures_of(results, metrics, remark), folder, write, formats)
+
+
+def figures_of(results: Results, metrics: Sequence[str], remark: str = "") -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of each metric that the table has."""
+    for metric in metrics:
+        yield from _figures(results, metric, remark) if metric in results.schema.names else []
 
 
 def _figures(results: Results, metric: str, remark: str = "") -> list[tuple[str, Figure]]:

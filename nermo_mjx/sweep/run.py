@@ -15,6 +15,7 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import clear_errors, replace_file
 from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
@@ -26,7 +27,7 @@ from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
-from nermo_mjx.sweep.summary import summarize, to_json
+from nermo_mjx.sweep.summary import summarize
 from nermo_mjx.sweep.tally import Progress, Tally
 
 #: How often a chunk is run that is damaged each time it is read again.

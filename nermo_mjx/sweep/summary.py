@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -82,11 +81,6 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
     values = {name: column[well][variants.first] for name, column in columns}
     ratio, base = _spine_ratio(values, mean)
     return {**values, "ratio": ratio, "base": base}
-
-
-def to_json(summary: Mapping[str, Any]) -> bytes:
-    """JSON text; what is not finite becomes null."""
-    return (json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n").encode()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -202,11 +196,3 @@ def _spine_gain(values: Mapping[str, np.ndarray], speed: np.ndarray) -> list[dic
                 }
         lines += [line] if here.any() else []
     return lines
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

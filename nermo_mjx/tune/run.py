@@ -36,7 +36,7 @@ class TuningFailed(RuntimeError):
 
 
 @dataclasses.dataclass(frozen=True)
-class Progress:
+class TuningProgress:
     """How far a tuning is.
 
     Attributes:
@@ -88,7 +88,7 @@ def run_tuning(
     *,
     problem: Problem | None = None,
     simulator: SimulatorLike | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TuningProgress], None] | None = None,
     drawing: Callable[[str, float], None] | None = None,
     warn: Callable[[str], None] | None = None,
     accept_new_code: bool = False,
@@ -124,7 +124,7 @@ def run_tuning(
         goes_on = log is None or len(log) <= tuning.iterations
         code = directory.take_code(log, accept=accept_new_code) if goes_on else ""
         report = progress or (lambda _: None)
-        report(Progress(min(resumed, tuning.iterations), tuning.iterations, resumed))
+        report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
         if goes_on:
             tuner = Tuner(tuning, problem or simulation_of(tuning))
         directory.claim(log)
@@ -180,11 +180,11 @@ def _reached(
     value: np.ndarray,
     metrics: Mapping[str, np.ndarray],
     best: Mapping[str, Any] | None,
-) -> Progress:
-    """Progress after `done` evaluations, the last of which gave these values (starts,)."""
+) -> TuningProgress:
+    """TuningProgress after `done` evaluations, the last of which gave these values (starts,)."""
     alive = bool(np.isfinite(value).any())
     at = int(np.nanargmin(value)) if alive else 0
-    return Progress(
+    return TuningProgress(
         iteration=min(done - 1, tuning.iterations),
         iterations=tuning.iterations,
         resumed=resumed,
