@@ -19,7 +19,7 @@ from nermo_mjx.runs.files import DirectoryError, parquet_table
 #: Schema metadata that differs between the chunks of one table.
 CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds", b"engine", b"code")
 #: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
-HELD = 32_000_000
+HELD = 24_000_000
 _FORMAT = ds.ParquetFileFormat(
     default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
 )
