@@ -13,7 +13,7 @@ import pytest
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.runs import files
-from nermo_mjx.sweep import Sweep, read_table, run_sweep
+from nermo_mjx.sweep import DirectoryError, Results, Sweep, read_table, run_sweep
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.store import Store
@@ -96,6 +96,23 @@ def test_a_damaged_chunk_is_kept_beside_what_replaces_it(copy):
     assert result.table.equals(before)
     assert [kept.read_bytes() for kept in copy.glob("results.aside/*")] == [damaged]
     assert flaw(copy) == ""
+
+
+def test_a_chunk_that_cannot_be_read_is_named(copy):
+    """Whether it is the footer that is damaged or a page of a column that is asked for later."""
+    path = copy / "results" / "chunk-00003.parquet"
+    content, chunks = path.read_bytes(), sorted(copy.glob("results/*"))
+    speed = pq.read_metadata(path).row_group(0).column(pq.read_schema(path).get_field_index("speed"))
+    damaged = bytearray(content)
+    damaged[(speed.dictionary_page_offset or speed.data_page_offset) + speed.total_compressed_size - 1] ^= 1
+    path.write_bytes(damaged)
+    results = Results(chunks)
+    assert results.column("frequency").shape == (36,)
+    with pytest.raises(DirectoryError, match=r"chunk-00003\.parquet cannot be read \(.*\): run the same command again"):
+        results.column("speed")
+    path.write_bytes(content[:-20])
+    with pytest.raises(DirectoryError, match=r"chunk-00003\.parquet cannot be read"):
+        Results(chunks)
 
 
 def test_a_digest_that_was_cut_off_costs_no_other_one(copy):
