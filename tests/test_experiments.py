@@ -151,8 +151,8 @@ def test_spine_based_turning_is_fastest_and_mix_based_between(turns, gait, frequ
 def test_the_paths_that_are_followed_are_the_published_ones(turns):
     """The publication lost one of its 54: the lateral walk at 0.8 Hz, by the spine, on 0.5 m.
 
-    Here it is followed, within 25 mm as all others are. The lateral walk at 0.8 Hz comes nearest to being lost, too, but
-    by both.
+    Here it is followed, within 25 mm as all others are. The lateral walk at 0.8 Hz comes nearest to being lost,
+    too, but by both.
     """
     circles = turns.where(side="left", stride=0.8) & (np.asarray(turns.columns["radius"], float) > 0)
     names = ("gait", "frequency", "strategy", "radius")

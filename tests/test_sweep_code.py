@@ -136,7 +136,8 @@ def test_chunks_made_with_other_defaults_are_kept_aside(begun, monkeypatch):
     said = []
     result = run_sweep(SPEC, begun, simulator=FakeSimulator(), warn=said.append)
     assert said == [
-        f"chunks 0, 1 of {begun}: each was made by another sweep, or with other defaults, and is run again."
+        f"chunks 0, 1 of {begun}: each was made by another sweep, or with other defaults; it is kept in results.aside, "
+        "and run again."
     ]
     assert [path.read_bytes() for path in sorted(begun.glob("results.aside/*"))] == kept
     assert result.chunks_run == result.table.num_rows / 9 == 4
@@ -182,7 +183,7 @@ def test_metrics_that_an_earlier_release_did_not_know_are_unknown_in_its_rows(be
     path = begun / "results" / "chunk-00001.parquet"
     pq.write_table(pq.read_table(path).drop(["roll_std", "code"]), path)
     files = sorted(begun.glob("results/*.parquet"))
-    columns = dict(Results.of_present(files).columns(["speed", "roll_std"]))
+    columns = dict(Results(files).columns(["speed", "roll_std"]))
     assert [int(sum(column != column)) for column in columns.values()] == [0, 9]
     assert read_table(begun).column("code").null_count == read_table(begun).column("roll_std").null_count == 9
     assert dataclasses.asdict(next(iter(codes_of(begun).values())))["engine"] == "fake"

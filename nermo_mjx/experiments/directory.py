@@ -22,9 +22,8 @@ from typing import Any
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.table import outcome_of, table_of
 from nermo_mjx.runs import Written
-from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, replace_file
+from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_table, replace_file
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.sweep.store import read_chunk
 from nermo_mjx.view.recording import Recording
 
 _NOTES = b"about"
@@ -108,7 +107,7 @@ class Directory:
         return self._load(self._bodies(experiment))
 
     def _load(self, path: Path) -> Stored | None:
-        table = read_chunk(path)
+        table = parquet_table(path)
         if table is None:
             return None
         try:

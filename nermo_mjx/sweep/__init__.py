@@ -2,7 +2,6 @@
 
 from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.sweep.chunks import SweepError
-from nermo_mjx.sweep.plots import draw_plots
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
@@ -23,7 +22,6 @@ __all__ = [
     "SweepError",
     "SweepInterrupted",
     "SweepResult",
-    "draw_plots",
     "machine",
     "read_table",
     "run_sweep",

@@ -12,15 +12,15 @@ from typing import Any
 import pyarrow as pa
 
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.files import clear_errors, replace_file
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
-from nermo_mjx.sweep.plots import draw_plots
+from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
@@ -172,14 +172,12 @@ def _finish(
 def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
-    files = [store.chunk_path(k) for k in range(len(work.layout))]
-    results = Results.of_files(files, len(work.rows))
+    results = Results([store.chunk_path(k) for k in range(len(work.layout))])
     summary = {**summarize(results), **work.effort()}
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []
-    with clear_errors(store.out):
-        return summary, draw_plots(results, store.plots, write=replace_file)
+    return summary, write_figures(figures_of(results), store.plots, store.directory.write)
 
 
 def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:
