@@ -13,10 +13,10 @@ from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
 from nermo_mjx.plotting.quantity import Quantity
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.specs.reading import nearest
 from nermo_mjx.sweep.figures import pair_scatters, scatters
 from nermo_mjx.sweep.plots import MOST_POINTS, heat_map
 from nermo_mjx.sweep.points import points_of, quantity
-from nermo_mjx.sweep.reading import nearest
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
 from nermo_mjx.sweep.survey import trade_off_figure

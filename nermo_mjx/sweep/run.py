@@ -16,11 +16,11 @@ from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import clear_errors, replace_file
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.workers import LocalWorkers, Workers
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import draw_plots
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike

@@ -24,9 +24,9 @@ import pyarrow.parquet as pq
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file, parquet_bytes
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.difference import differences
 from nermo_mjx.sweep.layout import rows_digest
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.seal import is_intact, seal
 from nermo_mjx.sweep.spec import Sweep
 
