@@ -23,21 +23,9 @@ from pydantic import Field, create_model
 
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.interface import servo_range
-from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
+from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import read_file, read_mapping
-from nermo_mjx.specs.values import Checked, Finite, Whole
-
-
-class Sign(Checked):
-    """1 or -1."""
-
-    def check(self, value: float) -> float:
-        if value not in (1, -1):
-            raise Refused(f"is {value:g}: allowed is 1 or -1.")
-        return value
-
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        return {"enum": [1, -1]}
+from nermo_mjx.specs.values import Finite, Whole
 
 
 class ChannelFields(Fields):
@@ -47,7 +35,7 @@ class ChannelFields(Fields):
     expected: ClassVar = "a mapping such as {channel: 0, direction: 1, zero: 90}"
     example: ClassVar = expected
     channel: Annotated[int, Whole(0, 65_535)] = Field(description="on the servo board, from 0")
-    direction: Annotated[float, Sign()] = optional("-1 where the servo turns against the controller's angle")
+    direction: float = optional("-1 where the servo turns against the controller's angle", enum=[1, -1])
     zero: Finite = optional("servo angle where the controller says 0 [deg]")
     low: Finite = optional("least that the servo may be given [deg]")
     high: Finite = optional("most that the servo may be given [deg]")
@@ -106,6 +94,8 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
     for servo in doc.data:
         given = getattr(file, servo).model_dump(exclude_unset=True)
         channel = Channel(servo, given.pop("channel"), **given)
+        if channel.direction not in (1, -1):
+            doc.fail((servo, "direction"), f"is {channel.direction:g}: allowed is 1 or -1.")
         if channel.number in found:
             doc.fail((servo, "channel"), f"is {channel.number}, which {found[channel.number].servo} has already.")
         if channel.low >= channel.high:

@@ -6,6 +6,7 @@ raise such a sentence itself, and because a field may be one of several forms th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, ClassVar, Final, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
@@ -17,8 +18,8 @@ JsonSchema = dict[str, Any]
 M = TypeVar("M", bound="Fields")
 #: What is expected where pydantic finds another type, or a number out of range.
 _TYPES: Final = {
-    "float_type": "a number", "bool_type": "true or false", "dict_type": "a mapping",
-    "string_type": "the path of a file",
+    "float_type": "a number", "bool_type": "true or false", "string_type": "a name", "dict_type": "a mapping",
+    "list_type": "a list",
 }  # fmt: skip
 _RANGES: Final = {"greater_than": "a finite number above 0", "finite_number": "a finite number"}
 
@@ -42,13 +43,27 @@ def read(doc: Document, model: type[M]) -> M:
         return model.model_validate(doc.data)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-    refused, path, given = first.get("ctx", {}).get("error"), first["loc"], first["input"]
+    refused, path, given = first.get("ctx", {}).get("error"), _place(doc.data, first["loc"]), first["input"]
     if isinstance(refused, Refused):
         path, at, message = (*path, *refused.path), (*path, *refused.path, *refused.at), str(refused)
     else:
         shown = f"{given:g}" if first["type"] in _RANGES else describe(given)
         at, message = path, f"is {shown}: expected {(_TYPES | _RANGES)[first['type']]}."
     doc.fail(at, message, model.called(path))
+
+
+def _place(data: Any, place: FieldPath) -> FieldPath:
+    """As far as the document goes: what follows are types that a field may have, or belongs to a short form."""
+    for i, key in enumerate(place):
+        if not (key in data if isinstance(data, dict) else isinstance(data, list) and isinstance(key, int)):
+            return place[:i]
+        data = data[key]
+    return place
+
+
+def chosen(default: str, names: Iterable[str], description: str) -> Any:
+    """A field with one of these names; whoever takes it says whether it is."""
+    return Field(default=default, description=description, json_schema_extra={"enum": [*names]})
 
 
 def optional(description: str | None = None, *, alias: str | None = None, **schema: Any) -> Any:

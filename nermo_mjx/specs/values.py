@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
-from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, FieldPath, describe, nearest
 
+#: Every parameter, as a file without a setup has it; each setup has the same names.
+PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -85,15 +85,6 @@ class Choice(Checked):
         return {"enum": list(self.names)}
 
 
-class Name(Choice):
-    """One of these names; whoever takes it says whether it is."""
-
-    def check(self, value: Any) -> str:
-        if not isinstance(value, str):
-            raise Refused(f"is {describe(value)}: expected a name.")
-        return value
-
-
 @dataclasses.dataclass(frozen=True)
 class Numbers(Checked):
     """A list of numbers, `written` such as "[low, high]"."""
@@ -139,44 +130,22 @@ class ByParameter(Checked):
         return {**own, **by_parameter({} if self.numbers else value)}
 
 
-class OfParameter(Checked):
-    """A value of one parameter."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def schema(self, own: JsonSchema) -> JsonSchema:
-        return {**own, **number_of(self.name)}
-
-
 def by_parameter(value: JsonSchema) -> JsonSchema:
     """What is said of a mapping by parameters: each with its description, and the given schema or that of a number."""
-    numbers = {name: number_of(name) for name in parameter_names()}
+    numbers = {name: number_of(name) for name in PARAMETERS}
     names = {name: {**(value or number), "description": number["description"]} for name, number in numbers.items()}
     return {"properties": names, "additionalProperties": False}
 
 
 def number_of(name: str) -> JsonSchema:
     """The schema of a parameter's value: its range, and in words its meaning, unit and default."""
-    about = parameters_by_default()[name]
+    about = PARAMETERS[name]
     unit = "" if about.unit == "1" else f" {about.unit}"
     description = f"{about.doc}; default {about.default:g}{unit}, allowed {about.allowed()}"
     bounds = (("Minimum", about.low, about.open_low), ("Maximum", about.high, about.open_high))
     limits = {f"exclusive{end}" if is_open else end.lower(): float(bound)
               for end, bound, is_open in bounds if math.isfinite(bound)}  # fmt: skip
     return {"type": "number", **limits, "description": description}
-
-
-@functools.cache
-def parameters_by_default() -> dict[str, Quantity]:
-    """The parameters of the setup that a file without fields has."""
-    return all_parameters()
-
-
-@functools.cache
-def parameter_names() -> tuple[str, ...]:
-    """Names of the parameters; every setup has the same ones."""
-    return tuple(name for name, _ in quantities(WorldParameters))
 
 
 def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, value: Any) -> None:
@@ -189,13 +158,12 @@ def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, valu
 
 def refuse_parameter(name: str) -> None:
     """Raise `Refused` unless there is such a parameter, with the names near it: of its group, or of all groups."""
-    known = parameter_names()
-    if name in known:
+    if name in PARAMETERS:
         return
     group = name.rpartition(".")[0]
-    mates = [other for other in known if group and other.startswith(f"{group}.")]
+    mates = [other for other in PARAMETERS if group and other.startswith(f"{group}.")]
     if not mates:
-        mates = [other for other in known if "." not in other]
-        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in known if "." in other)
+        mates = [other for other in PARAMETERS if "." not in other]
+        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in PARAMETERS if "." in other)
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    raise Refused(f"is not a parameter; {listed}{nearest(name, known)}", name)
+    raise Refused(f"is not a parameter; {listed}{nearest(name, PARAMETERS)}", name)

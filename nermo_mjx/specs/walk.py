@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Collection, Mapping
-from typing import Annotated, Any, ClassVar, Final, NoReturn
+from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field
 
 from nermo_mjx.control.fusion import MODES
 from nermo_mjx.control.parameters import PROFILES, STEERING
@@ -19,9 +19,9 @@ from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Run, Setup, all_parameters
-from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe, nearest
-from nermo_mjx.specs.values import ByParameter, Name, OfParameter, check_value, parameter_names
+from nermo_mjx.specs.values import PARAMETERS, ByParameter, check_value, number_of
 
 #: Parameters that nothing reads unless a choice of the setup turns them on.
 _NEEDS: Final = {
@@ -38,19 +38,19 @@ _SIDES: Final = {"left": 1.0, "right": -1.0}
 class SetupFields(Fields):
     """The static choices; `Setup` says which names there are, and their defaults."""
 
-    robot: Annotated[str, Name(ROBOTS)] = Field(Setup.robot, description="which robot")
-    scene: Annotated[str, Name(scenes())] = Field(Setup.scene, description="where it walks: a scene of mjcf/scenes")
-    tail: Annotated[str, Name(TAILS)] = Field(Setup.tail, description="rigid is a third faster")
-    routing: Annotated[str, Name(ROUTINGS)] = Field(Setup.routing, description="of the knee's tendon")
-    cone: Annotated[str, Name(CONES)] = Field(Setup.cone, description="friction cone")
-    physics: Annotated[str, Name(tuple(PRESETS))] = Field(Setup.physics, description="time step and contact pairs")
+    robot: str = chosen(Setup.robot, ROBOTS, "which robot")
+    scene: str = chosen(Setup.scene, scenes(), "where it walks: a scene of mjcf/scenes")
+    tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
+    routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
+    cone: str = chosen(Setup.cone, CONES, "friction cone")
+    physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
     timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
                             "wins over that of physics")  # fmt: skip
-    gait: Annotated[str, Name(GAITS)] = Field(Setup.gait, description="defaults of duty, offsets and gait factor")
-    spine: Annotated[str, Name(("none", *MODES, "+".join(MODES)))] = Field(Setup.spine, description="its modes")
-    steering: Annotated[str, Name(tuple(STEERING))] = Field(Setup.steering, description="what turns the robot")
-    profile: Annotated[str, Name(PROFILES)] = Field(Setup.profile, description="as_published moves as published")
-    trajectory: Annotated[str, Name(tuple(FORMS))] = Field(Setup.trajectory, description="form of the foot path")
+    gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
+    spine: str = chosen(Setup.spine, ("none", *MODES, "+".join(MODES)), "its modes")
+    steering: str = chosen(Setup.steering, STEERING, "what turns the robot")
+    profile: str = chosen(Setup.profile, PROFILES, "as_published moves as published")
+    trajectory: str = chosen(Setup.trajectory, FORMS, "form of the foot path")
 
 
 SETUP_FIELDS: Final = tuple(SetupFields.model_fields)
@@ -63,12 +63,8 @@ class Straight(Fields):
 
 class Arc(Fields):
     what: ClassVar = "an option of the pilot 'arc'"
-    radius: Annotated[float, OfParameter("pilot.radius")] = optional()
-    direction: Annotated[
-        float,
-        BeforeValidator(lambda given: _SIDES.get(given, given) if isinstance(given, str) else given),
-        WithJsonSchema({"anyOf": [{"enum": [*_SIDES]}, {"type": "number", "minimum": -1, "maximum": 1}]}),
-    ] = optional("side of the circle")
+    radius: float = optional(**number_of("pilot.radius"))
+    direction: float | Literal["left", "right"] = optional("side of the circle; 1 is left, -1 right")
 
 
 def _rows(given: Any) -> Any:
@@ -83,14 +79,14 @@ class Waypoints(Fields):
     example: ClassVar = "points: [[x, y], ...] in metres"
     points: Annotated[list[list[float]], BeforeValidator(_rows)] = Field(
         description="(x, y) of each [m]; a smooth curve goes through them",
-        json_schema_extra={"minItems": 2, "items": {"type": "array", "items": {"type": "number"}, "minItems": 2,
+        json_schema_extra={"minItems": 3, "items": {"type": "array", "items": {"type": "number"}, "minItems": 2,
                                                     "maxItems": 2}},
     )  # fmt: skip
 
 
 class OpenLoop(Fields):
     what: ClassVar = "an option of the pilot 'open_loop'"
-    turn_rate: Annotated[float, OfParameter("pilot.turn_rate")] = optional()
+    turn_rate: float = optional(**number_of("pilot.turn_rate"))
 
 
 class Pilot(OneOf):
@@ -129,7 +125,7 @@ class WalkFields(SetupFields):
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        if key in parameter_names():
+        if key in PARAMETERS:
             raise Refused(f"is a parameter, not {cls.what}: put it under {cls.sources}.", key)
         super().refuse(key)
 
@@ -164,7 +160,7 @@ class WalkSpec:
     @property
     def pilot_parameters(self) -> dict[str, float]:
         """The pilot's options that are parameters, by their names."""
-        return {f"pilot.{key}": value for key, value in self.pilot.items() if f"pilot.{key}" in parameter_names()}
+        return {f"pilot.{key}": value for key, value in self.pilot.items() if f"pilot.{key}" in PARAMETERS}
 
     @property
     def parameters(self) -> dict[str, Quantity]:
@@ -226,6 +222,7 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
         _refuse_setup(doc, choices, str(error))
     # In the order of the file: what a directory holds is known by it.
     values = {key: getattr(options, key) for key in given[pilot] or ()} if isinstance(given, dict) else {}
+    values |= {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
     parameters = all_parameters(setup)
     for name, value in fields.set.items():
         check_value(doc, ("set", name), name, parameters[name], value)

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
 from nermo_mjx.rollout import all_parameters
+from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import ByParameter, Choice, Whole, by_parameter, refuse_parameter
@@ -21,8 +22,6 @@ from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.axes import Axis, AxisForm, Draw, DrawForm, read_axis, read_draw
 
-#: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
-START_SPREAD = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
 LARGEST_SWEEP = 10_000_000
 
 

@@ -8,13 +8,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe
-from nermo_mjx.specs.values import Choice, Finite, Name, Numbers, Positive, Whole, check_value
+from nermo_mjx.specs.values import Choice, Finite, Numbers, Positive, Whole, check_value
 from nermo_mjx.tune.objective import AIMS, OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term
 from nermo_mjx.tune.optimizer import LEARNING_RATE, Optimizer, optimizers
 from nermo_mjx.tune.sampling import COMMON, Estimator
@@ -89,51 +89,17 @@ class TermFields(Fields):
         return given
 
 
-def _terms(given: Any) -> Any:
-    if not isinstance(given, list) or not given:
-        raise Refused(f"is {describe(given)}: expected {_OBJECTIVE}.")
-    return given
-
-
-Terms = Annotated[list[TermFields], BeforeValidator(_terms)]
-
-
-def _known_kind(given: Any) -> Any:
-    if not isinstance(given, (bool, int, float, str, dict)):
-        raise Refused(f"is {describe(given)}: expected a number, a name or a schedule.")
-    return given
-
-
-_Option = Annotated[
-    Any, BeforeValidator(_known_kind), WithJsonSchema({"type": ["boolean", "number", "string", "object"]})
-]
-
-
-def _rate(given: Any) -> Any:
-    if isinstance(given, bool) or not isinstance(given, (int, float, dict)):
-        raise Refused(f"is {describe(given)}: expected a number or a schedule.")
-    if not isinstance(given, dict) and not 0 < given < math.inf:
-        raise Refused(f"is {given:g}: expected a finite number above 0.")
-    return given
-
-
-_Rate = Annotated[
-    Any,
-    BeforeValidator(_rate),
-    WithJsonSchema({"anyOf": [{"type": "number", "exclusiveMinimum": 0}, {"type": "object"}]}),
-]
-
-
 class OptimizerFields(Fields):
     """An optimizer of optax by name, with its options; optax knows which there are."""
 
     expected: ClassVar = "a name or {name: adam, learning_rate: 0.1}"
     short: ClassVar = ({"enum": [*optimizers()]},)
-    __pydantic_extra__: dict[str, _Option]
+    __pydantic_extra__: dict[str, float | bool | str | dict[str, Any]]
     model_config = ConfigDict(extra="allow")
-    name: Annotated[str, Name(tuple(optimizers()))] = Field("adam", description="of a function of optax")
-    learning_rate: _Rate = Field(LEARNING_RATE, description="in coordinates u a step; a number, or a schedule such as "
-                                 "{name: cosine_decay_schedule, init_value: 0.1, decay_steps: 40}")  # fmt: skip
+    name: str = chosen("adam", optimizers(), "of a function of optax")
+    learning_rate: Positive | dict[str, Any] = Field(
+        LEARNING_RATE, description="in coordinates u a step; or a schedule such as {cosine: {init_value: 0.1, "
+                                   "decay_steps: 40}}")  # fmt: skip
     clip: Positive = optional("a longer gradient is shortened to this")
 
     @classmethod
@@ -150,22 +116,14 @@ class Exact(Fields):
 
 
 class Sampled(Fields):
+    what: ClassVar = "an option of an estimator with samples"
     example: ClassVar = "{samples: 8, sigma: 0.1}"
     samples: Annotated[int, Whole(2, 100_000, even=True)] = Field(description="perturbed worlds of each start")
     sigma: Positive = Field(description="standard deviation of the perturbations, in coordinates u")
     common: Annotated[str, Choice(COMMON)] = Field("none", description="for which the perturbations are the same")
 
 
-class Smoothed(Sampled):
-    what: ClassVar = "an option of 'smoothed'"
-
-
-class Evolution(Sampled):
-    what: ClassVar = "an option of 'evolution'"
-
-
 class Mixture(Sampled):
-    what: ClassVar = "an option of 'mixture'"
     samples: Annotated[int, Whole(4, 100_000, even=True)] = Field(description="perturbed worlds of each start")
     gamma: Positive = Field(
         1.0, description="most bias accepted from the first order, in standard errors of the zeroth"
@@ -181,8 +139,8 @@ class EstimatorFields(OneOf):
     other: ClassVar = "is not an estimator"
     other_name: ClassVar = "is {name!r}"
     exact: Exact | None = optional("the derivative at the point itself")
-    smoothed: Smoothed = optional("the mean derivative around the point")
-    evolution: Evolution = optional("from differences of the objective, without derivatives")
+    smoothed: Sampled = optional("the mean derivative around the point")
+    evolution: Sampled = optional("from differences of the objective, without derivatives")
     mixture: Mixture = optional("of both, by their variances")
 
 
@@ -247,8 +205,8 @@ def _whole_period(doc: Document, path: FieldPath, name: str, low: float, high: f
 
 def read_objective(doc: Document, given: Sequence[TermFields] | None) -> Objective:
     """The weighted terms under `objective`."""
-    if given is None:
-        doc.fail(("objective",), f"is missing: expected {_OBJECTIVE}.")
+    if not given:
+        doc.fail(("objective",), f"is missing or empty: expected {_OBJECTIVE}.")
     terms: list[Term] = []
     for i, each in enumerate(given):
         numbers = each.model_dump(include={"at", "weight", "scale"}, exclude_unset=True)
@@ -260,7 +218,7 @@ def read_objective(doc: Document, given: Sequence[TermFields] | None) -> Objecti
     return Objective(tuple(terms))
 
 
-def read_recording(doc: Document, given: str | None, objective: Objective, *, needed: bool = True) -> Path | None:
+def read_recording(doc: Document, given: Any, objective: Objective, *, needed: bool = True) -> Path | None:
     """The file under `recording`, which is there if it is `needed`; its path counts from the tuning file's folder."""
     wanted = TRAJECTORY_ERROR in objective.metrics
     if given is None:
@@ -268,6 +226,8 @@ def read_recording(doc: Document, given: str | None, objective: Objective, *, ne
             doc.fail(("objective",), f"names {TRAJECTORY_ERROR}, but there is no 'recording' to compare with: give the "
                                      "path of an NPZ.")  # fmt: skip
         return None
+    if not isinstance(given, str):
+        doc.fail(("recording",), f"is {describe(given)}: expected the path of an NPZ.")
     path = (Path(doc.source).parent / given if doc.lines else Path(given)).expanduser().resolve()
     if needed and not path.is_file():
         doc.fail(("recording",), f"is {given!r}: there is no file {path}.")

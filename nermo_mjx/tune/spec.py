@@ -43,8 +43,8 @@ class TuningFile(WalkFields):
     what: ClassVar = "a field of a tuning"
     sources: ClassVar = "'tune' or 'set'"
     tune: Annotated[dict[str, sections.TunedFields | None], ByParameter()] = Field({}, description="tuned parameters")
-    objective: sections.Terms = optional("terms whose sum is minimized", minItems=1)
-    recording: str = optional("path of the NPZ that trajectory_error compares with")
+    objective: list[sections.TermFields] = optional("terms whose sum is minimized", minItems=1)
+    recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
     optimizer: sections.OptimizerFields = optional("how an iteration steps")
     estimator: sections.EstimatorFields = Field(sections.EstimatorFields(exact=None), description="of gradients")
     starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned side by side")
