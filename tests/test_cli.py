@@ -30,7 +30,7 @@ from nermo_mjx.version import __version__
 
 COMMANDS = (
     "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
-    "status", "servos", "model", "bench", "completion",
+    "status", "schema", "servos", "model", "bench", "completion",
 )  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
