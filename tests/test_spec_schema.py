@@ -177,3 +177,33 @@ def test_an_unknown_kind_is_wrong_use():
     ran = CliRunner().invoke(main, ["schema", "sweeps"])
     assert ran.exit_code == 2
     assert "'sweep', 'tune', 'landscape', 'servos'" in ran.output
+
+
+ODD = [None, True, 0, -1, 2.5, float("nan"), float("inf"), 10**400, "", "x", [], [1], ["a"], [[1, 2]], [{}], {}]
+ODD += [{"x": each} for each in (None, 1, "a", [1], {})]
+
+
+def test_no_odd_value_leads_to_anything_but_a_sentence():
+    """At each field of each file, and at each field of what stands there."""
+    from nermo_mjx.hardware.channels import ChannelsFile
+    from nermo_mjx.specs.fields import read
+    from nermo_mjx.specs.reading import SpecError, read_mapping
+    from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
+    from nermo_mjx.sweep.axes import AxisForm, DrawForm
+    from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
+    from nermo_mjx.tune.sections import EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields, TunedFields
+    from nermo_mjx.tune.spec import TuningFile
+
+    models = [SweepFile, TuningFile, ChannelsFile, AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
+              RunFields, Straight, Waypoints, EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields,
+              TunedFields]  # fmt: skip
+    messages = []
+    for model in models:
+        for name in [*model.names(), "frequency", "other"]:
+            for odd in ODD:
+                try:
+                    read(read_mapping({name: odd}), model)
+                except SpecError as error:
+                    messages.append(str(error))
+    assert len(messages) > 1000
+    assert [each for each in messages if each[-1] not in ".?" or "\n" in each] == []

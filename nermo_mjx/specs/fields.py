@@ -19,7 +19,7 @@ M = TypeVar("M", bound="Fields")
 #: What is expected where pydantic finds another type, or a number out of range.
 _TYPES: Final = {
     "float_type": "a number", "bool_type": "true or false", "string_type": "a name", "dict_type": "a mapping",
-    "list_type": "a list",
+    "list_type": "a list", "none_required": "nothing",
 }  # fmt: skip
 _RANGES: Final = {"greater_than": "a finite number above 0", "finite_number": "a finite number"}
 
