@@ -31,7 +31,7 @@ from nermo_mjx.version import __version__
 
 COMMANDS = (
     "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
-    "status", "servos", "model", "bench", "completion",
+    "status", "schema", "servos", "model", "bench", "completion",
 )  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
@@ -110,7 +110,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.physics.engine import ENGINES
     from nermo_mjx.robot import GAITS
     from nermo_mjx.robot.assembly import ROBOTS, TAILS
-    from nermo_mjx.sweep.sections import PILOT_OPTIONS
+    from nermo_mjx.specs.walk import Pilot
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     assert set(choices.GAITS) == set(GAITS)
@@ -121,7 +121,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     assert set(choices.ROBOTS) == set(ROBOTS)
     assert set(choices.TAILS) == set(TAILS)
     # Way points are given in a sweep file or from Python, not as an option of `walk`.
-    assert {*choices.PILOTS, "waypoints"} == set(PILOT_OPTIONS)
+    assert {*choices.PILOTS, "waypoints"} == set(Pilot.model_fields)
     assert set(choices.VIEWS) == set(CAMERAS)
     assert set(choices.OVERLAYS) == set(OVERLAYS)
     assert tuple(EXPERIMENTS) == choices.EXPERIMENTS

@@ -162,7 +162,8 @@ def test_the_command_refuses_a_directory_of_the_previous_release_until_it_is_tol
     assert accepted.exit_code == 0, accepted.stderr
     assert json.loads(accepted.stdout)["chunks_run"] == 2
     table, (name,) = read_table(old), codes_of(old)
-    assert sorted(table.column("code").to_pylist(), key=str) == [name] * 4 + [None] * 2
+    codes = [name] * 4 + [None] * 2
+    assert sorted(table.column("code").to_pylist(), key=str) == sorted(codes, key=str)  # a name may begin with a letter
     assert (old / "results" / "chunk-00000.parquet").read_bytes() in before.values()
     assert len(json.loads((old / "run.json").read_text())["sessions"]) == 2
 

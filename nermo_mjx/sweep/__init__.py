@@ -1,8 +1,8 @@
 """Sweeps: read and check a sweep file, sample its variants, run them into a directory, sum up and draw."""
 
 from nermo_mjx.runs.provenance import machine, versions
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunks import SweepError
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Rows, Sample, sample

@@ -14,8 +14,8 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import batch_size, batch_values, listed, rows_digest
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, Simulated
 from nermo_mjx.sweep.store import ChunkNote, Store

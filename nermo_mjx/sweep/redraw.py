@@ -12,10 +12,10 @@ from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.quantity import Quantity
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.specs.reading import nearest
 from nermo_mjx.sweep.figures import pair_scatters, scatters
 from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
 from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_remark, thinned
-from nermo_mjx.sweep.reading import nearest
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep

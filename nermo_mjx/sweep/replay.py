@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 from nermo_mjx.physics import ENGINES
 from nermo_mjx.rollout import METRICS, History, Simulator
 from nermo_mjx.runs.files import parquet_table
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep

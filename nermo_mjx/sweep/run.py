@@ -17,11 +17,11 @@ from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike

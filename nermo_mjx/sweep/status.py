@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs.status import Status
-from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep

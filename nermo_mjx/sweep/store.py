@@ -26,8 +26,8 @@ import pyarrow.parquet as pq
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, create_file, parquet_bytes, parquet_table
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import rows_digest
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.spec import Sweep
 

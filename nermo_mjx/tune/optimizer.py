@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import optax
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.reading import describe, nearest
+from nermo_mjx.specs.reading import describe, nearest
 
 #: The learning rate of an optimizer that is named without one, in coordinates u (`nermo_mjx.tune.bounds`) a step.
 LEARNING_RATE: Final = 0.1

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.runs import engine_of
 from nermo_mjx.runs.status import Status, last_command
-from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.tune.history import FILE
 from nermo_mjx.tune.spec import Tuning
 
