@@ -103,6 +103,8 @@ class RayWorkers:
         import ray.util.scheduling_strategies
 
         self._ray = ray
+        # Ray prints the last log of each node that is lost, a page of it; `say` gets a sentence.
+        ray._private.worker._worker_logs_enabled = False
         # Ray lets SIGTERM end the process at once; whoever writes ends what is half done first.
         main = threading.current_thread() is threading.main_thread()
         before = signal.getsignal(signal.SIGTERM) if main else None
@@ -137,7 +139,8 @@ class RayWorkers:
     @property
     def parts(self) -> int:
         """See `nermo_mjx.runs.workers.Workers`."""
-        return max(1, sum(max(1, int(each["Resources"].get("GPU", 0))) for each in self._nodes()))
+        resources = [each["Resources"] for each in self._nodes()]
+        return max(1, sum(int(each.get("GPU", 0)) or int(each.get("CPU", 0) >= 1) for each in resources))
 
     def begin(self, computer: Computer) -> CodeStamp:
         """See `Workers`; the code of this process is the one that all must have."""
