@@ -1,7 +1,7 @@
 """A sweep of real walks on a Ray cluster of three nodes, one of which is killed, and another added, again and again.
 
-ray_disturbed.py OUT [--rows N] [--cycles C] [--chunk N] [--every SECONDS] [--kill-driver]: the table of one process
-and that of a cluster on this machine's loopback interface, in folders of OUT; what is there already is not computed again.
+ray_disturbed.py OUT [--rows N] [--cycles C] [--chunk N] [--every SECONDS] [--kill-driver]: the table of one process and
+that of a cluster on this machine's loopback interface, in folders of OUT; what is there already is not computed again.
 With `--kill-driver` the process that writes is killed by SIGKILL after a third of the rows, and started again. Prints
 what happened as JSON, `same` and `in_flight` among it, and ends with 1 if the tables differ or a chunk was computed
 again that was not in flight on a node, or for a driver, that was lost.
@@ -15,7 +15,6 @@ import argparse
 import json
 import os
 import random
-import signal
 import subprocess
 import sys
 import time
@@ -43,16 +42,11 @@ class Walks:
         from nermo_mjx.rollout import Setup, Simulator
 
         self._simulator = self._simulator or Simulator(Setup(**WALK), self.engine)
-        context = ray.get_runtime_context()
-        about = [context.get_node_id(), context.get_job_id(), os.getpid(), float(values["spine.phase"][0])]
-        self._tell("begun", about)
+        about = ray.get_runtime_context().get_node_id(), os.getpid(), float(values["spine.phase"][0])
+        told(self.log, "begun", *about)
         result = self._simulator.run(values, run, **more)
-        self._tell("ended", about)
+        told(self.log, "ended", *about)
         return result
-
-    def _tell(self, what, about):
-        with open(self.log, "a") as file:
-            file.write(json.dumps([what, *about]) + "\n")
 
 
 def drive(asked, out):
@@ -75,57 +69,71 @@ def started(asked, address):
     return subprocess.Popen([sys.executable, __file__, asked.out, *of, *kill, "--drive", address])
 
 
-def disturbed(asked, out):
-    """The sweep while nodes go and come; the nodes killed, by their ids, and how often the driver was."""
+def told(log, *words):
+    """A line in the log."""
+    with open(log, "a") as file:
+        file.write(json.dumps(words) + "\n")
+
+
+def disturbed(asked, out, log):
+    """The sweep while nodes go and come, and the driver once if that is asked for."""
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
-    others, killed, drivers, draw = [cluster.add_node(num_cpus=1) for _ in range(2)], [], 1, random.Random(0)
-    driver, looked = started(asked, cluster.address), time.monotonic()
+    cluster, others = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}), []
+    told(log, "driver")
+    driver, looked, draw = started(asked, cluster.address), time.monotonic(), random.Random(0)
+    kill_driver = asked.kill_driver
     try:
         while driver.poll() is None:
+            while len(others) < 2:
+                try:
+                    others.append(cluster.add_node(num_cpus=1))
+                except Exception as error:  # a busy machine takes more than the 30 s that Ray gives a node
+                    print(f"a node did not start: {error}", file=sys.stderr)
             time.sleep(0.2)
             chunks = len(list(out.glob("results/*.parquet")))
-            if asked.kill_driver and drivers == 1 and chunks * asked.chunk * 3 > asked.rows:
+            if kill_driver and chunks * asked.chunk * 3 > asked.rows:
+                kill_driver = False
                 driver.kill()
                 driver.wait()
-                driver, drivers = started(asked, cluster.address), 2
+                told(log, "driver")
+                driver = started(asked, cluster.address)
             if chunks and time.monotonic() - looked > asked.every:
                 looked = time.monotonic()
                 node = others.pop(draw.randrange(len(others)))
-                killed.append(node.node_id)
+                told(log, "killed", node.node_id)
                 cluster.remove_node(node, allow_graceful=False)
-                others.append(cluster.add_node(num_cpus=1))
         if driver.returncode:
             raise SystemExit(f"the driver ended with {driver.returncode}")
     finally:
-        driver.send_signal(signal.SIGTERM)
+        driver.terminate()
         driver.wait()
         cluster.shutdown()
-    return killed, drivers
 
 
-def account(log, killed):
-    """What the log tells: chunks, how many were begun again, and whose beginning no loss explains.
+def account(log):
+    """What the log tells: chunks, how many were begun again, and how many of these no loss explains.
 
-    A beginning is explained if it was not the chunk's last and its node was killed, or its driver, and it was the last
+    A beginning that was not its chunk's last is explained if its node was killed, or its driver, and it was the last
     one of its process, or the last but one, whose result was on its way.
     """
-    lines = [json.loads(line) for line in log.read_text().splitlines()]
-    begun = [line[1:] for line in lines if line[0] == "begun"]
-    last_job, by_chunk, by_process = begun[-1][1], {}, {}
-    for node, job, process, chunk in begun:
-        by_chunk.setdefault(chunk, []).append((node, job, process))
-        by_process.setdefault((node, process), []).append(chunk)
-    again = [(chunk, *each) for chunk, several in by_chunk.items() for each in several[:-1]]
+    killed, drivers, ended, by_chunk, by_process = set(), 0, 0, {}, {}
+    for what, *about in map(json.loads, log.read_text().splitlines()):
+        drivers, ended = drivers + (what == "driver"), ended + (what == "ended")
+        if what == "killed":
+            killed.add(about[0])
+        if what == "begun":
+            node, process, chunk = about
+            by_chunk.setdefault(chunk, []).append((drivers, node, process))
+            by_process.setdefault((drivers, node, process), []).append(chunk)
+    again = [(chunk, each) for chunk, several in by_chunk.items() for each in several[:-1]]
     unexplained = [
-        each for each in again
-        if not (each[1] in killed or each[2] != last_job) or each[0] not in by_process[each[1], each[3]][-2:]
+        chunk for chunk, each in again
+        if not (each[1] in killed or each[0] < drivers) or chunk not in by_process[each][-2:]
     ]  # fmt: skip
-    ended = sum(line[0] == "ended" for line in lines)
-    return {"chunks": len(by_chunk), "begun": len(begun), "ended": ended, "in_flight": len(again),
-            "unexplained": len(unexplained), "processes": len(by_process)}  # fmt: skip
+    return {"nodes_killed": len(killed), "drivers_lost": drivers - 1, "chunks": len(by_chunk), "ended": ended,
+            "in_flight": len(again), "unexplained": len(unexplained), "processes": len(by_process)}  # fmt: skip
 
 
 def same(one, other):
@@ -153,13 +161,12 @@ def main():
         return 0
     from nermo_mjx.sweep import read_table
 
-    began = time.monotonic()
+    log, began = Path(f"{out}.log"), time.monotonic()
     alone = started(asked, "alone").wait()
     between = time.monotonic()
-    killed, drivers = disturbed(asked, out)
+    disturbed(asked, out, log)
     found = {
-        "same": not alone and same(read_table(one), read_table(out)), "rows": asked.rows, "nodes_killed": len(killed),
-        "drivers_killed": drivers - 1, **account(Path(f"{out}.log"), killed),
+        "same": not alone and same(read_table(one), read_table(out)), "rows": asked.rows, **account(log),
         "one_process_s": round(between - began, 1), "cluster_s": round(time.monotonic() - between, 1),
     }  # fmt: skip
     print(json.dumps(found))
