@@ -18,6 +18,7 @@ import pytest
 from click.testing import CliRunner
 from ray_fake import STARTS
 from sweep_fake import SPEC, FakeSimulator
+from tune_fake import SPEC as TUNING
 from tune_fake import FakeProblem
 
 from nermo_mjx.cli import main
@@ -169,11 +170,13 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
     assert found["nodes_killed"] >= 1
 
 
-def test_an_address_without_ray_is_wrong_use(tmp_path):
+@pytest.mark.parametrize("what", ["sweep", "tune", "experiment"])
+def test_an_address_without_ray_is_wrong_use(tmp_path, what):
     """One sentence, and no directory."""
-    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS))
-    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--ray-address", "auto"]
-    result = CliRunner().invoke(main, command)
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(json.dumps(TUNING if what == "tune" else WALKS))
+    subject = "body" if what == "experiment" else str(spec)
+    result = CliRunner().invoke(main, [what, subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"])
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
     assert not (tmp_path / "out").exists()
