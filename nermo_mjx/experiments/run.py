@@ -207,24 +207,24 @@ class _Work:
         bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
         held = self.directory.load_bodies(chosen.name)
         fits = held is not None and held.about["drawn"] == ensemble.fingerprint(bodies)
-        return (
-            parts if fits and not (parts and self._outdated(held)) else parts + of_bodies(chosen, bodies, self.settings)
-        )
+        if fits and not (parts and self._outdated(held)):
+            return parts
+        return parts + of_bodies(chosen, bodies, self.settings)
 
     def simulated(self, parts: Sequence[Part], workers: Workers) -> Iterator[str]:
         """Have parts simulated, and store what comes; yields the label of what is stored."""
-        walk = {part.name for part in parts if part.bodies}
+        fresh = set()  # experiments whose bodies came first
         try:
             for each in simulate(parts, self.code.engine, workers, self.progress):
                 part, written = each.part, self.written[each.part.name]
                 about = each.session | {"settings": self.settings.as_dict(), "engine": self.code.engine,
                                         "code": self.code.id, "wall_seconds": each.seconds}  # fmt: skip
                 if part.bodies:
-                    self.directory.save_bodies(
-                        each.outcome, about | {"bodies": part.bodies, "drawn": part.drawn}, written
-                    )
+                    about |= {"bodies": part.bodies, "drawn": part.drawn}
+                    self.directory.save_bodies(each.outcome, about, written)
+                    fresh.add(part.name)
                 else:
-                    if part.name not in walk and self._outdated(self.directory.load_bodies(part.name)):
+                    if part.name not in fresh and self._outdated(self.directory.load_bodies(part.name)):
                         self.directory.discard_bodies(part.name, written)
                     self.directory.save(each.outcome, about, written)
                 yield part.label
