@@ -14,9 +14,10 @@ from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.published import shares
-from nermo_mjx.experiments.run import run_experiment, run_experiments
+from nermo_mjx.experiments.run import ExperimentError, run_experiment, run_experiments
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.runs.workers import WorkersLost
 
 #: A body walks as much faster as its friction says (see `experiment_fake`): 80 mm/s are published, so that those
 #: between 0.75 and 1.25 hold.
@@ -102,6 +103,54 @@ def test_bodies_come_in_pieces_and_are_numbered_through(fakes, tmp_path, monkeyp
     assert stored is not None
     assert np.unique(stored.outcome.columns["body"]).tolist() == [1, 2, 3, 4]
     assert list(stored.outcome.columns)[:2] == ["profile", "body"]
+
+
+def test_parts_are_stored_in_the_order_in_which_they_come(fakes, tmp_path, monkeypatch):
+    """Whoever is free simulates: here the last part comes first. Tables and report are those of one process."""
+    monkeypatch.setattr(ensemble, "AT_ONCE", 3)
+
+    class Backwards:
+        parts = 2
+
+        def begin(self, computer):
+            self.computer = computer
+
+        def results(self, tasks, tell):
+            for key, task in reversed(list(tasks)):
+                yield key, self.computer(task)
+
+    names = ("maze", "turning")
+    one = run_experiments(names, tmp_path / "one", bodies=4, video=False)
+    other = run_experiments(names, tmp_path / "other", bodies=4, video=False, workers=Backwards())
+    assert [each.lines for each in one.results] == [each.lines for each in other.results]
+    for name in names:
+        ours, theirs = (Directory(each.out).load_bodies(name).outcome.columns for each in (one, other))
+        assert list(ours) == list(theirs)
+        for column in ours:
+            np.testing.assert_array_equal(ours[column], theirs[column])
+    # What is run again replaces the bodies, also where they come before what they belong to.
+    again = run_experiments(names, tmp_path / "other", bodies=4, again=True, video=False, workers=Backwards())
+    assert {line_of(each).ensemble for each in again.results} == {0.5}
+
+
+def test_workers_that_are_lost_leave_the_experiments_that_are_done(fakes, tmp_path):
+    class Lost:
+        parts = 1
+
+        def begin(self, computer):
+            self.computer = computer
+
+        def results(self, tasks, tell):
+            key, task = next(iter(tasks))
+            yield key, self.computer(task)
+            raise WorkersLost("no node came within 300 s.")
+
+    former = run_experiment("maze", tmp_path, bodies=4, seed=4, video=False)
+    former.table.write_text("damaged")
+    with pytest.raises(ExperimentError, match=r"no node came within 300 s\. What is done is kept in .*same command"):
+        run_experiments(("maze", "turning"), tmp_path, bodies=4, video=False, workers=Lost())
+    assert Directory(tmp_path).load("maze") is not None
+    assert Directory(tmp_path).load_bodies("maze") is None, "those of other settings are none of these results"
 
 
 def test_what_is_set_for_all_worlds_is_not_taken_from_the_bodies(fakes, tmp_path, monkeypatch):

@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.workers import LocalWorkers, Workers, WorkersLost
 from nermo_mjx.tune.background import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
@@ -23,6 +24,7 @@ from nermo_mjx.tune.history import empty_log, history_table
 from nermo_mjx.tune.outcome import start_of
 from nermo_mjx.tune.pictures import Painter, Pictures
 from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.spreading import SharedProblem
 from nermo_mjx.tune.state import TuneState
 from nermo_mjx.tune.tuner import Tuner
 
@@ -32,7 +34,7 @@ class TuningInterrupted(KeyboardInterrupt):
 
 
 class TuningFailed(RuntimeError):
-    """Nothing to tune from: no robot walks; the message says what to change."""
+    """No robot walks, or nobody is left who computes; the message says how to go on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +94,7 @@ def run_tuning(
     drawing: Callable[[str, float], None] | None = None,
     warn: Callable[[str], None] | None = None,
     accept_new_code: bool = False,
+    workers: Workers | None = None,
 ) -> TuningResult:
     """Tune parameters by gradient into a directory, or go on with what it holds.
 
@@ -109,12 +112,14 @@ def run_tuning(
         drawing: called with what is being drawn in the end, and the share of it.
         warn: called with a sentence on each thing that is moved aside.
         accept_new_code: go on in a directory that other code began.
+        workers: who evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
+            several workers numbers differ in their last digits from those of one.
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
             other code, or other defaults, made what it holds.
-        TuningFailed: no robot walks to the end.
+        TuningFailed: no robot walks to the end, or all workers are lost.
         TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
@@ -126,7 +131,7 @@ def run_tuning(
         report = progress or (lambda _: None)
         report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
         if goes_on:
-            tuner = Tuner(tuning, problem or simulation_of(tuning))
+            tuner = Tuner(tuning, SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers()))
         directory.claim(log)
         tuning = directory.tuning
         if goes_on:
@@ -197,10 +202,12 @@ def _reached(
 
 @contextlib.contextmanager
 def _explained(directory: Directory) -> Iterator[Interruption]:
-    """Turn Ctrl-C and SIGTERM into a `TuningInterrupted` that says how to go on."""
+    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to go on."""
     try:
         with interruptible() as interruption:
             yield interruption
+    except WorkersLost as lost:
+        raise TuningFailed(f"{lost} What is finished is kept in {directory.out}: run the same command again.") from None
     except KeyboardInterrupt:
         raise TuningInterrupted(
             f"stopped; what is finished is kept in {directory.out}. To go on, run the same command again, or: "
