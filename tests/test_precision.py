@@ -33,7 +33,8 @@ STICK = """
 
 def products(function: Any, *arguments: Any) -> list[str]:
     """Precision of each matrix product in the program of a function, as lowered for XLA."""
-    text = jax.jit(function).lower(*arguments).as_text()
+    lowered = function if hasattr(function, "lower") else jax.jit(function)
+    text = lowered.lower(*arguments).as_text()
     return re.findall(r"stablehlo\.dot_general.*?precision = \[(\w+, \w+)\]", text)
 
 

@@ -95,10 +95,10 @@ def _translate(error: Exception) -> NoReturn:
 
 def _blame_platform() -> None:
     """Raise a sentence if JAX cannot compute where the user wants it to."""
-    from nermo_mjx.runtime import BackendUnavailable, require_backend
+    from nermo_mjx.runtime import BackendUnavailable, start_jax
 
     try:
-        require_backend()
+        start_jax()
     except BackendUnavailable as unavailable:
         raise Failure(str(unavailable)) from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -20,6 +21,7 @@ from nermo_mjx.cli.choices import (
     VIEWS,
 )
 from nermo_mjx.cli.completing import FileKind, assignments, names
+from nermo_mjx.runtime import THREADS
 
 F = TypeVar("F", bound=Callable[..., Any])
 POSITIVE = click.FloatRange(0, min_open=True)
@@ -49,9 +51,20 @@ def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
 
 
 def engine(function: F) -> F:
-    """`--engine`."""
+    """`--engine`, and how much of the machine it takes."""
     about = "c: MuJoCo C on all cores. mjx: JAX. warp: NVIDIA. auto: warp or mjx on a GPU, else c."
-    return choice("--engine", ENGINES, about)(function)
+    return choice("--engine", ENGINES, about)(threads(function))
+
+
+def threads(function: F) -> F:
+    """`--threads`, for this process and for those that it starts."""
+
+    def keep(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
+        if value is not None:
+            os.environ[THREADS] = str(value)
+
+    return number("--threads", "Processors that the engine c uses; by default all.", click.IntRange(1),
+                  expose_value=False, callback=keep)(function)  # fmt: skip
 
 
 def accept_new_code(function: F) -> F:

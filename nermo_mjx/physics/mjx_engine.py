@@ -24,6 +24,7 @@ from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
+from nermo_mjx.runtime import compiler_options
 
 #: Most iterations of the solver's line search. C's ends by itself after a few, and needs more than this in one step of
 #: thousands, where it would stop at a wrong solution. MJX's never reaches its tolerance in float32 and makes all of
@@ -66,9 +67,10 @@ class MjxEngine:
         self.robot, self.loop = robot, loop
         self.devices = choose_devices(devices)
         self.model, self.data = self.put(robot.physical)
-        self.open_worlds = jax.jit(self._open_worlds)
-        self.advance = jax.jit(self._advance, donate_argnums=2)
-        self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3)
+        options = compiler_options()
+        self.open_worlds = jax.jit(self._open_worlds, compiler_options=options)
+        self.advance = jax.jit(self._advance, donate_argnums=2, compiler_options=options)
+        self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3, compiler_options=options)
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """The model for MJX, and data of a world alone."""

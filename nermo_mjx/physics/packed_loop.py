@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from nermo_mjx.physics.engine import Loop
 from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.runtime import compiler_options
 
 
 class PackedLoop:
@@ -52,7 +53,7 @@ class PackedLoop:
             return ravel_pytree(after)[0], ctrl
 
         def step_once(once: Any, params: Array, state: Array, sensordata: Array) -> tuple[Array, Array]:
-            """One step, as a loop of one round that XLA makes a single function of (`runtime.COMPILER_FLAGS`)."""
+            """One step, as a loop of one round that XLA makes a single function of (`runtime.EXTRA_OPTIONS`)."""
 
             def body(round_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
                 # Tied to the round, or else what depends on them alone would be moved out of the loop.
@@ -65,7 +66,9 @@ class PackedLoop:
 
         self.pack = jax.jit(jax.vmap(lambda params: ravel_pytree(params)[0]))
         self.unpack = jax.jit(jax.vmap(unpack_state))
-        self.init, self.step = jax.jit(jax.vmap(init)), jax.jit(step_once)
+        options = compiler_options()
+        self.init = jax.jit(jax.vmap(init), compiler_options=options)
+        self.step = jax.jit(step_once, compiler_options=options)
         #: First argument of `step`: not a constant, or XLA would see that the loop is none.
         self.once = jax.device_put(np.int32(1))
 

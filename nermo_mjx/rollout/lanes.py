@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.runtime import compiler_options
 
 #: Worlds of a piece; the last one is filled up.
 LANES: Final = 256
@@ -25,7 +26,7 @@ class Lanes:
         Args:
             function: of one world.
         """
-        self._program = jax.jit(full_precision(jax.vmap(function)))
+        self._program = jax.jit(full_precision(jax.vmap(function)), compiler_options=compiler_options())
 
     def __call__(self, *arguments: Any) -> Any:
         """The results of all worlds; n is at least 1."""
