@@ -188,18 +188,16 @@ CACHED = """
 import jax, json
 import numpy as np
 import nermo_mjx
-seen, traced = [], []
+seen = []
 jax.monitoring.register_event_listener(lambda event, **about: seen.append(event))
-jax.monitoring.register_event_duration_secs_listener(
-    lambda event, seconds, **about: traced.append(seconds) if event.endswith("jaxpr_trace_duration") else None)
 from nermo_mjx.rollout import Run, Setup, Simulator
 result = Simulator(Setup(), {engine!r}).run({{"frequency": np.full({worlds}, 0.8)}}, Run(duration=0.1))
 counts = {{name: seen.count("/jax/compilation_cache/cache_" + name) for name in ("hits", "misses")}}
-print(json.dumps(counts | {{"ok": int((result.status == "ok").sum()), "traced": sum(traced)}}))
+print(json.dumps(counts | {{"ok": int((result.status == "ok").sum())}}))
 """
 
 
-def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str, float]:
+def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str, int]:
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PJRT_"))}
     environment |= {"NERMO_MJX_CACHE": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     command = [sys.executable, "-c", CACHED.format(engine=engine, worlds=worlds)]
@@ -219,5 +217,3 @@ def test_the_next_process_reuses_compiled_programs(tmp_path, engine, worlds):
     assert first["misses"] > 0
     assert second["misses"] == 0
     assert second["hits"] > 0
-    if engine == "mjx":  # of which most of the time is the tracing of physics
-        assert second["traced"] < 0.5 * first["traced"]

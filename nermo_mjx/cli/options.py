@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -23,6 +24,7 @@ from nermo_mjx.cli.choices import (
     VIEWS,
 )
 from nermo_mjx.cli.completing import FileKind, assignments, names
+from nermo_mjx.runtime import THREADS
 
 if TYPE_CHECKING:
     from nermo_mjx.runs.workers import Workers
@@ -55,9 +57,20 @@ def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
 
 
 def engine(function: F) -> F:
-    """`--engine`."""
+    """`--engine`, and how much of the machine it takes."""
     about = "c: MuJoCo C on all cores. mjx: JAX. warp: NVIDIA. auto: warp or mjx on a GPU, else c."
-    return choice("--engine", ENGINES, about)(function)
+    return choice("--engine", ENGINES, about)(threads(function))
+
+
+def threads(function: F) -> F:
+    """`--threads`, for this process and for those that it starts."""
+
+    def keep(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
+        if value is not None:
+            os.environ[THREADS] = str(value)
+
+    return number("--threads", "Processors that the engine c uses; by default all.", click.IntRange(1),
+                  expose_value=False, callback=keep)(function)  # fmt: skip
 
 
 def workers(function: F) -> F:

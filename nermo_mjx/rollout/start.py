@@ -18,7 +18,6 @@ from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
 from nermo_mjx.rollout.lanes import Lanes
-from nermo_mjx.rollout.loop import ClosedLoop
 from nermo_mjx.rollout.parameters import Start
 
 #: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
@@ -66,4 +65,4 @@ class StartPose:
 
     @functools.cached_property
     def _batched(self) -> Lanes:
-        return Lanes(self.qpos, ClosedLoop(self.robot, self.controller).identity)
+        return Lanes(self.qpos)

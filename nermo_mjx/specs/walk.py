@@ -170,6 +170,7 @@ class WalkSpec:
     def walk_fields(self) -> dict[str, Any]:
         """Setup, pilot, run and fixed parameters, as they stand in a file."""
         data: dict[str, Any] = {field: getattr(self.setup, field) for field in SETUP_FIELDS}
+        data["timestep"] = float(self.setup.timestep)
         data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
         names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
         data["run"] = {name: float(getattr(self.run, name)) for name in names}

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.derivative import choose_mode, cost, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
-from nermo_mjx.runtime import cpu_batch_limit
+from nermo_mjx.runtime import compiler_options, cpu_batch_limit
 from nermo_mjx.tune.evaluation import Evaluation
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR
 from nermo_mjx.tune.spec import Tuning
@@ -46,8 +46,9 @@ class WalkProblem:
         self.reference = reference
         if reference is None and tuning.recording is not None:
             self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
-        self._value = jax.jit(jax.vmap(self._walk))
-        self._gradient = jax.jit(jax.vmap(value_and_gradient(self._walk, self.mode)))
+        self._value = jax.jit(jax.vmap(self._walk), compiler_options=compiler_options())
+        gradient = jax.vmap(value_and_gradient(self._walk, self.mode))
+        self._gradient = jax.jit(gradient, compiler_options=compiler_options())
 
     def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
         """For another machine, where the recording is not, and all else is made again."""
