@@ -164,7 +164,7 @@ def walked(
         stance: planned contact. The legs on the ground count, and on a side that has none there those in the air.
         turn_rate: held now, for the spine.
     """
-    across, _ = _turn_of_two_feet(params.stance)
+    feet = _turn_of_two_feet(params.stance)
     strides = jnp.abs(points[:, 2, 0] - points[:, 0, 0])
     weight = jnp.where(stance, 1.0, 1e-3)
     left, right = (
@@ -173,7 +173,7 @@ def walked(
     )
     per_stride = params.gait.frequency * params.gait.gait_factor
     speed = 0.5 * (left + right) * per_stride
-    return speed, (right - left) * across * per_stride + speed * _spine_part(params, turn_rate)
+    return speed, (right - left) * feet.across * per_stride + speed * _spine_part(params, feet, turn_rate)
 
 
 def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
