@@ -13,7 +13,7 @@ from matplotlib.collections import LineCollection, PathCollection, PolyCollectio
 
 from nermo_mjx.plotting.cloud import CROWD
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
@@ -245,8 +245,8 @@ def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypa
 def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(count: int, crowd: bool) -> None:
     """Tens of thousands of dots would be one solid block."""
     values = np.random.default_rng(0)
-    x = Quantity("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
-    z = Quantity("speed", "mm/s", values.normal(80.0, 10.0, count))
+    x = ShownValues("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
+    z = ShownValues("speed", "mm/s", values.normal(80.0, 10.0, count))
     figure = scatters([x], z, [""], "Speed", "some runs")
     drawn = figure.axes[0].collections[0]
     assert isinstance(drawn, PolyCollection) is crowd

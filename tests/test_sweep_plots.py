@@ -8,7 +8,7 @@ from matplotlib.image import imread
 from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, speed
 
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.quantity import shown
+from nermo_mjx.plotting.shown import shown
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.sweep import Results, run_sweep
 from nermo_mjx.sweep.figures import heat_maps

@@ -167,7 +167,7 @@ def _digits(value: float) -> str:
 
 
 def _number_and_unit(metric: str, value: float) -> str:
-    from nermo_mjx.plotting.quantity import shown
+    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     quantity = shown(metric, OBJECTIVE_METRICS[metric].unit, value)
@@ -176,7 +176,7 @@ def _number_and_unit(metric: str, value: float) -> str:
 
 def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
     """Values of a parameter or metric as figures show them, and the unit."""
-    from nermo_mjx.plotting.quantity import shown
+    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     about = tuning.parameters.get(name) or OBJECTIVE_METRICS[name]

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic_core import core_schema
 
-from nermo_mjx.specs.reading import Document, FieldPath, describe, nearest
+from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 
 JsonSchema = dict[str, Any]
 M = TypeVar("M", bound="Fields")
@@ -117,7 +117,7 @@ class Fields(BaseModel):
     def refuse(cls, key: str) -> None:
         """Raise `Refused` about an unknown field; one that is allowed nevertheless passes."""
         known = f"allowed are {', '.join(cls.names())}" if cls.names() else "it has none"
-        raise Refused(f"is not {cls.what}; {known}{nearest(key, cls.names())}", key)
+        raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, cls.names())}", key)
 
     @classmethod
     def called(cls, path: FieldPath) -> str:
@@ -159,14 +159,16 @@ class OneOf(Fields):
             needs = " and ".join(name for name, field in model.names().items() if field.is_required())
             raise Refused(f"is '{given}' without {needs}: expected {model.example}.")
         if isinstance(given, str):
-            raise Refused(f"{cls.other_name.format(name=given)}: expected {cls.expected}{nearest(given, cls.names())}")
+            raise Refused(
+                f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.names())}"
+            )
         if isinstance(given, dict) and len(given) != 1:
             raise Refused(f"is {describe(given)}: expected {cls.expected}.")
         return given
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        message = f"{cls.other.format(name=key)}: expected {cls.expected}{nearest(key, cls.names())}"
+        message = f"{cls.other.format(name=key)}: expected {cls.expected}{did_you_mean(key, cls.names())}"
         raise Refused(message, at=(key,)) if "{name" in cls.other else Refused(message, key)
 
     @property

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from nermo_mjx.robot.nearest import nearest as near
+from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
@@ -119,9 +119,9 @@ def describe(value: Any) -> str:
     return f"{kinds.get(type(value), type(value).__name__)} {shown if len(shown) <= 60 else shown[:57] + '...'}"
 
 
-def nearest(name: str, allowed: Iterable[str]) -> str:
+def did_you_mean(name: str, allowed: Iterable[str]) -> str:
     """`; did you mean 'x'?` for the nearest allowed name, or a full stop where none is near."""
-    found = near(name, allowed)
+    found = nearest(name, allowed)
     return f"; did you mean '{found}'?" if found else "."
 
 

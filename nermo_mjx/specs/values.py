@@ -13,7 +13,7 @@ from pydantic_core.core_schema import CoreSchema
 from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
-from nermo_mjx.specs.reading import Document, FieldPath, describe, nearest
+from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 
 #: Every parameter, as a file without a setup has it; each setup has the same names.
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
@@ -78,7 +78,7 @@ class Choice(Checked):
     def check(self, value: Any) -> str:
         if not isinstance(value, str) or value not in self.names:
             allowed = f"allowed {'are' if len(self.names) > 1 else 'is'} {', '.join(self.names)}"
-            raise Refused(f"is {describe(value)}: {allowed}{nearest(str(value), self.names)}")
+            raise Refused(f"is {describe(value)}: {allowed}{did_you_mean(str(value), self.names)}")
         return value
 
     def schema(self, own: JsonSchema) -> JsonSchema:
@@ -166,4 +166,4 @@ def refuse_parameter(name: str) -> None:
         mates = [other for other in PARAMETERS if "." not in other]
         mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in PARAMETERS if "." in other)
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    raise Refused(f"is not a parameter; {listed}{nearest(name, PARAMETERS)}", name)
+    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, PARAMETERS)}", name)

@@ -20,7 +20,7 @@ from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Run, Setup, all_parameters
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
-from nermo_mjx.specs.reading import Document, FieldPath, describe, nearest
+from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 from nermo_mjx.specs.values import PARAMETERS, ByParameter, check_value, number_of
 
 #: Parameters that nothing reads unless a choice of the setup turns them on.
@@ -236,7 +236,7 @@ def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> No
     if field not in choices:
         doc.fail(("pilot", "waypoints", "points"), f"is refused: {message}")
     allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
-    hint = "" if "did you mean" in rest else nearest(str(choices[field]), allowed)
+    hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
     doc.fail((field,), rest.rstrip(".") + (hint or "."))
 
 

@@ -9,11 +9,10 @@ from nermo_mjx.sweep.sampling import Rows, Sample, sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError
 from nermo_mjx.sweep.summary import summarize
-from nermo_mjx.sweep.tally import Progress
+from nermo_mjx.sweep.tally import SweepProgress
 
 __all__ = [
     "DirectoryError",
-    "Progress",
     "Results",
     "Rows",
     "Sample",
@@ -21,6 +20,7 @@ __all__ = [
     "Sweep",
     "SweepError",
     "SweepInterrupted",
+    "SweepProgress",
     "SweepResult",
     "machine",
     "read_table",

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
 from nermo_mjx.sweep.points import metric_of, quantities, quantity, repeats_remark, thinned, titled
 from nermo_mjx.sweep.results import Results
@@ -48,7 +48,9 @@ def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Ite
     yield from survey_figures(results, metric, remark)
 
 
-def heat_map(x: Quantity, y: Quantity, varied: Sequence[Quantity], z: Quantity, note: str) -> tuple[str, Figure]:
+def heat_map(
+    x: ShownValues, y: ShownValues, varied: Sequence[ShownValues], z: ShownValues, note: str
+) -> tuple[str, Figure]:
     """A heat map of z over two parameters; with a third one that varies, one panel for each of its values."""
     panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
     figure = heat_maps(x, y, z, panels, f"{titled(z.name)} over {x.name} and {y.name}", note + remark)
@@ -63,7 +65,7 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     data = spine_ratio(results)
     varied = {name: quantity(results, name, data[name]) for name in names}
     x, y = varied.pop("spine.amplitude"), varied.pop("spine.phase")
-    z = Quantity("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
+    z = ShownValues("speed relative to the stiff spine", "%", 100 * (data["ratio"] - 1))
     bends = x.values > 0
     if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
         return
@@ -72,11 +74,11 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     yield f"{metric}-gain-over-{x.name}-and-{y.name}", heat_maps(x, y, z, panels, title, note, gain=bends)
 
 
-def _scatter_figures(drawn: list[Quantity], z: Quantity, remark: str) -> Iterator[tuple[str, Figure]]:
+def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> Iterator[tuple[str, Figure]]:
     """The metric against each parameter, and over the pairs of those that matter most."""
     good = np.isfinite(z.values)
-    drawn = [Quantity(x.name, x.unit, x.values[good], x.log) for x in drawn if len(np.unique(x.values[good])) > 1]
-    z = Quantity(z.name, z.unit, z.values[good])
+    drawn = [ShownValues(x.name, x.unit, x.values[good], x.log) for x in drawn if len(np.unique(x.values[good])) > 1]
+    z = ShownValues(z.name, z.unit, z.values[good])
     if not drawn:
         return
     still = np.ptp(z.values) == 0
@@ -100,7 +102,7 @@ def _scatter_figures(drawn: list[Quantity], z: Quantity, remark: str) -> Iterato
         yield f"{z.name}-over-pairs", pair_scatters(pairs, z, title, note.partition("; line")[0] + "; ")
 
 
-def _panels(rest: list[Quantity], count: int) -> tuple[list[tuple[str, np.ndarray]], str]:
+def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.ndarray]], str]:
     """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
     if len(rest) == 1:
         panels, left_out = _slices(rest[0])
@@ -109,7 +111,7 @@ def _panels(rest: list[Quantity], count: int) -> tuple[list[tuple[str, np.ndarra
     return [("", np.full(count, True))], remark
 
 
-def _slices(third: Quantity) -> tuple[list[tuple[str, np.ndarray]], int]:
+def _slices(third: ShownValues) -> tuple[list[tuple[str, np.ndarray]], int]:
     """A panel for each value of the third parameter, and how many values were left out."""
     values = np.unique(third.values)
     kept = thinned(values, MOST_PANELS)

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.specs.reading import nearest
+from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.figures import pair_scatters, scatters
 from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
 from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_remark, thinned
@@ -102,7 +102,7 @@ def _check_column(results: Results, name: str | None, option: str) -> None:
     """Refuse a name that is no parameter and no metric of the table; None is none."""
     known = columns_of(results, "varied", "randomized", "metric")
     if name is not None and name not in known:
-        hint = nearest(name, known)
+        hint = did_you_mean(name, known)
         raise ParameterError(f"{option} is {name!r}, no column of the table{hint} There are {', '.join(known)}.")
 
 
@@ -128,7 +128,7 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
         best = places[np.argmin(cost(drawn[-1].name, drawn[-1].values[places]))]
         places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
     note = remark + note
-    across, up, *by = (Quantity(each.name, each.unit, each.values[places], each.log) for each in drawn)
+    across, up, *by = (ShownValues(each.name, each.unit, each.values[places], each.log) for each in drawn)
     title = title[:1].upper() + title[1:]
     if by:
         return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)

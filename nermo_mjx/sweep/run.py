@@ -28,7 +28,7 @@ from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
 from nermo_mjx.sweep.summary import summarize
-from nermo_mjx.sweep.tally import Progress, Tally
+from nermo_mjx.sweep.tally import SweepProgress, Tally
 
 #: How often a chunk is run that is damaged each time it is read again.
 ATTEMPTS = 2
@@ -72,7 +72,7 @@ def run_sweep(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[SweepProgress], None] | None = None,
     notify: Callable[[str], None] | None = None,
     warn: Callable[[str], None] | None = None,
     chunk: int | None = None,
@@ -90,7 +90,7 @@ def run_sweep(
         spec: a `Sweep`, a dict with the fields of a sweep file, or the path of one.
         out: the directory; see `nermo_mjx.sweep.store`.
         engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
-        progress: called now and then with a `Progress`.
+        progress: called now and then with a `SweepProgress`.
         notify: called with a sentence when something takes long (compilation).
         warn: called with a sentence when something in the directory is damaged, and is run again.
         chunk: rows simulated and stored together; a directory keeps the size it was begun with.
@@ -116,7 +116,7 @@ def run_sweep(
     size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), parts)
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
 
-        def report(share: Progress) -> None:
+        def report(share: SweepProgress) -> None:
             interruption.check()
             if progress is not None:
                 progress(share)

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_AXES, MOST_LINES, chosen_lines, parallel
 from nermo_mjx.sweep.points import Points, points_of, thinned, titled
 from nermo_mjx.sweep.results import Results
@@ -83,7 +83,7 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
     return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
 
 
-def _influence(parameter: Quantity, z: Quantity) -> float:
+def _influence(parameter: ShownValues, z: ShownValues) -> float:
     if np.ptp(parameter.values) == 0 or np.ptp(z.values) == 0:
         return 0.0
     return float(stats.spearmanr(parameter.values, z.values).statistic)

@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.marks import Published, mark_published, published_entry, swatch
-from nermo_mjx.plotting.quantity import shown as in_shown_unit
+from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import INK, MUTED, horizontal_grid
 
 #: Share of a group's width that its bars fill.

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.quantity import Quantity, shown
+from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.tune.landscape.lines import Slice, lines_of
@@ -73,11 +73,11 @@ def _text(tuning: Tuning, tuned: Tuned) -> str:
     return quantity.shown(float(quantity.values))
 
 
-def _about(tuning: Tuning, name: str, values: np.ndarray) -> Quantity:
+def _about(tuning: Tuning, name: str, values: np.ndarray) -> ShownValues:
     return shown(name, tuning.parameters[name].unit, values)
 
 
-def _draw_objective(ax: Axes, line: Slice, x: Quantity) -> None:
+def _draw_objective(ax: Axes, line: Slice, x: ShownValues) -> None:
     """Points with tangents, their lowest a star, and a cross where the robot fell."""
     per_shown = np.ptp(line.x) / np.ptp(x.values)
     half = 0.5 * _TANGENT * np.ptp(x.values) / (len(line.x) - 1)
@@ -99,7 +99,7 @@ def _draw_objective(ax: Axes, line: Slice, x: Quantity) -> None:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
 
 
-def _draw_slopes(ax: Axes, line: Slice, x: Quantity) -> None:
+def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
     """Exact slopes as a line, each secant as a bar over its width."""
     per_shown = np.ptp(line.x) / np.ptp(x.values)
     slope = line.slope * per_shown

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.plotting.quantity import shown
+from nermo_mjx.plotting.shown import shown
 from nermo_mjx.runs.text import MISSING, listed, table
 from nermo_mjx.tune.landscape.lines import Slice
 from nermo_mjx.tune.spec import Tuning
