@@ -22,7 +22,7 @@ from typing import Any
 import pyarrow as pa
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import RunDirectory, session, stamp
+from nermo_mjx.runs import RunDirectory, Written, session, stamp
 from nermo_mjx.runs.files import clear_errors, parquet_bytes
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.tune.directory import ENGINE, keep_recording, set_aside, write_tuning
@@ -121,7 +121,11 @@ def run_landscape(
             batches.clear()
         tuning = keep_recording(held, tuning, say)
         write_tuning(held, TUNING, tuning, say)
-        return _publish(held, tuning, table, evaluated)
+        with Written(held) as written:
+            result = _publish(written, tuning, table, evaluated)
+        if written.aside:
+            say(written.sentence())
+        return result
 
 
 def _evaluate(
@@ -149,16 +153,14 @@ def _evaluate(
         ) from None
 
 
-def _publish(held: RunDirectory, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
-    """Make everything else from the table."""
+def _publish(written: Written, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
+    """Make everything else from the table; landscape.json comes last, and says that all is there."""
     from nermo_mjx.plotting.files import write_figures
     from nermo_mjx.tune.landscape.plots import figures_of
 
-    lines = lines_of(tuning, table)
-    content = content_of(tuning, table, lines)
-    held.write("landscape.json", to_json(content))
-    plots = write_figures(figures_of(tuning, lines), held.out / "plots")
-    content["plots"] = [path.relative_to(held.out).as_posix() for path in plots]
-    held.write("landscape.json", to_json(content))
-    held.write("report.md", page(content).encode())
-    return LandscapeResult(held.out, tuning, table, content, tuple(plots), evaluated)
+    out, lines = written.held.out, lines_of(tuning, table)
+    plots = write_figures(figures_of(tuning, lines), out / "plots", written.write)
+    content = content_of(tuning, table, lines) | {"plots": [written.name(path) for path in plots]}
+    written.write(out / "report.md", page(content).encode())
+    written.write(out / "landscape.json", to_json(content))
+    return LandscapeResult(out, tuning, table, content, tuple(plots), evaluated)
