@@ -417,7 +417,7 @@ def test_a_landscape_that_was_killed_while_it_drew_is_not_complete(tmp_path, mon
         with pytest.raises(KeyboardInterrupt):
             measure(tmp_path, points=5)
     assert not landscape_status(tmp_path).complete
-    assert measure(tmp_path, points=5).evaluated == 0, "the points are kept"
+    assert measure(tmp_path, points=5)[0].evaluated == 0, "the points are kept"
     assert landscape_status(tmp_path).complete
 
 
