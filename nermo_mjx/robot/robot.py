@@ -151,7 +151,7 @@ class Robot:
         return Sensors(**parts)
 
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
-        """`sensordata` of the robot put down at `qpos`, in JAX: where IMU and joints are; all that moves or pushes is zero."""
+        """`sensordata` of the robot put down at `qpos`, in JAX: where IMU and joints are; all else reads zero."""
         place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
         arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
         axis = jnp.stack([x, y, z])
