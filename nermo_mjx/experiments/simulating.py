@@ -85,6 +85,7 @@ def simulate(
     workers.begin(Simulation(engine))
     sessions: dict[str, dict[str, Any]] = {}
     came: dict[str, dict[int, tuple[Outcome, float]]] = collections.defaultdict(dict)
+    bodies: collections.Counter[str] = collections.Counter()
 
     def tasks() -> Iterator[tuple[int, Part]]:
         for key, part in enumerate(parts):
@@ -98,6 +99,9 @@ def simulate(
         part = parts[key]
         several = came[part.label]
         several[part.begin] = found
+        bodies[part.label] += body_count(part.settings.bodies)
+        # Workers elsewhere do not say how far they are.
+        progress(part.label, bodies[part.label] / part.bodies if part.bodies else 1.0)
         if len(several) == sum(each.label == part.label for each in parts):
             outcomes = {begin: outcome for begin, (outcome, _) in several.items()}
             outcome = ensemble.numbered(outcomes) if part.bodies else found[0]
