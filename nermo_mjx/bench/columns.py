@@ -75,6 +75,19 @@ COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
         Column("operations", "operations", "{:,}"), _TRACE, _COMPILE,
     ),
     "speedtest": (_WORLDS, Column("steps/s", "steps_per_second", "{:,.0f}"), _COMPILE, _PEAK),
+    "gpu-plan": (
+        Column("target", "target"), Column("program", "program"), _WORLDS, _TRACE, _COMPILE,
+        Column("kB/world", "bytes_per_world", "{:,.1f}", 1e-3),
+        Column("fits", "fits"),
+        Column("launches a step", "launches_per_step", "{:,.0f}"),
+        Column("a tick", "launches_per_tick", "{:,.0f}"),
+        Column("library calls a step", "library_calls_per_step", "{:,.0f}"),
+        Column("unknown loops", "unknown_loops"),
+        Column("moved [kB/world/step]", "moved_bytes_per_step", "{:,.0f}", 1e-3),
+        Column("launch bound [steps/s, estimate]", "estimated_launch_bound", "{:,.0f}"),
+        Column("bandwidth bound [steps/s, estimate]", "estimated_bandwidth_bound", "{:,.0f}"),
+        _PEAK,
+    ),
 }  # fmt: skip
 
 
