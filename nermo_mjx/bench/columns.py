@@ -75,6 +75,19 @@ COLUMNS: Final[dict[str, tuple[ShownColumn, ...]]] = {
         ShownColumn("operations", "operations", "{:,}"), _TRACE, _COMPILE,
     ),
     "speedtest": (_WORLDS, ShownColumn("steps/s", "steps_per_second", "{:,.0f}"), _COMPILE, _PEAK),
+    "gpu-plan": (
+        ShownColumn("target", "target"), ShownColumn("program", "program"), _WORLDS, _TRACE, _COMPILE,
+        ShownColumn("kB/world", "bytes_per_world", "{:,.1f}", 1e-3),
+        ShownColumn("fits", "fits"),
+        ShownColumn("launches a step", "launches_per_step", "{:,.0f}"),
+        ShownColumn("a tick", "launches_per_tick", "{:,.0f}"),
+        ShownColumn("library calls a step", "library_calls_per_step", "{:,.0f}"),
+        ShownColumn("unknown loops", "unknown_loops"),
+        ShownColumn("moved [kB/world/step]", "moved_bytes_per_step", "{:,.0f}", 1e-3),
+        ShownColumn("launch bound [steps/s, estimate]", "estimated_launch_bound", "{:,.0f}"),
+        ShownColumn("bandwidth bound [steps/s, estimate]", "estimated_bandwidth_bound", "{:,.0f}"),
+        _PEAK,
+    ),
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import importlib.util
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -49,11 +50,21 @@ class Benchmark:
         about: what it measures, for listings.
         place: module and name of the function; it is imported in the process that measures.
         options: by name.
+        extra: of this package, without which it cannot be made, and the modules that the extra installs.
     """
 
     about: str
     place: str
     options: Mapping[str, Option]
+    extra: tuple[str, tuple[str, ...]] = ("", ())
+
+    def check(self, name: str) -> None:
+        """Raises `ParameterError` unless what it needs is installed."""
+        extra, modules = self.extra
+        if missing := [module for module in modules if not _installed(module)]:
+            raise ParameterError(
+                f"{name} needs {missing[0]}, which is not installed: pip install 'nermo-mjx[{extra}]'."
+            )
 
     def plan(self, chosen: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
         """The options of each measurement: all combinations of the chosen values, or the defaults."""
@@ -65,6 +76,13 @@ class Benchmark:
         module, _, name = self.place.partition(":")
         figures: dict[str, Any] = getattr(importlib.import_module(module), name)(**options)
         return figures
+
+
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # not even the package that it is in
+        return False
 
 
 _WORLDS = Option((64,), whole=True)
@@ -104,6 +122,16 @@ CASES: Final[dict[str, Benchmark]] = {
         "nermo_mjx.bench.speedtest:speedtest_case",
         {"worlds": _WORLDS},
     ),
+    "gpu-plan": Benchmark(
+        "what NVIDIA GPUs would make of the programs, told by XLA's compiler without one",
+        "nermo_mjx.bench.gpu_plan:gpu_plan_case",
+        {
+            "target": Option(("h100",), ("h100", "a100", "l4", "t4")),
+            "program": Option(("walk",), ("walk", "forward", "reverse")),
+            "worlds": Option((1024, 8192, 65_536), whole=True),
+        },
+        ("gpu-plan", ("jax_cuda12_plugin", "nvidia.cuda_nvcc")),
+    ),
 }
 
 
@@ -115,7 +143,8 @@ def plan(cases: Sequence[str], chosen: Mapping[str, Sequence[Any]]) -> list[tupl
         chosen: option -> values; what is not there, or empty, has its default.
 
     Raises:
-        ParameterError: an unknown case, a value that is not allowed, an option that none of the cases has.
+        ParameterError: an unknown case, a value that is not allowed, an option that none of the cases has, a case that
+            needs what is not installed.
     """
     for name in cases:
         if name not in CASES:
@@ -127,4 +156,6 @@ def plan(cases: Sequence[str], chosen: Mapping[str, Sequence[Any]]) -> list[tupl
             raise ParameterError(f"{option} is given, but not measured: it is an option of {' and '.join(having)}.")
         for owner, value in itertools.product(owners, values or ()):
             owner.check(option, value)
+    for name in cases:
+        CASES[name].check(name)
     return [(name, options) for name in cases for options in CASES[name].plan(chosen)]
