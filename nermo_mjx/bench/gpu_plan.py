@@ -12,11 +12,11 @@ from typing import Any, Final
 import jax
 from jax.sharding import SingleDeviceSharding
 
-from nermo_mjx.bench.compilation import compile_cold
 from nermo_mjx.bench.gpu_programs import PROGRAMS, Program
 from nermo_mjx.bench.gpu_targets import TARGETS, GpuTarget
 from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.hlo import Loop, Module, Work
+from nermo_mjx.bench.timing import compile_cold
 
 #: Rounds that a loop of unknown length is taken to make. The constraint solver's makes as many as the slowest world
 #: needs: 2.3 in the mean of 64 walks, 7 at most.
