@@ -4,7 +4,8 @@ The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from n
 `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`; `control_parameters` (a pytree
 of arrays); `Sweep`, `run_sweep` and `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
 `run_experiment` and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a
-notebook); and the geometry in `kinematics`. Names are imported on first use.
+notebook); `compiler_options` for programs of one's own; and the geometry in `kinematics`. Names are imported on first
+use, and importing changes nothing in the process: see `nermo_mjx.runtime`.
 """
 
 from __future__ import annotations
@@ -12,10 +13,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from nermo_mjx.runtime import configure as _configure
 from nermo_mjx.version import __version__
-
-_configure()  # before JAX and MuJoCo are imported
 
 if TYPE_CHECKING:
     from nermo_mjx import kinematics
@@ -25,6 +23,7 @@ if TYPE_CHECKING:
     from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, load_robot
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
     from nermo_mjx.rollout.differentiable import Rollout
+    from nermo_mjx.runtime import compiler_options
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
     from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
     from nermo_mjx.view import Page, Recording, render, show
@@ -36,6 +35,7 @@ _HOMES = {
     "nermo_mjx.robot": ("LIMBS", "SERVOS", "ParameterError", "Robot", "load_robot"),
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
+    "nermo_mjx.runtime": ("compiler_options",),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
     "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
     "nermo_mjx.view": ("Page", "Recording", "render", "show"),
@@ -45,8 +45,9 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Page", "ParameterError", "Recording", "Robot", "Rollout", "Run", "RunResult",
     "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__",
-    "all_parameters", "control_parameters", "kinematics", "load_robot", "read_history", "read_table", "render",
-    "run_experiment", "run_experiments", "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
+    "all_parameters", "compiler_options", "control_parameters", "kinematics", "load_robot", "read_history",
+    "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_sweep", "run_tuning",
+    "servo_table", "show",
 ]  # fmt: skip
 
 

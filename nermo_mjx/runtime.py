@@ -1,46 +1,49 @@
-"""What must be settled before JAX and MuJoCo start: threads, compiler, its cache, and the GL library for rendering.
+"""What the process is asked for where a program of ours is first compiled or a picture drawn: threads, cache, GL.
 
-`nermo_mjx/__init__.py` calls `configure()` before anything else. It only sets environment variables (and JAX options,
-where JAX was imported earlier), imports neither JAX nor MuJoCo, and never overrides what the user has set.
-`nermo_mjx.physics` calls `configure_dispatch()`, for which JAX has no environment variable.
+Importing the package changes nothing in the process. Where a simulator is made, `start_jax` starts JAX as this package
+needs it, if the user has not started it before, and names a directory to keep compiled programs in, if the user has
+none; options of the compiler go with each program (`compiler_options`). GL is chosen in `require_gl`. What a user has
+set always wins: `PJRT_NPROC`, `XLA_FLAGS`, JAX's own settings, `MUJOCO_GL`; whoever wants nothing settled calls
+`jax.devices()` first.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import hashlib
 import importlib
 import importlib.util
 import os
 import platform
 import sys
-import time
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-#: When this process began, as far as this package is concerned [s since 1970].
-STARTED: Final = time.time()
 #: Below this many processors JAX's CPU runtime gets `SAFE_THREADS` threads. JAX 0.10.2 hangs (all threads idle, no
 #: error) in a vmapped MJX step of 64 worlds or more with two threads; with one or eight it does not.
 SAFE_THREADS: Final = 8
 #: Worlds per batch that stay well below the hang where the number of threads can no longer be changed.
 GUARDED_BATCH: Final = 32
 MIN_COMPILE_SECONDS: Final = 0.5
-#: How XLA compiles for a CPU. It ends a process whose flags it does not know; every JAX that may be installed knows
-#: these. The first is its older way to compile fused loops: a walk in MJX compiles in 16 s instead of 31, and runs in
-#: 0.5 s instead of 1.2. With the second, a loop that touches less than 4 MB becomes one function, else (from 1 KB on)
-#: one of each fused expression, handed out to threads: `physics.packed_loop` is such a loop, of 0.6 MB.
-COMPILER_FLAGS: Final = (
-    "--xla_cpu_use_fusion_emitters=false",
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=4000000",
-)
+#: Largest size of the cache of compiled programs; the longest unused are removed. A program of a walk is 1 to 5 MB.
+MOST_CACHE_BYTES: Final = 2 * 1024**3
+#: How XLA compiles for a CPU: its older way to compile fused loops, by which a walk in MJX compiles in 16 s instead of
+#: 31, and runs in 0.5 s instead of 1.2.
+COMPILER_OPTIONS: Final[Mapping[str, bool]] = {"xla_cpu_use_fusion_emitters": False}
+#: What XLA reads once, when JAX starts, and takes from no program: a loop that touches less than 4 MB becomes one
+#: function, else (from 1 KB on) one of each fused expression, handed out to threads. `physics.packed_loop` is such a
+#: loop, of 0.6 MB. XLA ignores a name here that it does not know.
+EXTRA_OPTIONS: Final = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=4000000"
+#: Environment variable with the number of processors that the engine `c` uses, where a caller does not say.
+THREADS: Final = "NERMO_MJX_THREADS"
 
 _EGL_PLATFORM_DEVICE: Final = 0x313F
 _EGL_EXTENSIONS: Final = 0x3055
 _started_unguarded = False
-_gl_problem: str | None = None
-_late_backend: str | None = None
+_settled = False
 
 
 class BackendUnavailable(RuntimeError):
@@ -51,90 +54,36 @@ class RenderingUnavailable(RuntimeError):
     """Nothing on this machine can draw; the message says what to install."""
 
 
-def configure() -> None:
-    """Settle threads, compiler, cache and GL; to be called before JAX's first use and MuJoCo's import."""
-    configure_threads()
-    configure_compiler()
-    configure_cache()
-    choose_gl()
+# --- JAX
 
 
-# --- threads
+def start_jax() -> None:
+    """Start JAX on its platform, a GPU where there is one, and settle where it keeps programs; once a process.
 
-
-def configure_threads() -> None:
-    """Give JAX's CPU runtime enough threads on a small machine (`PJRT_NPROC`), so that it cannot hang."""
-    global _started_unguarded
-    if cpu_count() >= SAFE_THREADS:
-        return
-    if "PJRT_NPROC" in os.environ:
-        _started_unguarded = _started_unguarded or os.environ["PJRT_NPROC"] in {"2", "3"}
-        return
-    if _jax_started():
-        _started_unguarded = True
-    else:
-        os.environ["PJRT_NPROC"] = str(SAFE_THREADS)
-
-
-def cpu_batch_limit() -> int | None:
-    """Most worlds that one vmapped MJX program may hold on the CPU backend; None where there is no limit.
-
-    There is a limit only if JAX had computed something before `nermo_mjx` was imported, on a machine of few processors
-    and without `PJRT_NPROC`, or if the user set `PJRT_NPROC` to a number of threads that is known to hang. The mjx
-    engine then runs a larger batch in parts of this size; results are the same.
-    """
-    return GUARDED_BATCH if _started_unguarded else None
-
-
-def cpu_count() -> int:
-    """Processors this process may use, counted as JAX does."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _jax_started() -> bool:
-    """Whether JAX has started its backends, after which `PJRT_NPROC` is no longer read."""
-    bridge = sys.modules.get("jax._src.xla_bridge")
-    if bridge is None:
-        return False
-    started = getattr(bridge, "backends_are_initialized", None)
-    return True if started is None else bool(started())
-
-
-# --- compiler
-
-
-def configure_compiler() -> None:
-    """Have programs for the CPU compiled the faster way, unless the user's `XLA_FLAGS` say otherwise."""
-    if _jax_started():
-        return
-    for flag in COMPILER_FLAGS:
-        flags = os.environ.get("XLA_FLAGS", "")
-        if flag.split("=")[0] not in flags:
-            os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
-
-
-def configure_dispatch() -> None:
-    """Have a program for the CPU run on the thread that calls it, if JAX has not started yet.
-
-    JAX hands it to another thread and returns at once. For the loop of a few worlds, called between two ticks of
-    physics that keeps all cores busy, the change of threads takes longer than the loop.
-    """
-    jax: Any = importlib.import_module("jax")
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
-
-
-# --- backend
-
-
-def require_backend() -> None:
-    """Start JAX on its platform, a GPU where there is one.
+    JAX's CPU runtime gets threads enough not to hang on a small machine, runs a program on the thread that calls it
+    (for the loop of a few worlds, between two ticks of physics that keeps all cores busy, the change of threads takes
+    longer than the loop), and compiles small loops as `EXTRA_OPTIONS` say. The environment is as before afterwards.
+    Nothing of this happens where JAX has started before.
 
     Raises:
-        BackendUnavailable: `JAX_PLATFORMS` asks for one that this machine does not have, with the remedy.
+        BackendUnavailable: `JAX_PLATFORMS` asks for a platform that this machine does not have, with the remedy.
     """
+    global _settled, _started_unguarded
+    if _settled:
+        return
     jax: Any = importlib.import_module("jax")
+    _settle_cache(jax)
+    small, given = cpu_count() < SAFE_THREADS, os.environ.get("PJRT_NPROC")
+    if _jax_started():
+        _started_unguarded = small and given in {None, "2", "3"}
+    else:
+        _started_unguarded = small and given in {"2", "3"}
+        with _starting(jax, {"PJRT_NPROC": str(SAFE_THREADS)} if small and given is None else {}):
+            _find_devices(jax)
+    _settled = True
+
+
+def _find_devices(jax: Any) -> None:
     try:
         jax.devices()
     except (RuntimeError, AssertionError) as error:  # the latter from JAX 0.10 where no plugin knows the platform
@@ -148,31 +97,114 @@ def require_backend() -> None:
         ) from None
 
 
+@contextlib.contextmanager
+def _starting(jax: Any, settings: dict[str, str]) -> Iterator[None]:
+    """What JAX and XLA read when they start, for as long as that takes."""
+    flags, dispatch = os.environ.get("XLA_FLAGS", ""), "jax_cpu_enable_async_dispatch"
+    if "xla_backend_extra_options" not in flags:
+        settings = settings | {"XLA_FLAGS": f"{flags} {EXTRA_OPTIONS}".strip()}
+    before = {name: os.environ.get(name) for name in settings}
+    asynchronous = jax.config.read(dispatch)
+    os.environ.update(settings)
+    jax.config.update(dispatch, False)
+    try:
+        yield
+    finally:
+        jax.config.update(dispatch, asynchronous)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _jax_started() -> bool:
+    """Whether JAX has started its backends, after which `PJRT_NPROC` is no longer read."""
+    bridge = sys.modules.get("jax._src.xla_bridge")
+    if bridge is None:
+        return False
+    started = getattr(bridge, "backends_are_initialized", None)
+    return True if started is None else bool(started())
+
+
+@functools.cache
+def compiler_options() -> dict[str, bool]:
+    """Options for `jax.jit(..., compiler_options=...)` of a program of physics; also for users' own, as of a `Rollout`.
+
+    Those of `COMPILER_OPTIONS` that this XLA knows and `XLA_FLAGS` does not decide; none on accelerators.
+    """
+    start_jax()
+    jax: Any = importlib.import_module("jax")
+    if jax.default_backend() != "cpu":
+        return {}
+    wanted = {name: value for name, value in COMPILER_OPTIONS.items() if name not in os.environ.get("XLA_FLAGS", "")}
+    try:
+        jax.jit(lambda x: x, compiler_options=wanted).lower(0.0).compile()
+    except RuntimeError:  # an option that a later XLA has no more; it only costs time
+        return {}
+    return wanted
+
+
+# --- threads
+
+
+def cpu_batch_limit() -> int | None:
+    """Most worlds that one vmapped MJX program may hold on the CPU backend; None where there is no limit.
+
+    There is a limit only if JAX had computed something before the first simulator was made, on a machine of few
+    processors and without `PJRT_NPROC`, or if the user set `PJRT_NPROC` to a number of threads that is known to hang.
+    The mjx engine then runs a larger batch in parts of this size; results are the same.
+    """
+    start_jax()
+    return GUARDED_BATCH if _started_unguarded else None
+
+
+def cpu_count() -> int:
+    """Processors this process may use, counted as JAX does."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def thread_count(wanted: int | None = None) -> int:
+    """Processors that the engine `c` uses: as wanted, or `$NERMO_MJX_THREADS`, or all.
+
+    Raises:
+        ValueError: not a whole number from 1 on, as a sentence.
+    """
+    name, value = "threads", str(wanted)
+    if wanted is None:
+        name, value = THREADS, os.environ.get(THREADS) or str(cpu_count())
+    if not value.isdecimal() or int(value) < 1:
+        raise ValueError(f"{name} is {value}: allowed is a whole number from 1 on.")
+    return int(value)
+
+
 # --- cache
 
 
-def configure_cache() -> None:
+def _settle_cache(jax: Any) -> None:
     """Switch JAX's persistent compilation cache on, unless the user has chosen one or the directory is not writable."""
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ or os.environ.get("JAX_ENABLE_COMPILATION_CACHE", "1") in {
-        "0",
-        "false",
-    }:
+    if jax.config.jax_compilation_cache_dir or not jax.config.jax_enable_compilation_cache:
         return
-    jax = sys.modules.get("jax")
-    if jax is not None and jax.config.jax_compilation_cache_dir:
+    if "JAX_COMPILATION_CACHE_DIR" in os.environ:  # set, but empty: none is wanted
         return
-    directory = cache_directory() / "jax" / _processor_tag()
+    directory = cache_directory() / "programs" / _processor_tag()
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError:
         return
     if not os.access(directory, os.W_OK | os.X_OK):
         return
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(directory)
-    least = os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(MIN_COMPILE_SECONDS))
-    if jax is not None:
-        jax.config.update("jax_compilation_cache_dir", str(directory))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", float(least))
+    jax.config.update("jax_compilation_cache_dir", str(directory))
+    for option, value in (
+        ("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_SECONDS),
+        ("jax_compilation_cache_max_size", MOST_CACHE_BYTES),
+    ):
+        if option.upper() not in os.environ:
+            jax.config.update(option, value)
+    if _jax_started():  # and has found that there is no cache
+        importlib.import_module("jax.experimental.compilation_cache.compilation_cache").reset_cache()
 
 
 def cache_directory() -> Path:
@@ -197,50 +229,35 @@ def _processor_tag() -> str:
     return f"{platform.machine() or 'cpu'}-{digest[:8]}"
 
 
-# ------------------------------------------------------------------------------------------------------------------ GL
-
-
-def choose_gl() -> str | None:
-    """Choose how to draw on a Linux machine without a display, and tell MuJoCo by `MUJOCO_GL`.
-
-    EGL on a graphics card if there is one that starts, else OSMesa, else EGL in software. Returns the backend in force:
-    "egl", "osmesa", what the user set, or None for MuJoCo's own default. Nothing is raised here; see `require_gl`.
-    """
-    global _gl_problem, _late_backend
-    if chosen := os.environ.get("MUJOCO_GL"):
-        return chosen
-    if sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        return None
-    backend = _headless_backend()
-    if backend is None:
-        _gl_problem = (
-            "No library to draw with was found on this machine without a display: install one, "
-            "for instance with `apt-get install libosmesa6` (or libegl1 and libgl1)."
-        )
-        return None
-    os.environ["MUJOCO_GL"] = backend
-    if "mujoco" in sys.modules:  # which read the variable at its import, and expects a display
-        _late_backend = backend
-    return backend
+# --- GL
 
 
 def require_gl() -> None:
-    """Make sure that rendering works, as far as that can be told beforehand; call it before `mujoco.Renderer`.
+    """Choose how to draw on a Linux machine without a display, and make sure, as far as can be told, that it works.
+
+    EGL on a graphics card if there is one that starts, else OSMesa, else EGL in software; or what `MUJOCO_GL` says. To
+    be called before `mujoco.Renderer` is made.
 
     Raises:
         RenderingUnavailable: with the remedy.
     """
-    global _late_backend
-    if _gl_problem is not None:
-        raise RenderingUnavailable(_gl_problem)
-    if os.environ.get("MUJOCO_GL", "").lower() in {"disable", "disabled", "off", "false", "0"}:
+    chosen = os.environ.get("MUJOCO_GL", "")
+    if chosen.lower() in {"disable", "disabled", "off", "false", "0"}:
         raise RenderingUnavailable("Rendering is switched off by MUJOCO_GL: unset it, or set it to egl or osmesa.")
-    if _late_backend is not None:
-        late: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
-        late.GLContext = importlib.import_module(f"mujoco.{_late_backend}").GLContext
-        _late_backend = None
+    if chosen or sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return
+    backend = _headless_backend()
+    if backend is None:
+        raise RenderingUnavailable(
+            "No library to draw with was found on this machine without a display: install one, "
+            "for instance with `apt-get install libosmesa6` (or libegl1 and libgl1)."
+        )
+    # MuJoCo reads MUJOCO_GL when this module is imported, and expects a display where it is not set.
+    contexts: Any = importlib.import_module("mujoco.rendering.classic.gl_context")
+    contexts.GLContext = importlib.import_module(f"mujoco.{backend}").GLContext
 
 
+@functools.cache
 def _headless_backend() -> str | None:
     if importlib.util.find_spec("OpenGL") is None:
         return None

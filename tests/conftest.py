@@ -10,9 +10,10 @@ import chromium
 import numpy as np
 import pytest
 
-import nermo_mjx  # noqa: F401  (settles threads, cache and GL before JAX and MuJoCo start)
 from nermo_mjx import runtime
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
+
+runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

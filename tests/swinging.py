@@ -32,7 +32,6 @@ class SwayLoop:
     """Drives the pendulum to and fro and adds up what it reads; see `physics.engine.Loop`."""
 
     steps_per_tick: int = 3
-    identity: None = None
 
     def init(self, params: Any, sensordata: Any) -> Any:
         """(ticks so far, sum of readings)."""

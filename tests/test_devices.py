@@ -57,7 +57,6 @@ sys.path.insert(0, {tests!r})
 from swinging import SwayLoop, batch, robot
 from nermo_mjx.physics.devices import Devices
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.physics.program_cache import KeptProgram
 
 def walk(engine):
     session = engine.open(*batch(5))
@@ -82,15 +81,6 @@ about["moved"] = float(np.ptp(alone[1][0], axis=1).min())
 about["difference"] = max(float(np.abs(a - b).max(initial=0.0)) for a, b in
                           zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True))
 about["collectives"] = collectives(four, session)
-
-# What the process of another day loads is divided as well.
-arguments = session.params, session.fields, session.carry, jax.numpy.int32(3)
-KeptProgram(four._advance, "swinging")(*arguments)
-loaded = KeptProgram(four._advance, "swinging")(*arguments)
-session.advance(3)
-about["kept"] = max(float(np.abs(np.asarray(a) - b).max(initial=0.0)) for a, b in
-                    zip(jax.tree.leaves(session.carry), jax.tree.leaves(jax.device_get(loaded)), strict=True))
-about["spread when kept"] = len(loaded.physics.qpos.sharding.device_set)
 
 # What the division is for: left to JAX, all devices agree on the end of every loop.
 Devices.divide = lambda self, function, arguments, results: function
@@ -129,10 +119,3 @@ def test_no_device_waits_for_another(four_devices):
     """The program holds no communication; left to JAX's automatic partition it would."""
     assert four_devices["collectives"] == []
     assert "all-reduce" in four_devices["left to jax"]
-
-
-@pytest.mark.slow
-def test_a_kept_program_is_divided_too(four_devices):
-    """The one that another process loads runs on all devices, with the same results."""
-    assert four_devices["spread when kept"] == 4
-    assert four_devices["kept"] < 1e-5

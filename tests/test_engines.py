@@ -151,9 +151,10 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
     """Masses with the constants MuJoCo derives from them, friction, springs, dampers and servos, world by world."""
     values = {
         "frequency": 0.8,
-        "contact.friction": np.array([0.6, 1.0, 1.4]),
+        "contact.friction": np.array([0.3, 1.0, 1.4]),
         "mass.front": np.array([0.2, 0.1647, 0.15]),
-        "stiffness.spine": np.array([2.4, 1.2, 1.0]),
+        "stiffness.spine": np.array([12.0, 1.2, 1.0]),
+        "damping.spine": np.array([0.3, 0.09, 0.05]),
         "damping.knee": np.array([0.004, 0.005, 0.008]),
         "servo.kp": np.array([5.0, 6.3, 8.0]),
     }
@@ -188,18 +189,16 @@ CACHED = """
 import jax, json
 import numpy as np
 import nermo_mjx
-seen, traced = [], []
+seen = []
 jax.monitoring.register_event_listener(lambda event, **about: seen.append(event))
-jax.monitoring.register_event_duration_secs_listener(
-    lambda event, seconds, **about: traced.append(seconds) if event.endswith("jaxpr_trace_duration") else None)
 from nermo_mjx.rollout import Run, Setup, Simulator
 result = Simulator(Setup(), {engine!r}).run({{"frequency": np.full({worlds}, 0.8)}}, Run(duration=0.1))
 counts = {{name: seen.count("/jax/compilation_cache/cache_" + name) for name in ("hits", "misses")}}
-print(json.dumps(counts | {{"ok": int((result.status == "ok").sum()), "traced": sum(traced)}}))
+print(json.dumps(counts | {{"ok": int((result.status == "ok").sum())}}))
 """
 
 
-def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str, float]:
+def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str, int]:
     environment = {key: value for key, value in os.environ.items() if not key.startswith(("JAX_", "PJRT_"))}
     environment |= {"NERMO_MJX_CACHE": str(cache), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     command = [sys.executable, "-c", CACHED.format(engine=engine, worlds=worlds)]
@@ -219,5 +218,3 @@ def test_the_next_process_reuses_compiled_programs(tmp_path, engine, worlds):
     assert first["misses"] > 0
     assert second["misses"] == 0
     assert second["hits"] > 0
-    if engine == "mjx":  # of which most of the time is the tracing of physics
-        assert second["traced"] < 0.5 * first["traced"]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+import pickle
 from typing import Any
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import choices, main
 from nermo_mjx.control.parameters import published_values
-from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, load_robot
+from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import TRUNK
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -35,6 +38,12 @@ GAIT_METRICS = (
     *(f"duty_{limb}" for limb in LIMBS),
 )  # fmt: skip
 LEANING = math.radians(65.0)
+
+
+def standing(robot: Robot) -> np.ndarray:
+    """Servo targets of the published stance."""
+    joints = robot.joints
+    return robot.model.qpos0[[*joints.hip, *joints.pulley, joints.spine_pulley, joints.neck, *joints.tail_pulley]]
 
 
 def six_walks(**fixed: float) -> dict[str, np.ndarray]:
@@ -139,8 +148,9 @@ def test_the_rest_of_the_model_is_the_same():
 
 
 def test_the_default_is_the_reference():
-    """Nothing named is `reference` at 2 ms, the same object as with both named."""
-    assert load_robot() is load_robot(physics="reference", timestep=0.002)
+    """Nothing named is `reference` at 2 ms, the same robot as with both named."""
+    named = load_robot(physics="reference", timestep=0.002)
+    assert (load_robot().config, load_robot().fingerprint) == (named.config, named.fingerprint)
     assert Setup() == Setup(physics="reference", timestep=0.002)
 
 
@@ -150,6 +160,38 @@ def test_a_given_time_step_wins_over_the_presets():
     assert Setup(physics="fast", timestep=0.001).load().model.opt.timestep == 0.001
     assert Setup(physics="fast", timestep=0.001).load().model.npair == len(LIMBS) + 1
     assert Setup(timestep=0.0025).load().model.npair == len(LIMBS) + 1 + len(TRUNK)
+
+
+def test_another_preset_brings_its_time_step_unless_one_was_given():
+    """`dataclasses.replace` of a setup; also after it was copied, pickled or replaced before."""
+    fast = dataclasses.replace(Setup(), physics="fast")
+    assert fast == Setup(physics="fast")
+    assert dataclasses.replace(pickle.loads(pickle.dumps(fast)), physics="reference") == Setup()
+    assert dataclasses.replace(Setup(timestep=0.002), physics="fast").timestep == 0.002
+    assert dataclasses.replace(fast, timestep=0.001, physics="reference").timestep == 0.001
+
+
+@pytest.mark.parametrize("physics", PRESETS)
+def test_no_time_constant_is_lengthened_without_a_word(physics):
+    """MuJoCo takes two time steps for what is shorter: the model says what it computes with."""
+    model = load_robot(physics=physics).model
+    for name in ("tendon_solref_lim", "pair_solref", "jnt_solref"):
+        assert np.all(getattr(model, name)[:, 0] >= 2 * model.opt.timestep), name
+
+
+def test_tendons_of_fast_yield_as_the_docs_say():
+    """2.8 times as far under the same pull as those of `reference`: they yield by the square of the time constant."""
+    yields = {}
+    for physics in PRESETS:
+        model = load_robot(physics=physics).model
+        data = mujoco.MjData(model)
+        for _ in range(round(1.0 / model.opt.timestep)):
+            data.ctrl[:] = standing(load_robot(physics=physics))
+            mujoco.mj_step(model, data)
+        past = data.ten_length - model.tendon_range[:, 1]
+        yields[physics] = past[[i for i in range(model.ntendon) if model.tendon(i).name.startswith("rear")]].mean()
+    assert 1e-5 < yields["reference"] < 4e-5
+    assert yields["fast"] / yields["reference"] == pytest.approx((0.02 / 3 / 0.004) ** 2, rel=0.25)
 
 
 def test_an_unknown_preset_is_refused():
@@ -182,6 +224,8 @@ def test_contacts_too_stiff_for_the_step_are_refused():
         Sweep.from_dict(stiff | {"physics": "fast"})
     with pytest.raises(ParameterError, match=r"contact\.time_constant.*0\.005.*\[0\.00666667, 0\.1\] s"):
         Simulator(Setup(physics="fast"), "c").parameters({"contact.time_constant": 0.005})
+    with pytest.raises(ParameterError, match=r"contact\.time_constant.*0\.005.*\[0\.00666667, 0\.1\] s"):
+        Rollout(Setup(physics="fast"))({"contact.time_constant": 0.005})
 
 
 def test_the_command_line_takes_the_preset():

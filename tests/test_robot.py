@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.kinematics import body, leg, spine
-from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, assemble, load_robot
+from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.assembly import STANCE_HEIGHT
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.masses import PARTS, part_of
@@ -550,7 +550,27 @@ def test_a_diverged_world_stays_diverged():
     assert not np.isfinite(data.qvel).all()
 
 
-def test_one_robot_for_the_same_arguments():
-    """Loading twice gives the same object and fingerprint; another tail is another model."""
-    assert load_robot() is load_robot(tail="rigid")
+def test_a_change_of_one_robot_reaches_no_other():
+    """Each caller has models and a specification of its own, though they are compiled once."""
+    ours, fingerprint = load_robot(), load_robot().fingerprint
+    ours.model.body_mass[:] = 7.0
+    ours.physical.body_mass[:] = 7.0
+    ours.spec.body("torso").name = "spoiled"
+    other = load_robot(tail="rigid")
+    assert other.model.body_mass.max() < 1.0
+    assert other.physical.body_mass.max() < 1.0
+    assert other.spec.body("spoiled") is None
+    assert other.fingerprint == ours.fingerprint == fingerprint
+    with pytest.raises(ValueError, match="read-only"):
+        other.mass_model.front_com[0] = 7.0
+
+
+def test_defaults_cannot_be_written():
+    """They are shared by all parameter trees."""
+    with pytest.raises(ValueError, match="read-only"):
+        ModelParameters().servo.kp[...] = 7.0
+
+
+def test_one_model_for_the_same_arguments():
+    """Loading twice gives the same fingerprint; another tail is another model."""
     assert load_robot().fingerprint == load_robot().fingerprint != load_robot(tail="articulated").fingerprint

@@ -1,4 +1,4 @@
-"""What is settled before JAX starts: no hang on small machines, a compilation cache, and nothing overridden."""
+"""What is settled where JAX is first needed: no hang on small machines, a compilation cache, and nothing overridden."""
 
 from __future__ import annotations
 
@@ -7,11 +7,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
 from nermo_mjx import runtime
+from nermo_mjx.cli import options
 
-SETTINGS = ("PJRT_NPROC", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "NERMO_MJX_CACHE")
+SETTINGS = (
+    "PJRT_NPROC", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "NERMO_MJX_CACHE",
+    "XLA_FLAGS", "MUJOCO_GL", "NERMO_MJX_THREADS",
+)  # fmt: skip
 
 
 def run(script: str, **environment: str) -> list[str]:
@@ -22,88 +28,131 @@ def run(script: str, **environment: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+IMPORT = """
+import importlib, os, pkgutil
+plain = dict(os.environ)
+import nermo_mjx
+print(dict(os.environ) == plain)
+import jax
+from jax._src import xla_bridge
+before = dict(os.environ), dict(jax.config.values)
+for module in pkgutil.walk_packages(nermo_mjx.__path__, "nermo_mjx."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+print((dict(os.environ), dict(jax.config.values)) == before, xla_bridge.backends_are_initialized())
+"""
+
+
+def test_importing_changes_nothing_in_the_process() -> None:
+    """Neither the package nor any of its modules sets a variable or an option of JAX, or starts JAX."""
+    lines = run(IMPORT)
+    assert (lines[0], lines[-1]) == ("True", "True False")
+
+
 SHOW = (
-    "import os\nfrom nermo_mjx import runtime\nruntime.cpu_count = lambda: {cores}\nos.environ.pop('PJRT_NPROC', 0)\n"
-    "{before}\nruntime.configure_threads()\nprint(os.environ.get('PJRT_NPROC'), runtime.cpu_batch_limit())"
+    "import os\nfrom nermo_mjx import runtime\nruntime.cpu_count = lambda: {cores}\n{before}\nseen = []\n"
+    "find = runtime._find_devices\n"
+    "runtime._find_devices = lambda jax: (seen.append(os.environ.get('PJRT_NPROC')), find(jax))\n"
+    "given = dict(os.environ)\nruntime.start_jax()\nprint(*seen, runtime.cpu_batch_limit(), given == dict(os.environ))"
 )
 
 
 def test_a_small_machine_gets_threads_enough_and_a_large_one_is_left_alone() -> None:
-    assert run(SHOW.format(cores=2, before="")) == ["8 None"]
-    assert run(SHOW.format(cores=16, before="")) == ["None None"]
+    """While JAX starts; the environment is as before afterwards."""
+    assert run(SHOW.format(cores=2, before="")) == ["8 None True"]
+    assert run(SHOW.format(cores=16, before="")) == ["None None True"]
 
 
 def test_a_choice_of_the_user_is_kept_and_guarded_where_it_would_hang() -> None:
-    assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '1'")) == ["1 None"]
-    assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '2'")) == [f"2 {runtime.GUARDED_BATCH}"]
+    assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '1'")) == ["1 None True"]
+    assert run(SHOW.format(cores=2, before="os.environ['PJRT_NPROC'] = '2'")) == [f"2 {runtime.GUARDED_BATCH} True"]
 
 
 def test_batches_are_limited_where_jax_started_before_us() -> None:
-    started = "import jax; jax.devices()"
-    assert run(SHOW.format(cores=2, before=started)) == [f"None {runtime.GUARDED_BATCH}"]
-    assert run(SHOW.format(cores=2, before="import jax")) == ["8 None"], "imported is not started"
+    assert run(SHOW.format(cores=2, before="import jax; jax.devices()")) == [f"{runtime.GUARDED_BATCH} True"]
+    assert run(SHOW.format(cores=2, before="import jax")) == ["8 None True"], "imported is not started"
 
 
-FLAGS = (
-    "import os\nfrom nermo_mjx import runtime\n{before}\nruntime.configure_compiler()\n"
-    "print(os.environ.get('XLA_FLAGS'))\nimport jax; print(jax.jit(lambda x: x + 1)(1.0))"
-)
+OPTIONS = "from nermo_mjx import runtime; {before}print(runtime.compiler_options())"
 
 
 @pytest.mark.parametrize(
-    ("flags", "expected"),
+    ("flags", "before", "expected"),
     [
-        ("", " ".join(runtime.COMPILER_FLAGS)),
-        (
-            "--xla_force_host_platform_device_count=2",
-            " ".join(("--xla_force_host_platform_device_count=2", *runtime.COMPILER_FLAGS)),
-        ),
-        (
-            "--xla_cpu_use_fusion_emitters=true",
-            f"--xla_cpu_use_fusion_emitters=true {runtime.COMPILER_FLAGS[1]}",
-        ),
+        ("", "", str(dict(runtime.COMPILER_OPTIONS))),
+        ("--xla_cpu_use_fusion_emitters=true", "", "{}"),
+        ("", "runtime.COMPILER_OPTIONS = {'xla_of_tomorrow': True}; ", "{}"),
     ],
 )
-def test_the_compilers_flags_stand_beside_the_users_and_are_known_to_xla(flags: str, expected: str) -> None:
-    assert run(FLAGS.format(before=""), XLA_FLAGS=flags) == [expected, "2.0"]
+def test_the_compilers_options_are_known_to_xla_and_give_way_to_the_users(
+    flags: str, before: str, expected: str
+) -> None:
+    """They go with each program, and what a later XLA does not know is left out; as a flag it would end the process."""
+    assert run(OPTIONS.format(before=before), XLA_FLAGS=flags, JAX_PLATFORMS="cpu") == [expected]
 
 
-def test_the_compilers_flags_are_not_set_where_jax_started_before_us() -> None:
-    started = "os.environ.pop('XLA_FLAGS', 0); import jax; jax.devices()"
-    assert run(FLAGS.format(before=started))[0] == "None"
+def test_dispatch_is_set_as_before_once_jax_has_started() -> None:
+    """It was off while JAX's CPU client was made, which keeps to that; the option is the user's again."""
+    script = (
+        "import jax; from nermo_mjx import runtime; name = 'jax_cpu_enable_async_dispatch'\n"
+        "before = jax.config.read(name); runtime.start_jax(); print(jax.config.read(name) == before)"
+    )
+    assert run(script) == ["True"]
+
+
+def test_the_number_of_threads_is_the_callers_or_the_users_or_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert runtime.thread_count(3) == 3
+    monkeypatch.setenv(runtime.THREADS, "5")
+    assert runtime.thread_count() == 5
+    monkeypatch.delenv(runtime.THREADS)
+    assert runtime.thread_count() == runtime.cpu_count()
+    with pytest.raises(ValueError, match=r"^threads is 0: allowed is a whole number from 1 on\.$"):
+        runtime.thread_count(0)
 
 
 CACHE = (
-    "{first}import nermo_mjx.runtime as r; r.configure_cache(); import jax; print(jax.config.jax_compilation_cache_dir)"
+    "{first}import nermo_mjx.runtime as r; r.start_jax(); import jax; "
+    "print(jax.config.jax_compilation_cache_dir, jax.config.jax_compilation_cache_max_size)"
 )
 
 
-@pytest.mark.parametrize("first", ["", "import jax; "])
-def test_the_cache_is_on_by_default_whenever_jax_is_imported(tmp_path: Path, first: str) -> None:
-    (directory,) = run(CACHE.format(first=first), NERMO_MJX_CACHE=str(tmp_path / "cache"))
+@pytest.mark.parametrize("first", ["", "import jax; ", "import jax; jax.numpy.ones(3); "])
+def test_the_cache_is_on_where_we_compile_and_has_a_size(tmp_path: Path, first: str) -> None:
+    (found,) = run(CACHE.format(first=first), NERMO_MJX_CACHE=str(tmp_path / "cache"))
+    directory, size = found.split()
     assert directory.startswith(str(tmp_path / "cache"))
     assert Path(directory).is_dir()
+    assert int(size) == runtime.MOST_CACHE_BYTES
 
 
 def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_error(tmp_path: Path) -> None:
     script = CACHE.format(first="")
-    assert run(script, JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [str(tmp_path)]
+    assert run(script, JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [f"{tmp_path} -1"]
     (tmp_path / "file").write_text("")
-    assert run(script, NERMO_MJX_CACHE=str(tmp_path / "file" / "below")) == ["None"]
+    assert run(script, NERMO_MJX_CACHE=str(tmp_path / "file" / "below")) == ["None -1"]
 
 
 def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is looked for where MuJoCo has been told what to take."""
     monkeypatch.setenv("MUJOCO_GL", "glfw")
-    assert runtime.choose_gl() == "glfw"
+    monkeypatch.setattr(runtime, "_headless_backend", lambda: pytest.fail("looked for a library"))
+    runtime.require_gl()
 
 
-def test_without_any_library_nothing_is_raised_until_something_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_any_library_drawing_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
-    monkeypatch.delitem(sys.modules, "mujoco", raising=False)
-    monkeypatch.setattr(runtime, "_gl_problem", None)
-    assert runtime.choose_gl() is None
     with pytest.raises(runtime.RenderingUnavailable, match="apt-get install libosmesa6"):
         runtime.require_gl()
+
+
+def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--threads` stands beside `--engine`, and holds for the processes that a command starts, too."""
+    monkeypatch.setenv(runtime.THREADS, "1")
+    command = click.command()(options.engine(lambda engine: click.echo(runtime.thread_count())))
+    assert CliRunner().invoke(command, ["--threads", "3"]).output == "3\n"
+    done = CliRunner().invoke(command, ["--threads", "0"])
+    assert done.exit_code == 2
+    assert "--threads" in done.output

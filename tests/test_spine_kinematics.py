@@ -56,6 +56,16 @@ def test_neutral_spine_end_is_the_published_one():
     assert math.degrees(turn) <= 0.1 + 1e-3
 
 
+@pytest.mark.parametrize("theta_v", [0.0, 0.1, -0.07])
+def test_a_constant_angle_gives_what_the_same_angle_in_an_array_gives(theta_v):
+    """The one is computed before tracing, the other in the program."""
+    with jax.enable_x64(True):
+        expected = np.asarray(spine.transform(jnp.asarray(theta_v)))
+        ours = spine.transform(theta_v)
+        assert ours.dtype == expected.dtype
+        np.testing.assert_allclose(ours, expected, atol=1e-15)
+
+
 def test_positive_angles_bend_to_the_left():
     """Positive theta_v moves the hip to the left and yaws it by -4 theta_v, so that the torso turns left against it."""
     with jax.enable_x64(True):

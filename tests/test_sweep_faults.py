@@ -67,7 +67,7 @@ def test_a_damaged_chunk_is_told_and_run_again(tmp_path, reference, damage, flaw
     damage(tmp_path / "results" / "chunk-00003.parquet")
     said = []
     result = run_sweep(SPEC, tmp_path, simulator=FakeSimulator(), warn=said.append)
-    assert said == [f"chunk 3 of {tmp_path} {flaw}, and is run again."]
+    assert said == [f"chunk 3 of {tmp_path} {flaw}; it is kept in results.aside, and run again."]
     assert result.chunks_run == 1
     assert result.table.equals(reference)
 
@@ -91,14 +91,18 @@ def test_a_chunk_that_is_damaged_meanwhile_is_found_in_the_end(tmp_path, referen
     simulator, said = Vandal(tmp_path), []
     result = run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator, warn=said.append)
     assert len(simulator.batches) == 10
-    assert said == [f"chunk 0 of {tmp_path} is damaged, and is run again."]
+    assert said == [f"chunk 0 of {tmp_path} is damaged; it is kept in results.aside, and run again."]
     assert result.table.equals(reference)
 
 
 def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatch, reference):
     """Chunks that are never as they were written end in a sentence."""
+
+    def loses(path, content, replace=files.replace_file):
+        replace(path, content[:-1] if path.suffix == ".parquet" else content)
+
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.store.seal", lambda content: content[:-1])
+        patch.setattr("nermo_mjx.runs.directory.replace_file", loses)
         with pytest.raises(DirectoryError, match="loses what is written to it"):
             run_sweep(SPEC, tmp_path, chunk=12, simulator=FakeSimulator())
     goes_on(tmp_path, reference, 3)
@@ -128,7 +132,7 @@ def full(path, content, *, kept, replace=files.replace_file):
 def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, kept, left):
     """At the beginning, in the middle of a chunk, in the summary, and in the figures."""
     with monkeypatch.context() as patch:
-        for module in ("runs.directory", "runs.files", "sweep.run"):
+        for module in ("runs.directory", "runs.files"):
             patch.setattr(f"nermo_mjx.{module}.replace_file", lambda *args: full(*args, kept=kept))
         with pytest.raises(DirectoryError) as caught:
             run_sweep(SPEC | {"plots": True}, tmp_path, chunk=4, simulator=FakeSimulator())

@@ -17,6 +17,7 @@ from matplotlib.image import imread
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx import runtime
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import DirectoryError
@@ -36,7 +37,7 @@ from nermo_mjx.tune import video as tune_video
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.history import empty_log, history_table
 from nermo_mjx.tune.path_figure import path_figure
-from nermo_mjx.tune.plots import draw_plots
+from nermo_mjx.tune.plots import figures_of
 from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.traces import MOST_STARTS, Traces
 from nermo_mjx.tune.tuner import Tuner
@@ -90,7 +91,7 @@ def again(finished, tmp_path):
 def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
-    monkeypatch.setattr(plots, "draw_plots", lambda *_, background, **__: landscapes.append(background) or [])
+    monkeypatch.setattr(plots, "figures_of", lambda tuning, history, background: landscapes.append(background) or [])
     return landscapes
 
 
@@ -139,7 +140,7 @@ def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
     """Figures can be drawn again from the directory alone."""
     result, _ = drawn
     landscape = background.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
-    again = draw_plots(load_tuning(result.out), read_history(result.out), tmp_path, background=landscape)
+    again = write_figures(figures_of(load_tuning(result.out), read_history(result.out), landscape), tmp_path)
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.pictures.plots]
 
 

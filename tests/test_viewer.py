@@ -144,7 +144,8 @@ def test_forces_are_those_of_the_runs_own_body(walk: Recording) -> None:
     heavy = dataclasses.replace(walk, metadata={**walk.metadata, "parameters": {"mass.front": 0.3, "frequency": 0.8}})
     model = recorded_model(heavy, robot_of(heavy))
     assert model.body_mass.sum() - load_robot().model.body_mass.sum() == pytest.approx(0.3 - 0.1695, abs=1e-3)
-    assert recorded_model(walk, robot_of(walk)) is load_robot().model
+    robot = robot_of(walk)
+    assert recorded_model(walk, robot) is robot.model
 
 
 def test_a_run_is_shown_up_to_where_it_lost_its_numbers(walk: Recording) -> None:

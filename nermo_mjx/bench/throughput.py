@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from typing import Any
 
 import jax
@@ -11,15 +12,14 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from nermo_mjx.bench.compilation import compile_cold
 from nermo_mjx.bench.hardware import peak_bytes
-from nermo_mjx.bench.timing import compare
+from nermo_mjx.bench.timing import compare, compile_cold
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
-from nermo_mjx.runtime import cpu_count
+from nermo_mjx.runtime import compiler_options, cpu_count
 
 #: Control ticks in a timed round, and rounds.
 TICKS, ROUNDS = {"c": 100, "scan": 20}, {"c": 15, "scan": 5}
@@ -52,7 +52,9 @@ def c_case(worlds: int) -> dict[str, Any]:
     ticks, steps = TICKS["c"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
     # Not `loop.step` itself, which is compiled when a session is opened.
-    ours = compile_cold(jax.jit(lambda *arguments: session.loop.step(*arguments)), *session.arguments)
+    ours = compile_cold(
+        jax.jit(inspect.unwrap(session.loop.step), compiler_options=compiler_options()), *session.arguments
+    )
     session.advance(ticks)  # past the start-up, into the walk
 
     size = mujoco.mj_stateSize(simulator.robot.physical, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -144,7 +146,6 @@ class Puppet:
     """A loop that plays given targets, (ticks, n_servos) for each world, again and again: physics alone."""
 
     steps_per_tick: int
-    identity: None = None
 
     def init(self, params: jax.Array, sensordata: jax.Array) -> jax.Array:
         """The tick, 0."""

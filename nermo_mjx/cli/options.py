@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+import os
 from collections.abc import Callable
-from typing import Any, TypeVar
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -20,6 +24,10 @@ from nermo_mjx.cli.choices import (
     VIEWS,
 )
 from nermo_mjx.cli.completing import FileKind, assignments, names
+from nermo_mjx.runtime import THREADS
+
+if TYPE_CHECKING:
+    from nermo_mjx.runs.workers import Workers
 
 F = TypeVar("F", bound=Callable[..., Any])
 POSITIVE = click.FloatRange(0, min_open=True)
@@ -49,9 +57,42 @@ def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
 
 
 def engine(function: F) -> F:
-    """`--engine`."""
+    """`--engine`, and how much of the machine it takes."""
     about = "c: MuJoCo C on all cores. mjx: JAX. warp: NVIDIA. auto: warp or mjx on a GPU, else c."
-    return choice("--engine", ENGINES, about)(function)
+    return choice("--engine", ENGINES, about)(threads(function))
+
+
+def threads(function: F) -> F:
+    """`--threads`, for this process and for those that it starts."""
+
+    def keep(ctx: click.Context, parameter: click.Parameter, value: int | None) -> None:
+        if value is not None:
+            os.environ[THREADS] = str(value)
+
+    return number("--threads", "Processors that the engine c uses; by default all.", click.IntRange(1),
+                  expose_value=False, callback=keep)(function)  # fmt: skip
+
+
+def workers(function: F) -> F:
+    """`--workers` and `--ray-address`; see `crew`."""
+    about = "ADDRESS:PORT of a Ray cluster, or auto; else one is started here."
+    address = click.option("--ray-address", metavar="ADDR", help=about)
+    return choice("--workers", ("local", "ray"), "Who simulates: this machine, or a Ray cluster.")(address(function))
+
+
+def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> AbstractContextManager[Workers]:
+    """The workers that the options ask for; `say` gets sentences on what becomes of them."""
+    if kind == "local":
+        if address is not None:
+            raise click.UsageError("--ray-address is given without --workers ray.")
+        from nermo_mjx.runs.workers import LocalWorkers
+
+        return contextlib.nullcontext(LocalWorkers())
+    if importlib.util.find_spec("ray") is None:
+        raise click.UsageError("--workers ray needs Ray: install nermo-mjx with its extra ray, or ray itself, by pip.")
+    from nermo_mjx.runs.ray_workers import RayWorkers
+
+    return RayWorkers(address, say)
 
 
 def accept_new_code(function: F) -> F:

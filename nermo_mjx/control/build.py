@@ -16,6 +16,7 @@ from nermo_mjx.control.parameters import ControlParameters, Stance, choice, publ
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, quantities, replace_quantities
+from nermo_mjx.runtime import start_jax
 
 #: Points of each half-cycle at which the nominal foot path is checked, and steps of the search for the longest stride.
 _PATH_POINTS, _STRIDE_STEPS = 9, 41
@@ -68,6 +69,7 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
     gait, stance = params.gait, params.stance
     stride = np.asarray(gait.stride, float) * np.asarray(stance.max_stride, float)
     stance, stride = _distinct(stance, stride)
+    start_jax()
     reached = np.asarray(_reachable(stance, stride, routing))
     if reached.all():
         return

@@ -6,6 +6,7 @@ A positive turn rate turns left, so it shortens the left legs' strides.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -142,10 +143,7 @@ def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"])
     theta L / d_diag^2 a metre, L being the distance of the two feet along the body: 0.44 m at 0.4 rad of servo instead
     of 0.28. Both parts add. What the simulated robot turns over this is the pilot's `grip`.
     """
-    shares = stride_shares(params.turning, turn_rate)
-    across, _ = _turn_of_two_feet(params.stance)
-    legs = (shares[..., 1] - shares[..., 0]) * across / jnp.mean(shares, axis=-1)
-    return legs + _spine_part(params, turn_rate)
+    return _path_curvature(params, _turn_of_two_feet(params.stance), turn_rate)
 
 
 def walked(
@@ -166,7 +164,7 @@ def walked(
         stance: planned contact. The legs on the ground count, and on a side that has none there those in the air.
         turn_rate: held now, for the spine.
     """
-    across, _ = _turn_of_two_feet(params.stance)
+    feet = _turn_of_two_feet(params.stance)
     strides = jnp.abs(points[:, 2, 0] - points[:, 0, 0])
     weight = jnp.where(stance, 1.0, 1e-3)
     left, right = (
@@ -175,7 +173,7 @@ def walked(
     )
     per_stride = params.gait.frequency * params.gait.gait_factor
     speed = 0.5 * (left + right) * per_stride
-    return speed, (right - left) * across * per_stride + speed * _spine_part(params, turn_rate)
+    return speed, (right - left) * feet.across * per_stride + speed * _spine_part(params, feet, turn_rate)
 
 
 def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
@@ -183,40 +181,60 @@ def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) 
 
     The curvature rises with the turn rate and is odd, so its size is found in [0, 1] and given the sign.
     """
-    full = path_curvature(params, jnp.ones_like(curvature))
+    feet = _turn_of_two_feet(params.stance)
+    full = _path_curvature(params, feet, jnp.ones_like(curvature))
     wanted = jnp.clip(jnp.abs(curvature), 0.0, full)
     # Legs or spine alone would need more than both together; where only one of them turns, that is the root.
     start = jnp.minimum(
-        _turn_rate_of_legs(params, wanted), wanted / jnp.maximum(_spine_part(params, jnp.ones_like(wanted)), 1e-9)
+        _turn_rate_of_legs(params, feet, wanted),
+        wanted / jnp.maximum(_spine_part(params, feet, jnp.ones_like(wanted)), 1e-9),
     )
     rate = bracketed_root(
-        lambda rate: path_curvature(params, rate) - wanted, 0.0, 1.0, slope_floor=1e-4, start=jnp.minimum(start, 1.0)
+        lambda rate: _path_curvature(params, feet, rate) - wanted,
+        0.0,
+        1.0,
+        slope_floor=1e-4,
+        start=jnp.minimum(start, 1.0),
     )
     return jnp.where(wanted > STRAIGHT_BELOW, jnp.sign(curvature) * rate, 0.0)
 
 
-def _turn_of_two_feet(stance: Stance) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+class _TwoFeet(NamedTuple):
     """(w, L) / d_diag^2 of the neutral feet of a diagonal, w apart across the body and L along it [1/m]."""
+
+    across: Float[Array, "*batch"]
+    along: Float[Array, "*batch"]
+
+
+def _turn_of_two_feet(stance: Stance) -> _TwoFeet:
     feet = feet_positions(0.0, neutral_feet(stance))[..., :2]
     apart = jnp.abs(feet[..., 0, :] - feet[..., 3, :])
     turn = apart / jnp.sum(apart**2, axis=-1, keepdims=True)
-    return turn[..., 0], turn[..., 1]
+    return _TwoFeet(turn[..., 0], turn[..., 1])
 
 
-def _spine_part(params: ControlParameters, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def _path_curvature(
+    params: ControlParameters, feet: _TwoFeet, turn_rate: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
+    shares = stride_shares(params.turning, turn_rate)
+    legs = (shares[..., 1] - shares[..., 0]) * feet.across / jnp.mean(shares, axis=-1)
+    return legs + _spine_part(params, feet, turn_rate)
+
+
+def _spine_part(params: ControlParameters, feet: _TwoFeet, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
     """The spine's part of `path_curvature` [1/m]."""
-    _, along = _turn_of_two_feet(params.stance)
-    return along * yaw(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
+    return feet.along * yaw(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
 
 
-def _turn_rate_of_legs(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def _turn_rate_of_legs(
+    params: ControlParameters, feet: _TwoFeet, curvature: Float[Array, "*batch"]
+) -> Float[Array, "*batch"]:
     """Turn rate for a curvature >= 0 [1/m] without the spine, the turning curve not made linear near 0; at most 1.
 
     With c = a^t the shares are 1 - c and 1, so that the curvature is k c / (1 - c / 2).
     """
     turning = params.turning
-    across, _ = _turn_of_two_feet(params.stance)
-    curve = jnp.minimum(curvature / (across + 0.5 * curvature), 1.0)
+    curve = jnp.minimum(curvature / (feet.across + 0.5 * curvature), 1.0)
     positive = (curve > 0.0) & (turning.exponent > 0.0)
     power = jnp.where(positive, curve, 1.0) ** (1.0 / jnp.where(positive, turning.exponent, 1.0))
     return jnp.where(curve > 0.0, power / jnp.maximum(turning.leg, 1e-9), 0.0)

@@ -10,7 +10,6 @@ import functools
 import math
 from typing import Final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -35,8 +34,7 @@ def transform(
         spine: the spine's numbers (static).
     """
     if isinstance(theta_v, float) and vertical is None:
-        with jax.ensure_compile_time_eval():  # a constant of the program, not a part of it
-            return transform(jnp.asarray(theta_v), spine=spine)
+        return jnp.asarray(_fixed_transform(theta_v, spine), jnp.result_type(float))
     theta_v = _floating(theta_v)
     dtype = theta_v.dtype
     angles = dict.fromkeys(spine.lateral_joints, -theta_v)
@@ -154,6 +152,17 @@ def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
         [sin * sin_a, cos * sin_a, cos_a, cos_a * d],
         [0.0, 0.0, 0.0, 1.0],
     ])  # fmt: skip
+
+
+@functools.cache
+def _fixed_transform(theta_v: float, spine: SpineGeometry) -> np.ndarray:
+    """`transform` of a constant: nothing to trace, or to compile for a few numbers."""
+    pose = np.eye(4)
+    for row, link in enumerate(spine.dh):
+        pose = pose @ _link(*link)
+        if row in spine.lateral_joints:
+            pose = pose @ _link(0.0, 0.0, -theta_v, 0.0)
+    return pose
 
 
 def _matmul(left: Array, right: Array) -> Array:

@@ -23,8 +23,8 @@ from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.packed_loop import PackedLoop
-from nermo_mjx.robot import Robot
-from nermo_mjx.runtime import cpu_count
+from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.runtime import start_jax, thread_count
 
 #: Worlds of every call of the compiled loop; what is missing is filled up. XLA rounds by the shape of a batch.
 LANES: Final = 32
@@ -50,9 +50,21 @@ class CEngine:
 
     name = "c"
 
-    def __init__(self, robot: Robot, loop: Loop, threads: int = 0) -> None:
-        """`threads` 0 means all cores."""
-        self.robot, self.loop, self.threads = robot, loop, threads or cpu_count()
+    def __init__(self, robot: Robot, loop: Loop, threads: int | None = None) -> None:
+        """
+        Args:
+            robot, loop: what runs.
+            threads: processors that share a batch; None for `$NERMO_MJX_THREADS`, or all of them.
+
+        Raises:
+            ParameterError: fewer than one thread.
+        """
+        start_jax()
+        self.robot, self.loop = robot, loop
+        try:
+            self.threads = thread_count(threads)
+        except ValueError as error:
+            raise ParameterError(str(error)) from None
         self._packed: dict[Any, PackedLoop] = {}
 
     def open(self, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> CSession:

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.runtime import cpu_batch_limit
+from nermo_mjx.runtime import cpu_batch_limit, start_jax
 
 #: Environment variable with the number of devices, where a caller does not say.
 VARIABLE: Final = "NERMO_MJX_DEVICES"
@@ -83,6 +83,7 @@ def choose_devices(wanted: int | None = None) -> Devices:
     Raises:
         ParameterError: there are not as many.
     """
+    start_jax()
     local = jax.local_devices()
     count = _wanted(wanted, len(local))
     # Where batches must stay small, so that no program hangs, they run in parts on one device.

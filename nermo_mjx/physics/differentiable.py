@@ -29,9 +29,11 @@ from nermo_mjx.physics import constraint, rows, stages
 from nermo_mjx.physics.checkpointing import KEPT
 from nermo_mjx.physics.integration import integrate
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.rows import Layout, Problem
 
 
+@full_precision
 def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Advance the simulation by one time step, as `mjx.step`, with its derivatives in both modes.
 
@@ -79,6 +81,7 @@ def _solution(layout: Layout, qacc: Float[Array, " nv"], problem: Problem) -> Fl
 
 
 @_solution.defjvp
+@full_precision
 def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
     qacc, problem = primals
     _, change = tangents

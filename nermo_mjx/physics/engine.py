@@ -27,13 +27,6 @@ class Loop(Protocol):
     def steps_per_tick(self) -> int:
         """Physics steps in a control tick."""
 
-    @property
-    def identity(self) -> str | None:
-        """Text that tells this loop apart from any other, also in another process; None if there is none.
-
-        Compiled programs are kept under it.
-        """
-
     def init(self, params: Any, sensordata: Any) -> Any:
         """First state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
 
@@ -100,7 +93,7 @@ def resolve_engine(name: str) -> str:
     """
     if name not in ENGINES:
         raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
-    runtime.require_backend()
+    runtime.start_jax()
     if name == "auto" and jax.default_backend() == "cpu":
         return "c"
     if name not in ("auto", "warp"):
@@ -115,22 +108,23 @@ def resolve_engine(name: str) -> str:
     return name
 
 
-def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None) -> Engine:
+def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None, threads: int | None = None) -> Engine:
     """Build an engine by name.
 
     Args:
         name: see `resolve_engine`.
         robot, loop: what runs.
         devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or all of them.
+        threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
 
     Raises:
-        ParameterError: an unknown engine, one that cannot run here, or not as many devices.
+        ParameterError: an unknown engine, one that cannot run here, not as many devices, or no thread.
     """
     chosen = resolve_engine(name)
     if chosen == "c":
         from nermo_mjx.physics.c_engine import CEngine
 
-        return CEngine(robot, loop)
+        return CEngine(robot, loop, threads)
     if chosen == "warp":
         from nermo_mjx.physics.warp_engine import WarpEngine
 

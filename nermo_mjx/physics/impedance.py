@@ -34,7 +34,8 @@ def make_constraint(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     stiffness, aref, jacobian = rows.row_arrays(made)
     others = len(aref) - len(contacts.solimp)
     distance = jnp.where(contacts.pushes & (contacts.distance < 0.0), contacts.distance, 0.0)
-    constants = contacts.solref, contacts.distance, distance, jacobian[others:] @ data.qvel
+    shortest = 0.0 if model.opt.disableflags & mjx.DisableBit.REFSAFE else 2.0 * model.opt.timestep
+    constants = contacts.solref, contacts.distance, distance, jacobian[others:] @ data.qvel, shortest
     changed = _with_impedance(stiffness[others:], aref[others:], contacts.solimp, *jax.lax.stop_gradient(constants))
     # Joined and not written into place: XLA makes a loop of what is written on a CPU.
     joined = (jnp.concatenate([old[:others], new]) for old, new in zip((stiffness, aref), changed, strict=True))
@@ -43,7 +44,14 @@ def make_constraint(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 @jax.custom_jvp
 def _with_impedance(
-    stiffness: Array, aref: Array, solimp: Array, solref: Array, depth: Array, pushed: Array, velocity: Array
+    stiffness: Array,
+    aref: Array,
+    solimp: Array,
+    solref: Array,
+    depth: Array,
+    pushed: Array,
+    velocity: Array,
+    shortest: Array,
 ) -> tuple[Array, Array]:
     """D and aref of the contacts' rows as they are; their derivatives also follow the impedance."""
     return stiffness, aref
@@ -51,10 +59,10 @@ def _with_impedance(
 
 @_with_impedance.defjvp
 def _(primals: Any, tangents: Any) -> Any:
-    stiffness, aref, solimp, solref, depth, pushed, velocity = primals
+    stiffness, aref, solimp, solref, depth, pushed, velocity, shortest = primals
 
     def missing(solimp: Array) -> tuple[Array, Array]:
-        spring, damper, imp = jax.vmap(reference)(solref, solimp, depth)
+        spring, damper, imp = jax.vmap(reference, in_axes=(0, 0, 0, None))(solref, solimp, depth, shortest)
         return jnp.log(imp) - jnp.log1p(-imp), -damper * velocity - spring * imp * pushed
 
     _, (growth, shift) = jax.jvp(missing, (solimp,), (tangents[2],))
@@ -62,7 +70,7 @@ def _(primals: Any, tangents: Any) -> Any:
 
 
 def reference(
-    solref: Float[Array, " 2"], solimp: Float[Array, " 5"], distance: Float[Array, ""]
+    solref: Float[Array, " 2"], solimp: Float[Array, " 5"], distance: Float[Array, ""], shortest: Float[Array, ""]
 ) -> tuple[Array, Array, Array]:
     """(k, b, imp): stiffness [1/s^2] and damping [1/s] of the reference acceleration, and the impedance.
 
@@ -70,6 +78,7 @@ def reference(
         solref: time constant [s] and damping ratio, or minus stiffness and minus damping.
         solimp: (dmin, dmax, width, mid, power).
         distance: of the surfaces, negative in contact [m].
+        shortest: time constant that counts for one below it [s]: two time steps, or 0 without MuJoCo's `refsafe`.
     """
     low, high = (jnp.clip(limit, mjMINIMP, mjMAXIMP) for limit in solimp[:2])
     mid, power = jax.lax.stop_gradient((jnp.clip(solimp[3], mjMINIMP, mjMAXIMP), jnp.maximum(solimp[4], 1.0)))
@@ -79,7 +88,7 @@ def reference(
         x < mid, mid * (first / mid) ** power, 1.0 - (1.0 - mid) * ((1.0 - second) / (1.0 - mid)) ** power
     )
     standard = solref[0] > 0.0
-    time, ratio = (jnp.where(standard, value, 1.0) for value in solref)
+    time, ratio = (jnp.where(standard, value, 1.0) for value in (jnp.maximum(solref[0], shortest), solref[1]))
     spring = jnp.where(standard, 1.0 / (high * time * ratio) ** 2, -solref[0] / high**2)
     damper = jnp.where(standard, 2.0 / (high * time), -solref[1] / high)
     return spring, damper, jnp.clip(low + share * (high - low), low, high)

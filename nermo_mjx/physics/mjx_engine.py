@@ -7,7 +7,6 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
@@ -22,9 +21,10 @@ from nermo_mjx.physics import differentiable
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
-from nermo_mjx.physics.program_cache import KeptProgram, is_ours, model_digest
+from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
+from nermo_mjx.runtime import compiler_options
 
 #: Most iterations of the solver's line search. C's ends by itself after a few, and needs more than this in one step of
 #: thousands, where it would stop at a wrong solution. MJX's never reaches its tolerance in float32 and makes all of
@@ -67,16 +67,10 @@ class MjxEngine:
         self.robot, self.loop = robot, loop
         self.devices = choose_devices(devices)
         self.model, self.data = self.put(robot.physical)
-        identity = self._identity()
-        self.open_worlds = KeptProgram(self._open_worlds, identity)
-        self.advance = KeptProgram(self._advance, identity, donated=(2,))
-        self.record = KeptProgram(self._record, identity, donated=(2,), static=(3,))
-
-    def _identity(self) -> str | None:
-        """What the programs close over, as text; None where they cannot be kept."""
-        known = is_ours(self, self.loop) and self.loop.identity is not None
-        names = f"{type(self).__qualname__} {type(self.loop).__qualname__}"
-        return f"{names} {self.loop.identity} {model_digest(self.robot.physical)}" if known else None
+        options = compiler_options()
+        self.open_worlds = jax.jit(self._open_worlds, compiler_options=options)
+        self.advance = jax.jit(self._advance, donate_argnums=2, compiler_options=options)
+        self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3, compiler_options=options)
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """The model for MJX, and data of a world alone."""
@@ -97,6 +91,7 @@ class MjxEngine:
         """One step of physics in one world."""
         return differentiable.step(model, data)
 
+    @full_precision
     def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         """Carry of one world before its first tick, from its state and its sensors there."""
         nothing = jnp.zeros((self.model.nv,), qpos.dtype)
@@ -104,34 +99,40 @@ class MjxEngine:
         steps = self.loop.steps_per_tick
         return Carry(physics, self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1)))
 
-    def tick(
-        self, params: Any, fields: dict[str, Array], carry: Carry, data: mjx.Data | None = None
-    ) -> tuple[Carry, Array]:
+    def tick(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
             params, fields: of the loop, and what differs from the model.
             carry: before the tick.
-            data: to fill; by default that of a world alone.
         """
-        model, blank = self.model.tree_replace(fields), self.data if data is None else data
-        loop, ctrl = self.loop.step(params, carry.loop, carry.sensordata)
+        return self._tick(lambda of_one_world: of_one_world, self.data, params, fields, carry)
 
-        def step(state: MjxState, _: None) -> tuple[MjxState, Array]:
+    @full_precision
+    def _tick(
+        self, each: Callable[[Any], Any], blank: mjx.Data, params: Any, fields: dict[str, Array], carry: Carry
+    ) -> tuple[Carry, Array]:
+        """`tick` of one world, or of all worlds of a device with `jax.vmap` for `each`.
+
+        Inside the loop over the steps, `vmap` meets the physics as it is traced, and not once more afterwards.
+        """
+        loop, ctrl = each(self.loop.step)(params, carry.loop, carry.sensordata)
+
+        def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, Array]:
+            model = self.model.tree_replace(fields)
             after = self.physics_step(model, blank.replace(ctrl=ctrl, **state._asdict()))
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), after.sensordata
 
+        def step(state: MjxState, _: None) -> tuple[MjxState, Array]:
+            after: tuple[MjxState, Array] = each(advanced)(fields, ctrl, state)
+            return after
+
         physics, sensordata = jax.lax.scan(step, carry.physics, None, length=self.loop.steps_per_tick)
-        return Carry(physics, loop, sensordata), ctrl
+        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2)), ctrl
 
     def _ticks(self, params: Any, fields: dict[str, Array]) -> Callable[[Carry], tuple[Carry, Array]]:
         """`tick` for all worlds of a device."""
-
-        def ticks(carry: Carry) -> tuple[Carry, Array]:
-            data = self.data_among(len(carry.physics.qpos))
-            return jax.vmap(functools.partial(self.tick, data=data))(params, fields, carry)
-
-        return ticks
+        return lambda carry: self._tick(jax.vmap, self.data_among(len(carry.physics.qpos)), params, fields, carry)
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(params, qpos, qvel, sensordata)

@@ -6,6 +6,8 @@ which for a few worlds is half of a call.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -15,6 +17,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from nermo_mjx.physics.engine import Loop
+from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.runtime import compiler_options
 
 
 class PackedLoop:
@@ -30,14 +34,17 @@ class PackedLoop:
             params: of a batch like those to come, leaves (n, ...).
             sensordata: readings of that batch (n, n_sensordata).
         """
-        one = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], params)
-        state = jax.eval_shape(loop.init, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
-        unpack_params = ravel_pytree(one)[1]
-        unpack_state = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), state))[1]
+        one = jax.eval_shape(lambda params: jax.tree.map(lambda leaf: leaf[0], params), params)
+        # Jitted, what is used twice is traced once.
+        start = jax.jit(full_precision(loop.init), inline=True)
+        state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
+        unpack_params, unpack_state = _unpacking(one), _unpacking(state)
 
         def init(params: Float[Array, " p"], sensordata: Float[Array, " n"]) -> Float[Array, " s"]:
-            return ravel_pytree(loop.init(unpack_params(params), sensordata))[0]
+            return ravel_pytree(start(unpack_params(params), sensordata))[0]
 
+        @functools.partial(jax.jit, inline=True)
+        @full_precision
         @jax.vmap
         def step(
             params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]
@@ -46,7 +53,7 @@ class PackedLoop:
             return ravel_pytree(after)[0], ctrl
 
         def step_once(once: Any, params: Array, state: Array, sensordata: Array) -> tuple[Array, Array]:
-            """One step, as a loop of one round that XLA makes a single function of (`runtime.COMPILER_FLAGS`)."""
+            """One step, as a loop of one round that XLA makes a single function of (`runtime.EXTRA_OPTIONS`)."""
 
             def body(round_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
                 # Tied to the round, or else what depends on them alone would be moved out of the loop.
@@ -59,6 +66,15 @@ class PackedLoop:
 
         self.pack = jax.jit(jax.vmap(lambda params: ravel_pytree(params)[0]))
         self.unpack = jax.jit(jax.vmap(unpack_state))
-        self.init, self.step = jax.jit(jax.vmap(init)), jax.jit(step_once)
+        options = compiler_options()
+        self.init = jax.jit(jax.vmap(init), compiler_options=options)
+        self.step = jax.jit(step_once, compiler_options=options)
         #: First argument of `step`: not a constant, or XLA would see that the loop is none.
         self.once = jax.device_put(np.int32(1))
+
+
+def _unpacking(tree: Any) -> Callable[[Array], Any]:
+    """What makes a tree of such shapes of its row; found without computing one, which compiles many small programs."""
+    found: list[Callable[[Array], Any]] = []
+    jax.eval_shape(lambda tree: found.append(ravel_pytree(tree)[1]), tree)
+    return found[0]

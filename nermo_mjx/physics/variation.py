@@ -17,6 +17,7 @@ from nermo_mjx.physics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import replace_quantities
+from nermo_mjx.runtime import start_jax
 
 #: Model fields that each group of body parameters reaches.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
@@ -118,6 +119,7 @@ class Variation:
         if not reached:
             return {}
         leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
+        start_jax()
         with jax.enable_x64(True):
             fields = self._batched(leaves)
         return {name: np.asarray(fields[name], float) for name in reached}

@@ -39,9 +39,6 @@ class WarpEngine(MjxEngine):
 
     name = "warp"
 
-    def _identity(self) -> None:
-        """Programs call into what Warp has set up in this process: they cannot be kept for another one."""
-
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """See `MjxEngine.put`."""
         _silence()

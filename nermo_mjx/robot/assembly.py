@@ -25,7 +25,7 @@ from nermo_mjx.robot.files import load_file, scenes
 from nermo_mjx.robot.mirror import mirror
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS, ROUTINGS
-from nermo_mjx.robot.presets import PRESETS, PhysicsPreset
+from nermo_mjx.robot.presets import PRESETS, PhysicsPreset, PresetTimestep
 from nermo_mjx.robot.quantity import ParameterError
 
 ROBOTS: Final = ("nermo_lite",)
@@ -78,8 +78,8 @@ class RobotConfig:
                 raise ParameterError(
                     f"{field} is {getattr(self, field)!r}: allowed is {' or '.join(map(repr, allowed))}."
                 )
-        if self.timestep is None:
-            object.__setattr__(self, "timestep", self.preset.timestep)
+        if self.timestep is None or isinstance(self.timestep, PresetTimestep):
+            object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
         if not 1e-5 <= self.timestep <= 0.004:
             raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.004] s.")
 

@@ -18,8 +18,8 @@ from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 class Servo:
     """All position servos (Power HD-DSM44 at 6 V)."""
 
-    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain")
-    kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=5.0, doc="velocity damping of the servo loop")
+    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
+    kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
 
@@ -27,6 +27,8 @@ class Servo:
 @parameter_tree
 class Contact:
     """Rubber sole, and the tail's tip, on a mat; the impedance grows from zero with depth (continuous onset).
+
+    With a damping ratio or an impedance of 0.3 the soles of a standing robot bounce in the steps of `fast`.
 
     Friction of the sole, time constant and damping ratio are those of the author's model (basic_scene.xml). His
     impedance is 0.9 without any depth and 0.95 at 1 mm. One that begins at 0 needs half of that width: with 1 mm the
@@ -37,8 +39,8 @@ class Contact:
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
     tail_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="sliding friction of the tail on the ground")
     time_constant: Any = quantity(0.008, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
-    damping_ratio: Any = quantity(2.0, unit="1", low=0.1, high=10.0, doc="solref damping ratio")
-    impedance: Any = quantity(0.95, unit="1", low=0.1, high=0.9999, doc="solimp at full depth")
+    damping_ratio: Any = quantity(2.0, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
+    impedance: Any = quantity(0.95, unit="1", low=0.5, high=0.9999, doc="solimp at full depth")
     width: Any = quantity(0.0005, unit="m", low=1e-5, high=0.02, doc="depth at which the full impedance is reached")
 
 

@@ -25,6 +25,10 @@ class PhysicsPreset:
     trunk_contacts: bool
 
 
+class PresetTimestep(float):
+    """A time step that nobody gave [s]: it is its preset's, and another preset brings its own."""
+
+
 #: `reference` is the model as it was identified. `fast` keeps speeds at the published frequencies within 1.5 % of it,
 #: roll and duty within 2.3 %; slip and servo work change more.
 PRESETS: Final[Mapping[str, PhysicsPreset]] = {

@@ -79,6 +79,7 @@ def quantity(
     """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments."""
     about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
     value = np.asarray(default, dtype=np.float64)
+    value.flags.writeable = False  # all trees share it
     return dataclasses.field(default_factory=lambda: value, metadata={"quantity": about})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 import hashlib
@@ -47,33 +48,19 @@ class JointIndex:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Robot:
-    """A robot in a scene.
+class _Compiled:
+    """What all robots of one configuration have in common, and no caller gets hold of."""
 
-    Attributes:
-        config: what was built.
-        spec: the editable specification it was compiled from.
-        model: the compiled model; treat it as read-only, variation is `physics.variation`'s. Engines step `physical`.
-        joints: addresses in `qpos`.
-    """
-
-    config: RobotConfig
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     joints: JointIndex
 
-    @property
-    def n_servos(self) -> int:
-        """Number of servos, the length of `ctrl`."""
-        return self.model.nu
-
     @functools.cached_property
     def physical(self) -> mujoco.MjModel:
-        """`model` without what is only drawn or marked, for engines; the ids of geoms and sites differ."""
         return physical_model(self.spec, self.model)
 
     @functools.cached_property
-    def _sensor_slices(self) -> dict[str, slice]:
+    def sensor_slices(self) -> dict[str, slice]:
         model, n = self.model, self.model.nu
         start = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
         servo = model.actuator(0).name
@@ -93,28 +80,8 @@ class Robot:
             "tail_force": slice(start["tail_tip_force"], model.nsensordata),
         }
 
-    def sensors(self, sensordata: Float[Array, "*batch n"] | np.ndarray) -> Sensors:
-        """Read MuJoCo's `sensordata` by meaning; leading axes are kept, NumPy arrays stay NumPy arrays."""
-        data = sensordata if isinstance(sensordata, jax.Array) else np.asarray(sensordata)
-        parts: dict[str, Any] = {name: data[..., span] for name, span in self._sensor_slices.items()}
-        for name in ("foot_position", "foot_velocity"):
-            parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
-        parts["tail_force"] = parts["tail_force"].sum(axis=-1)
-        return Sensors(**parts)
-
-    def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
-        """`sensordata` of the robot put down at `qpos`, in JAX: where its IMU is; what moves or pushes reads zero."""
-        place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
-        arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
-        axis = jnp.stack([x, y, z])
-        turned = arm + 2.0 * jnp.cross(axis, jnp.cross(axis, arm) + w * arm)
-        data = jnp.zeros((self.model.nsensordata,), qpos.dtype)
-        data = data.at[self._sensor_slices["position"]].set(place + turned)
-        return data.at[self._sensor_slices["orientation"]].set(jnp.stack([w, x, y, z]))
-
     @functools.cached_property
     def mass_model(self) -> MassModel:
-        """Masses and centres of mass before and behind the spine, of the standing robot."""
         data = mujoco.MjData(self.model)
         mujoco.mj_forward(self.model, data)
         front = np.array([is_front(self.model.body(i).name) for i in range(1, self.model.nbody)])
@@ -123,11 +90,86 @@ class Robot:
 
         def share(chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
             total = float(mass[chosen].sum())
-            return total, rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
+            centre = rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
+            centre.flags.writeable = False
+            return total, centre
 
         front_mass, front_com = share(front, base.xpos, base.xmat)
         rear_mass, rear_com = share(~front, end.xpos, end.xmat)
         return MassModel(front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com)
+
+    @functools.cached_property
+    def fingerprint(self) -> str:
+        buffer = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(buffer.tobytes()).hexdigest()[:16]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot in a scene; its models are its own, so that a change of them reaches no other robot.
+
+    Attributes:
+        config: what was built.
+    """
+
+    config: RobotConfig
+    _compiled: _Compiled = dataclasses.field(repr=False)
+
+    @functools.cached_property
+    def spec(self) -> mujoco.MjSpec:
+        """An editable specification, from which `model` could be compiled again."""
+        return self._compiled.spec.copy()
+
+    @functools.cached_property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model. Engines step `physical`; variation within a batch is `physics.variation`'s."""
+        return copy.copy(self._compiled.model)
+
+    @functools.cached_property
+    def physical(self) -> mujoco.MjModel:
+        """`model` without what is only drawn or marked, for engines; the ids of geoms and sites differ."""
+        return copy.copy(self._compiled.physical)
+
+    @property
+    def joints(self) -> JointIndex:
+        """Addresses in `qpos`."""
+        return self._compiled.joints
+
+    @property
+    def n_servos(self) -> int:
+        """Number of servos, the length of `ctrl`."""
+        return self._compiled.model.nu
+
+    def sensors(self, sensordata: Float[Array, "*batch n"] | np.ndarray) -> Sensors:
+        """Read MuJoCo's `sensordata` by meaning; leading axes are kept, NumPy arrays stay NumPy arrays."""
+        data = sensordata if isinstance(sensordata, jax.Array) else np.asarray(sensordata)
+        parts: dict[str, Any] = {name: data[..., span] for name, span in self._compiled.sensor_slices.items()}
+        for name in ("foot_position", "foot_velocity"):
+            parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
+        parts["tail_force"] = parts["tail_force"].sum(axis=-1)
+        return Sensors(**parts)
+
+    def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
+        """`sensordata` of the robot put down at `qpos`, in JAX: where IMU and joints are; all else reads zero."""
+        place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
+        arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
+        axis = jnp.stack([x, y, z])
+        turned = arm + 2.0 * jnp.cross(axis, jnp.cross(axis, arm) + w * arm)
+        data = jnp.zeros((self.model.nsensordata,), qpos.dtype)
+        servos = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
+        readings = {
+            "position": place + turned, "orientation": jnp.stack([w, x, y, z]), "servo_angle": qpos[servos],
+            "knee_angle": qpos[np.array(self.joints.knee)],
+        }  # fmt: skip
+        for name, reading in readings.items():
+            data = data.at[self._compiled.sensor_slices[name]].set(reading)
+        return data
+
+    @property
+    def mass_model(self) -> MassModel:
+        """Masses and centres of mass before and behind the spine, of the standing robot."""
+        return self._compiled.mass_model
 
     @functools.cached_property
     def obstacles(self) -> tuple[int, ...]:
@@ -143,21 +185,19 @@ class Robot:
 
     def to_xml(self) -> str:
         """One self-contained MJCF of the assembled robot and its scene."""
-        return self.spec.to_xml()
+        return self._compiled.spec.to_xml()
 
-    @functools.cached_property
+    @property
     def fingerprint(self) -> str:
         """Hash of the compiled model, to recognise the model a recording was made with."""
-        buffer = np.empty(mujoco.mj_sizeModel(self.model), np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(buffer.tobytes()).hexdigest()[:16]
+        return self._compiled.fingerprint
 
 
 @functools.lru_cache(maxsize=8)
-def _load(config: RobotConfig) -> Robot:
+def _compile(config: RobotConfig) -> _Compiled:
     spec = assemble(config)
     model = spec.compile()
-    return Robot(config, spec, model, _joint_index(model))
+    return _Compiled(spec, model, _joint_index(model))
 
 
 def load_robot(
@@ -169,7 +209,7 @@ def load_robot(
     physics: str = "reference",
     timestep: float | None = None,
 ) -> Robot:
-    """Assemble and compile a robot in a scene; the same arguments give the same object.
+    """Assemble a robot in a scene. The same arguments compile once, and each call gives a robot with models of its own.
 
     Args: see `RobotConfig`.
 
@@ -177,7 +217,8 @@ def load_robot(
         ParameterError: an unknown name, or a time step out of range.
     """
     given = {} if timestep is None else {"timestep": timestep}
-    return _load(RobotConfig(robot, scene, tail, routing, cone, physics, **given))
+    config = RobotConfig(robot, scene, tail, routing, cone, physics, **given)
+    return Robot(config, _compile(config))
 
 
 def _joint_index(model: mujoco.MjModel) -> JointIndex:

@@ -11,7 +11,8 @@ from typing import Any, Final
 import jax
 import numpy as np
 
-from nermo_mjx.physics.program_cache import KeptProgram
+from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.runtime import compiler_options
 
 #: Worlds of a piece; the last one is filled up.
 LANES: Final = 256
@@ -20,13 +21,12 @@ LANES: Final = 256
 class Lanes:
     """Applies a jittable function of one world to batches: leaves (n, ...) in, NumPy leaves (n, ...) out."""
 
-    def __init__(self, function: Callable[..., Any], closed_over: str | None = None) -> None:
+    def __init__(self, function: Callable[..., Any]) -> None:
         """
         Args:
             function: of one world.
-            closed_over: what it depends on beside its arguments; see `KeptProgram`.
         """
-        self._program = KeptProgram(jax.vmap(function), closed_over)
+        self._program = jax.jit(full_precision(jax.vmap(function)), compiler_options=compiler_options())
 
     def __call__(self, *arguments: Any) -> Any:
         """The results of all worlds; n is at least 1."""

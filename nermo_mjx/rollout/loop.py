@@ -12,7 +12,6 @@ from jaxtyping import Array, Float
 from nermo_mjx.control.controller import Controller, ControllerState
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.pilot import FOLLOWERS
-from nermo_mjx.physics.program_cache import is_ours
 from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.parameters import Start, Window
@@ -50,13 +49,6 @@ class ClosedLoop:
     def steps_per_tick(self) -> int:
         """Physics steps in a control tick."""
         return round(self.controller.dt / self.robot.config.timestep)
-
-    @property
-    def identity(self) -> str | None:
-        """See `Loop.identity`; a command that is any function has no such text."""
-        command = self.controller.command
-        known = is_ours(self, self.controller) and (command is None or is_ours(command))
-        return f"{self.robot.fingerprint} {self.controller!r}" if known else None
 
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
         """See `Loop.init`."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.parameters import published_values
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.quantity import check_quantities, quantities
+from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 from nermo_mjx.rollout.parameters import WorldParameters
 
 
@@ -20,8 +23,8 @@ class Setup:
     """Static choices of a simulation; every name is checked at construction.
 
     Attributes:
-        robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. The preset's time step is written out
-            when a setup is made, so that `dataclasses.replace` with another preset keeps the old one: give both.
+        robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
+            preset takes that preset's time step, unless one was given.
         gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
@@ -88,10 +91,36 @@ def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
     setup = setup or Setup()
     defaults = setup.defaults()
     known = {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(WorldParameters)}
-    # MuJoCo lengthens what is shorter than two time steps, without a word.
-    contact = known["contact.time_constant"]
-    known["contact.time_constant"] = dataclasses.replace(contact, low=max(contact.low, 2 * setup.timestep))
-    return known
+    return known | _bounded_by_step(known, setup.timestep)
+
+
+def _bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
+    """The parameters whose range depends on the time step, with the range that it leaves."""
+    contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
+    stiffest, most_damped = highest_kp(timestep, float(kv.default)), highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
+    return {
+        # MuJoCo lengthens what is shorter than two time steps, without a word.
+        "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),
+        "servo.kp": dataclasses.replace(kp, high=min(kp.high, stiffest)),
+        "servo.kv": dataclasses.replace(kv, high=min(kv.high, most_damped)),
+    }
+
+
+def check_world(params: WorldParameters, timestep: float) -> None:
+    """Refuse parameters that are not finite, out of their range, or outside what the time step allows.
+
+    Args:
+        params: concrete (not traced); leaves may carry leading batch axes.
+        timestep: of the physics [s].
+
+    Raises:
+        ParameterError: with the field's name, its value and what is allowed.
+    """
+    check_quantities(params)
+    for name, about in _bounded_by_step(dict(quantities(ModelParameters)), timestep).items():
+        group, field = name.split(".")
+        about.check(name, getattr(getattr(params.model, group), field))
+    check_servo(params.model.servo.kp, params.model.servo.kv, timestep)
 
 
 Length = float | np.ndarray

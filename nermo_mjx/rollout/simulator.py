@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import jax
@@ -15,12 +17,12 @@ from nermo_mjx.control.build import check
 from nermo_mjx.control.parameters import with_gait_factor
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.robot import Sensors
-from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
+from nermo_mjx.robot.quantity import ParameterError, replace_quantities
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup, all_parameters
+from nermo_mjx.rollout.setup import Run, Setup, check_world
 from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.
@@ -54,7 +56,9 @@ class RunResult:
         status: (n,) of `ok`, `fell`, `diverged`.
         engine: which engine ran.
         steps: physics steps of one world.
-        wall_seconds: time spent, compilation included; compile_seconds: the first tick's share of it.
+        wall_seconds: time spent.
+        compile_seconds: the part of it that JAX spent on making programs: tracing, and compiling or reading from its
+            cache; 0 where all of them had run before.
         trace: the recording, if one was asked for.
     """
 
@@ -62,8 +66,8 @@ class RunResult:
     status: np.ndarray
     engine: str
     steps: int
-    wall_seconds: float
-    compile_seconds: float
+    wall_seconds: float = 0.0
+    compile_seconds: float = 0.0
     trace: History | None = None
 
 
@@ -91,25 +95,32 @@ class Batch:
 class Simulator:
     """Runs batches of one setup; compiled programs are shared by all its runs."""
 
-    def __init__(self, setup: Setup | None = None, engine: str = "auto", devices: int | None = None) -> None:
+    def __init__(
+        self,
+        setup: Setup | None = None,
+        engine: str = "auto",
+        devices: int | None = None,
+        threads: int | None = None,
+    ) -> None:
         """
         Args:
             setup: what is chosen by name.
             engine: `auto`, `c`, `mjx` or `warp`.
             devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
+            threads: processors that share a batch in `c`; None for `$NERMO_MJX_THREADS`, or else all.
 
         Raises:
-            ParameterError: an unknown engine, one that cannot run here, or not as many devices.
+            ParameterError: an unknown engine, one that cannot run here, not as many devices, or no thread.
         """
         self.setup = setup or Setup()
         self.robot = self.setup.load()
         self.controller = self.setup.controller()
         self.loop = ClosedLoop(self.robot, self.controller)
-        self.engine = make_engine(engine, self.robot, self.loop, devices)
+        self.engine = make_engine(engine, self.robot, self.loop, devices, threads)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(metrics.result, closed_over="nothing")
+        self._results = Lanes(metrics.result)
 
     @functools.cached_property
     def _defaults(self) -> WorldParameters:
@@ -122,13 +133,12 @@ class Simulator:
             values: name -> number or (n,) array. The gait factor follows a duty factor that is named without it.
 
         Raises:
-            ParameterError: unknown name, value out of range, or a stride past the legs' workspace.
+            ParameterError: unknown name, value out of range or not of shape () or (n,), or a stride past the legs'
+                workspace.
         """
-        given = {name: np.asarray(value, float) for name, value in values.items()}
+        given = {name: _numbers(name, value) for name, value in values.items()}
         params = replace_quantities(self._defaults, with_gait_factor(given))
-        check_quantities(params)
-        contact = "contact.time_constant"  # its least depends on the time step, which declarations do not know
-        all_parameters(self.setup)[contact].check(contact, params.model.contact.time_constant)
+        check_world(params, self.setup.timestep)
         check(params.control, routing=self.setup.routing)
         return params
 
@@ -167,6 +177,19 @@ class Simulator:
             ParameterError: see `parameters`.
         """
         began = time.perf_counter()
+        with _compile_time() as compile_time:
+            result = self._run(values, run, record, progress, notify)
+        wall = time.perf_counter() - began
+        return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))
+
+    def _run(
+        self,
+        values: Mapping[str, Any],
+        run: Run | None,
+        record: bool,
+        progress: Callable[[float], None] | None,
+        notify: Callable[[str], None] | None,
+    ) -> RunResult:
         batch = self.prepare(values, run)
         program = (len(batch.qpos), tuple(batch.fields), record)
         if notify and program not in self._compiled:
@@ -176,15 +199,11 @@ class Simulator:
         # Whole blocks only: a recorded block of another length would be another program.
         ticks = -(-batch.ticks // BLOCK) * BLOCK if record else batch.ticks
         traces: list[Trace] = []
-        compiled = None
         for done, size in _blocks(ticks):
             if record:
                 traces.append(session.record(size))
             else:
                 session.advance(size)
-            if compiled is None:
-                jax.block_until_ready(session.loop_state)
-                compiled = time.perf_counter() - began
             over = (done + size) * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
             if batch.may_end_early:
                 over |= _finished(session.loop_state.metrics)
@@ -204,8 +223,6 @@ class Simulator:
             status=status,
             engine=self.engine.name,
             steps=ticks * self.loop.steps_per_tick,
-            wall_seconds=time.perf_counter() - began,
-            compile_seconds=compiled or 0.0,
             trace=self._history(traces, batch.ticks) if record else None,
         )
 
@@ -218,6 +235,34 @@ class Simulator:
         named = {field.name: np.asarray(getattr(sensors, field.name)) for field in dataclasses.fields(sensors)}
         time_axis = (1 + np.arange(qpos.shape[1])) * self.controller.dt
         return History(time_axis, qpos, qvel, ctrl, named)
+
+
+@contextlib.contextmanager
+def _compile_time() -> Iterator[list[float]]:
+    """Seconds that JAX spends in this thread on tracing and compiling, in pieces."""
+    pieces: list[float] = []
+    thread = threading.get_ident()
+
+    def listen(event: str, duration_secs: float, **_: str | int) -> None:
+        if event.startswith("/jax/core/compile/") and threading.get_ident() == thread:
+            pieces.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        yield pieces
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def _numbers(name: str, value: Any) -> np.ndarray:
+    """The value of a parameter as numbers, () or (n,)."""
+    try:
+        numbers = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise ParameterError(f"{name} is {value!r}: expected a number, or an array with one for each world.") from None
+    if numbers.ndim > 1:
+        raise ParameterError(f"{name} has shape {numbers.shape}: allowed is a number, or (n,) with one for each world.")
+    return numbers
 
 
 def _finished(state: metrics.MetricState) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import Final
 
 import jax.numpy as jnp
@@ -17,7 +18,6 @@ from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
 from nermo_mjx.rollout.lanes import Lanes
-from nermo_mjx.rollout.loop import ClosedLoop
 from nermo_mjx.rollout.parameters import Start
 
 #: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
@@ -26,6 +26,9 @@ TAUT: Final = 2e-5
 #: The lowest sole starts so deep in the ground [m]. On its surface rounding would decide whether it touches in the
 #: first steps, which moves the robot by 0.1 micrometres.
 DEPTH: Final = 1e-5
+
+#: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
+START_SPREAD: Final = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,4 +65,4 @@ class StartPose:
 
     @functools.cached_property
     def _batched(self) -> Lanes:
-        return Lanes(self.qpos, ClosedLoop(self.robot, self.controller).identity)
+        return Lanes(self.qpos)

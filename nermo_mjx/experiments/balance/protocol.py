@@ -109,11 +109,6 @@ class BalanceLoop:
         """Physics steps in a control tick."""
         return round(self.dt / self.robot.config.timestep)
 
-    @property
-    def identity(self) -> str:
-        """See `Loop.identity`."""
-        return f"{self.robot.fingerprint} {self.dt!r}"
-
     def init(self, params: BalanceParameters, sensordata: Float[Array, " n"]) -> BalanceState:
         """See `Loop.init`."""
         return BalanceState(jnp.zeros((), jnp.int32), self.servos(params, 0.0).vector(self.robot.n_servos))

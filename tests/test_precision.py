@@ -1,0 +1,84 @@
+"""Matrix products of physics and controller ask for full precision, also where a GPU's default is TF32."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.physics import differentiable
+from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.rollout import Run, metrics
+from nermo_mjx.rollout.lanes import Lanes
+
+#: A ball on a stick that lies on the ground: inertia, contacts, a tendon's limit.
+STICK = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="1 1 .1"/>
+    <body pos="0 0 .09">
+      <freejoint/> <geom type="capsule" size=".1 .2" euler="0 90 0"/> <site name="a"/>
+      <body pos=".3 0 0"> <joint axis="0 1 0" damping=".1"/> <geom size=".1"/> <site name="b" pos=".1 0 0"/> </body>
+    </body>
+  </worldbody>
+  <tendon> <spatial limited="true" range="0 .35"> <site site="a"/> <site site="b"/> </spatial> </tendon>
+</mujoco>
+"""
+
+
+def products(function: Any, *arguments: Any) -> list[str]:
+    """Precision of each matrix product in the program of a function, as lowered for XLA."""
+    lowered = function if hasattr(function, "lower") else jax.jit(function)
+    text = lowered.lower(*arguments).as_text()
+    return re.findall(r"stablehlo\.dot_general.*?precision = \[(\w+, \w+)\]", text)
+
+
+def highest(found: list[str]) -> bool:
+    return bool(found) and set(found) == {"HIGHEST, HIGHEST"}
+
+
+def test_a_program_of_jax_alone_asks_for_less() -> None:
+    """Otherwise the tests below could not fail."""
+    assert products(lambda x: x @ x, jnp.eye(3)) == ["DEFAULT, DEFAULT"]
+
+
+@pytest.fixture(scope="module")
+def stick() -> tuple[Any, Any]:
+    model = mjx.put_model(mujoco.MjModel.from_xml_string(STICK))
+    return model, mjx.make_data(model)
+
+
+def test_a_step_of_physics_and_its_derivatives_have_it(stick: tuple[Any, Any]) -> None:
+    """Forward and reverse mode, also where JAX traces the derivative after the step, outside of it."""
+    model, data = stick
+    step = jax.jit(lambda qvel: differentiable.step(model, data.replace(qvel=qvel)).qvel)
+    one = jnp.ones(model.nv)
+    assert highest(products(step, one))
+    assert highest(products(lambda qvel: jax.jvp(step, (qvel,), (one,)), one))
+    assert highest(products(jax.grad(lambda qvel: step(qvel).sum()), one))
+
+
+def test_the_controller_between_two_ticks_of_c_has_it(simulator: Any) -> None:
+    """The loop of controller and metrics, its start, and the metrics of a run."""
+    sim = simulator(spine="stride_extension")
+    batch = sim.prepare({"frequency": np.array([0.8])}, Run(cycles=1))
+    session = sim.engine.open(batch.params, batch.qpos, batch.fields)
+    assert highest(products(session.loop.step, *session.arguments))
+    state = jax.tree.map(lambda leaf: leaf[:1], session.loop_state.metrics)
+    assert "DEFAULT, DEFAULT" not in products(Lanes(metrics.result)._program, state, batch.mass)
+
+
+@pytest.mark.slow
+def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
+    """Of all worlds of a device, as `advance` runs it, and of one world, as a rollout does."""
+    sim = simulator("mjx", spine="stride_extension")
+    batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=1))
+    session = sim.engine.open(batch.params, batch.qpos, batch.fields)
+    assert highest(products(sim.engine.advance, session.params, session.fields, session.carry, jnp.int32(1)))
+    one = jax.tree.map(lambda leaf: leaf[0], (session.params, session.fields, session.carry))
+    assert highest(products(sim.engine.tick, *one))

@@ -1,0 +1,94 @@
+"""What a simulator is given and says at its edges: shapes of values, time spent on compiling, ends of ranges."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from test_physics_presets import standing
+
+from nermo_mjx.physics.variation import compile_model
+from nermo_mjx.robot import ModelParameters, ParameterError, load_robot
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.servo_limits import highest_kp, highest_kv
+from nermo_mjx.rollout import Run, Setup, Simulator, all_parameters
+from nermo_mjx.rollout.differentiable import Rollout
+
+#: A servo chatters if its torque jumps by more than this share of its limit from one step to the next, while the robot
+#: stands still and nothing is asked of it.
+CHATTER = 0.05
+BODY = [name for name, _ in quantities(ModelParameters)]
+PRESETS = ("reference", "fast")
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (np.zeros((2, 2)), r"^frequency has shape \(2, 2\): allowed is a number, or \(n,\) with one for each world\.$"),
+        ("fast", r"^frequency is 'fast': expected a number"),
+        ([0.5, [0.6]], r"^frequency is \[0\.5, \[0\.6\]\]: expected a number"),
+    ],
+)
+def test_a_value_of_another_shape_is_refused_with_a_sentence(simulator: Any, value: Any, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        simulator().run({"frequency": value}, Run(cycles=1))
+
+
+def test_compile_seconds_are_those_of_compiling() -> None:
+    """A new simulator spends some; the same batch once more none, however long it runs."""
+    simulator, run = Simulator(Setup(), "c"), Run(duration=1.0, warmup=0.0)
+    first, again = (simulator.run({"frequency": np.array([0.8, value])}, run) for value in (0.7, 0.6))
+    assert 0.1 < first.compile_seconds < first.wall_seconds
+    assert again.compile_seconds == 0.0 < again.wall_seconds
+
+
+def jump(values: dict[str, float], physics: str = "reference", timestep: float | None = None) -> float:
+    """Largest change of a servo's torque between two steps, over its limit, in the second half second of standing."""
+    robot = load_robot(physics=physics, timestep=timestep)
+    model = compile_model(robot, values)
+    data, torques = mujoco.MjData(model), []
+    for _ in range(round(1.0 / model.opt.timestep)):
+        data.ctrl[:] = standing(robot)
+        mujoco.mj_step(model, data)
+        torques.append(data.actuator_force.copy())
+    assert np.isfinite(data.qpos).all()
+    return float(np.abs(np.diff(torques[len(torques) // 2 :], axis=0)).max() / model.actuator_forcerange[0, 1])
+
+
+@pytest.mark.parametrize("physics", PRESETS)
+@pytest.mark.parametrize("name", BODY)
+def test_at_the_ends_of_every_range_of_the_body_no_servo_chatters(physics: str, name: str) -> None:
+    """With all else at its default, the robot stands: finite, and no torque alternates.
+
+    But for servos too weak to carry it, whose torque is at its limit: finite.
+    """
+    about = all_parameters(Setup(physics=physics))[name]
+    for end in (about.low, about.high):
+        assert jump({name: end}, physics) < (np.inf if (name, end) == ("servo.torque_limit", 0.01) else CHATTER), end
+
+
+@pytest.mark.parametrize("timestep", [0.001, 0.002, 0.01 / 3])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_no_servo_chatters_that_is_allowed_beside_its_damping(timestep: float, share: float) -> None:
+    """Along the bound, from all damping to all stiffness."""
+    kp = 0.1 + share * (highest_kp(timestep, 0.0) - 0.1)
+    assert jump({"servo.kp": kp, "servo.kv": float(highest_kv(timestep, kp))}, timestep=timestep) < CHATTER
+
+
+@pytest.mark.parametrize("timestep", [0.001, 0.002, 0.01 / 3])
+@pytest.mark.parametrize("kp", [0.1, 20.0, 100.0])
+def test_a_servo_past_the_bound_does(timestep: float, kp: float) -> None:
+    """The bound is sharp: a damping 1.3 times the allowed one alternates."""
+    assert jump({"servo.kp": kp, "servo.kv": 1.3 * float(highest_kv(timestep, kp))}, timestep=timestep) > 0.5
+
+
+@pytest.mark.parametrize(("physics", "kv", "most"), [("reference", 0.5, "0.485"), ("fast", 0.3, "0.184333")])
+def test_a_servo_too_stiff_beside_its_damping_is_refused(physics: str, kv: float, most: str) -> None:
+    """By the simulator and by the rollout alike, with what is allowed."""
+    setup, values = Setup(physics=physics), {"servo.kp": 100.0, "servo.kv": kv}
+    sentence = rf"^servo\.kv is {kv}: allowed is \[0, {most}\] N m s/rad beside servo\.kp 100"
+    for refuse in (Simulator(setup, "c").parameters, Rollout(setup)):
+        with pytest.raises(ParameterError, match=sentence):
+            refuse(values)
