@@ -170,7 +170,7 @@ def test_without_the_extra_one_sentence_says_what_to_install(missing: str, monke
     assert not result.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_every_program_can_be_lowered_for_gpus_and_tpus(name: str) -> None:
     """Whatever is here: no operation of it is one that another platform lacks."""

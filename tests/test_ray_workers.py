@@ -113,6 +113,7 @@ def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tm
     assert len(set(processes)) == 3
 
 
+@pytest.mark.long
 def test_experiments_on_a_cluster_give_the_tables_of_one_process(tmp_path):
     """Real ones in MuJoCo C, and their bodies one by one: bit for bit, in the order asked for."""
     ended = told(started("experiments", tmp_path / "out"))
@@ -157,7 +158,7 @@ def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, simulator):
         np.testing.assert_array_equal(table.column(name), walked.column(name), strict=True, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path):
     """A small run of `ray_disturbed.py`; 100,000 walks are run by hand."""
     command = [sys.executable, FAKE.with_name("ray_disturbed.py"), tmp_path, "--rows", "1000", "--chunk", "25",

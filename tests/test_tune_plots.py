@@ -450,11 +450,14 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
 
 def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
     """One sentence with the remedy; nothing walks for a video that cannot be."""
-    monkeypatch.setattr(runtime, "_gl_problem", "No library to draw with was found: `apt-get install libosmesa6`.")
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
     walker = FakeWalker()
     result = again(walker, {"plots": False, "video": True})
     (note,) = result.pictures.notes
-    assert note == "There is no video. No library to draw with was found: `apt-get install libosmesa6`."
+    assert note.startswith("There is no video. No library to draw with was found")
+    assert "apt-get install libosmesa6" in note
     assert walker.batches == []
     assert json.loads((result.out / "best.json").read_text()) == result.best
 
