@@ -177,7 +177,7 @@ def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []
-    return summary, write_figures(figures_of(results), store.plots, store.directory.write)
+    return summary, write_figures(figures_of(results), store.plots)
 
 
 def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:
