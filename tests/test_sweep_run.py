@@ -241,6 +241,6 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
 def test_figures_go_into_a_directory_that_is_named_from_here(tmp_path, monkeypatch):
     """As the README's command names it: `--out runs/quickstart`."""
     monkeypatch.chdir(tmp_path)
-    result = run_sweep(SPEC, "runs/here", simulator=FakeSimulator())
+    result = run_sweep(SPEC | {"plots": True}, "runs/here", simulator=FakeSimulator())
     assert result.plots
     assert all(path.exists() and path.parent == Path("runs/here/plots") for path in result.plots)
