@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from nermo_mjx.experiments.catalogue import Experiment
 from nermo_mjx.experiments.judgement import Effect, Number, Range, Same
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view import Recording
 
@@ -36,29 +36,30 @@ class Fake:
 
     name: str
     error: BaseException | None = None
-    asked: list[dict[str, Any]] = dataclasses.field(default_factory=list)
+    asked: list[Settings] = dataclasses.field(default_factory=list)
 
-    def run(self, **asked: Any) -> Outcome:
-        """See `straight_line.run`."""
+    def run(self, asked: Settings) -> Outcome:
+        """See `catalogue.Experiment`."""
         self.asked.append(asked)
-        asked["progress"](0.5)
+        assert asked.progress is not None
+        asked.progress(0.5)
         if self.error is not None:
             raise self.error
-        bodies = asked.get("bodies")
+        bodies = asked.bodies
         rows = [
             (profile, body, "trt", frequency, repeat, factor * speed + 1e-3 * repeat, 0.12 * frequency, repeat == 0,
              "ok")
-            for profile in asked["profiles"]
+            for profile in asked.profiles
             for body, factor in enumerate([1.0] if bodies is None else bodies["contact.friction"], start=1)
             for frequency, speed in zip((0.5, 0.8), SPEEDS[profile], strict=True)
-            for repeat in range(asked["repeats"])
+            for repeat in range(asked.repeats)
         ]  # fmt: skip
         names = ["profile", BODY, *list(ABOUT)[1:]]
         columns = {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
         if bodies is None:
             del columns[BODY]
         columns["theory_speed"][0] = np.nan
-        asked["progress"](1.0)
+        asked.progress(1.0)
         about = ABOUT if bodies is None else ABOUT | {BODY: Column("1", "number of the body")}
         return Outcome(self.name, columns, about, {} if bodies is not None else {RUN: recording()})
 

@@ -3,6 +3,8 @@
 ray_fake.py nodes OUT LOG: the sweep of `sweep_fake` on three nodes, of which one is killed; then another one comes. LOG
 gets a line for each batch that is begun: the process, and the frequency, amplitude and phase of its first row.
 ray_fake.py driver OUT LOG: the same on a cluster of one node, to be killed.
+ray_fake.py tune OUT LOG: the tuning of `tune_fake` from five starts on three nodes, of which one is killed on the way.
+ray_fake.py experiments OUT: two experiments with three bodies on two nodes.
 ray_fake.py tasks: a cluster of one node, computers that it takes and does not take, and where it listens.
 """
 
@@ -16,9 +18,14 @@ import signal
 import sys
 
 from sweep_fake import SPEC, FakeSimulator
+from tune_fake import SPEC as TUNING
+from tune_fake import FakeProblem
 
 from nermo_mjx.runs import ray_workers, stamp
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
+
+#: A tuning from as many starts as three workers do not share evenly.
+STARTS = TUNING | {"starts": 5}
 
 
 class LoggingSimulator(FakeSimulator):
@@ -59,6 +66,52 @@ def nodes(out, log):
     finally:
         cluster.shutdown()
     print(json.dumps({"complete": result.complete, "said": said, "chunks_run": result.chunks_run}))
+
+
+def tune(out, log):
+    """A tuning while a node goes."""
+    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
+    from ray.cluster_utils import Cluster
+
+    from nermo_mjx.tune import Tuning, run_tuning
+
+    tuning = Tuning.from_dict(STARTS)
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    others, said = [cluster.add_node(num_cpus=1) for _ in range(2)], []
+
+    def disturb(progress):
+        """After three iterations one node is killed."""
+        if progress.iteration >= 3 and len(others) == 2:
+            cluster.remove_node(others.pop(), allow_graceful=False)
+
+    try:
+        with ray_workers.RayWorkers(cluster.address, said.append) as workers:
+            problem = FakeProblem(tuning, delay=0.5, log=log)
+            result = run_tuning(tuning, out, problem=problem, workers=workers, progress=disturb)
+    finally:
+        cluster.shutdown()
+    print(json.dumps({"said": said, "iterations": result.iterations_run}))
+
+
+def experiments(out):
+    """Experiments, and their bodies one by one."""
+    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
+    from ray.cluster_utils import Cluster
+
+    from nermo_mjx.experiments import ensemble
+    from nermo_mjx.experiments.run import run_experiments
+
+    ensemble.AT_ONCE = 1
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster.add_node(num_cpus=1)
+    done = []
+    try:
+        with ray_workers.RayWorkers(cluster.address) as workers:
+            result = run_experiments(["balance", "body"], out, engine="c", quick=True, bodies=3, workers=workers,
+                                     progress=lambda what, share: done.append(what))  # fmt: skip
+    finally:
+        cluster.shutdown()
+    print(json.dumps({"names": [each.name for each in result.results], "done": sorted(set(done))}))
 
 
 def driver(out, log):
@@ -120,4 +173,6 @@ def tasks():
 
 
 if __name__ == "__main__":
-    {"nodes": nodes, "driver": driver, "tasks": tasks}[sys.argv[1]](*sys.argv[2:])
+    {"nodes": nodes, "tune": tune, "experiments": experiments, "driver": driver, "tasks": tasks}[sys.argv[1]](
+        *sys.argv[2:]
+    )

@@ -10,6 +10,7 @@ from nermo_mjx.experiments.balance.experiment import run
 from nermo_mjx.experiments.balance.measures import TOUCH, centre_of_mass, inside, tip_angle, verdict
 from nermo_mjx.experiments.balance.protocol import PHASES, BalanceLoop, BalanceParameters
 from nermo_mjx.experiments.balance.start import PLACE, TURN, nudge, start_pose
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 
 GRAVITY = 9.81
@@ -25,7 +26,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def outcome():
-    return run("c", repeats=REPEATS)
+    return run(Settings(repeats=REPEATS, engine="c"))
 
 
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
@@ -228,13 +229,15 @@ def test_columns_are_all_explained(outcome):
 )
 def test_bad_arguments_are_refused(wrong, said):
     """Before anything runs, in a sentence that names the argument and what is allowed."""
+    wrong = {"engine": "c", "scene": "balance_stand"} | wrong
+    scene = wrong.pop("scene")
     with pytest.raises(ParameterError, match=said):
-        run(**({"engine": "c"} | wrong))
+        run(Settings(**wrong), scene)
 
 
 def test_a_weak_spine_does_not_balance():
     """With the servo held at a quarter of its limit, SBC cannot carry the rear legs' case: the parameter arrives."""
-    weak = run("c", profiles=("exact",), quick=True, values={"spine.max_servo_angle": 0.1})
+    weak = run(Settings(("exact",), quick=True, values={"spine.max_servo_angle": 0.1}, engine="c"))
     rear = weak.where(leg="rear_left", sbc=True)
     assert not weak.columns["passed"][rear].any()
     assert weak.columns["passed"][weak.where(leg="front_left")].all()
@@ -243,7 +246,7 @@ def test_a_weak_spine_does_not_balance():
 def test_bodies_do_all_cases_and_what_is_theirs_arrives():
     """Two bodies, of which one has a third more mass behind: a higher share of the weight on the rear feet."""
     bodies = {"mass.rear": np.array([0.1053, 0.140]), "servo.speed": np.array([15.0, 12.0])}
-    several = run("c", profiles=("exact",), quick=True, bodies=bodies)
+    several = run(Settings(("exact",), quick=True, bodies=bodies, engine="c"))
     assert several.columns["body"].tolist() == [1] * 8 + [2] * 8
     assert not several.recordings
     assert list(several.columns) == list(several.about)
@@ -252,6 +255,6 @@ def test_bodies_do_all_cases_and_what_is_theirs_arrives():
     assert weight[1] - weight[0] == pytest.approx(0.0347, rel=0.1)
     margin = [each.mean("com_margin_stand", leg="rear_left", sbc=False) for each in (light, heavy)]
     assert margin[1] < margin[0] - 1e-3
-    alone = run("c", profiles=("exact",), quick=True, values={"mass.rear": 0.1053})
+    alone = run(Settings(("exact",), quick=True, values={"mass.rear": 0.1053}, engine="c"))
     for column in ("pitch_rest", "com_height", "com_margin_stand"):
         np.testing.assert_allclose(light.columns[column], alone.columns[column], atol=1e-5, err_msg=column)

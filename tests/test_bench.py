@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from nermo_mjx.bench import CASES, apart, run_bench
 from nermo_mjx.bench.columns import COLUMNS, rows
 from nermo_mjx.bench.page import add_run
-from nermo_mjx.bench.registry import Case, Option, plan
+from nermo_mjx.bench.registry import Benchmark, Option, plan
 from nermo_mjx.cli import main
 from nermo_mjx.cli.choices import BENCH_CASES
 from nermo_mjx.robot import ParameterError
@@ -62,7 +62,7 @@ def test_every_case_can_be_imported_and_has_columns() -> None:
 )
 def test_a_measurement_that_fails_is_a_sentence(place: str, option: dict[str, Any], message: str) -> None:
     """The process may be gone, or have raised."""
-    case = Case("", place, {name: Option((value,)) for name, value in option.items()})
+    case = Benchmark("", place, {name: Option((value,)) for name, value in option.items()})
     _, figures = apart(case, option)
     assert message in figures["error"]
     assert "\n" not in figures["error"]

@@ -109,4 +109,3 @@ def test_the_loop_is_one_function_that_runs_on_the_thread_of_its_block(simulator
     entry = program[program.index("ENTRY") :]
     assert entry.count("xla_cpu_small_call") == 1
     assert entry.count(" fusion(") < 8
-    assert jax.config.read("jax_cpu_enable_async_dispatch") is False

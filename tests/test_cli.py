@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,14 @@ from experiment_fake import Fake
 
 from nermo_mjx import Recording, load_robot
 from nermo_mjx.cli import choices, main, options
-from nermo_mjx.cli.output import plain
 from nermo_mjx.cli.progress import COMPILING, Progress, duration
 from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.text import plain
 from nermo_mjx.version import __version__
 
 COMMANDS = (
     "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
-    "status", "servos", "model", "bench", "completion",
+    "status", "schema", "servos", "model", "bench", "completion",
 )  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
@@ -109,7 +110,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.physics.engine import ENGINES
     from nermo_mjx.robot import GAITS
     from nermo_mjx.robot.assembly import ROBOTS, TAILS
-    from nermo_mjx.sweep.sections import PILOT_OPTIONS
+    from nermo_mjx.specs.walk import Pilot
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     assert set(choices.GAITS) == set(GAITS)
@@ -120,7 +121,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     assert set(choices.ROBOTS) == set(ROBOTS)
     assert set(choices.TAILS) == set(TAILS)
     # Way points are given in a sweep file or from Python, not as an option of `walk`.
-    assert {*choices.PILOTS, "waypoints"} == set(PILOT_OPTIONS)
+    assert {*choices.PILOTS, "waypoints"} == set(Pilot.model_fields)
     assert set(choices.VIEWS) == set(CAMERAS)
     assert set(choices.OVERLAYS) == set(OVERLAYS)
     assert tuple(EXPERIMENTS) == choices.EXPERIMENTS
@@ -388,12 +389,12 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.experiments.plots import draw as plots
+    from nermo_mjx.experiments.plots import figures as plots
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     return made
 
 
@@ -408,7 +409,7 @@ def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], 
     assert result["summary"]["by_kind"]["predicted"]["hold"] == 5
     assert result["lines"] == json.loads((out / "report.json").read_text())["lines"]
     asked = fakes["maze"].asked[0]
-    assert (asked["seed"], asked["quick"], asked["repeats"], asked["values"]) == (5, True, 1, {"contact.friction": 0.8})
+    assert (asked.seed, asked.quick, asked.repeats, asked.values) == (5, True, 1, {"contact.friction": 0.8})
     again = json_of("experiment", "maze", "--out", out, "--quick", "--seed", "5", "--set", "contact.friction=0.8")
     assert again["run"] == {"maze": {"kept": True}}
     assert len(fakes["maze"].asked) == 1
@@ -476,15 +477,17 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     asked: dict[str, Any] = {}
 
-    def identify(**options: Any) -> identification.Identified:
-        asked.update(options)
-        options["progress"](1.0)
+    def identify(
+        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None]
+    ) -> identification.Identified:
+        asked.update(vars(wanted))
+        progress(1.0)
         defaults = Setup().defaults()
         names = [name for free in identification.FREE.values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
         return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
 
-    monkeypatch.setattr("nermo_mjx.experiments.identification.report.identify", identify)
+    monkeypatch.setattr("nermo_mjx.experiments.identification.run.identify", identify)
     return asked
 
 
@@ -539,6 +542,22 @@ def test_model_sums_up_masses_and_writes_one_file(tmp_path: Path) -> None:
     assert alone.nv == summary["degrees_of_freedom"]
     assert alone.body_subtreemass[0] == pytest.approx(mass["total"])
     assert "total" in call("model").stdout
+
+
+def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import nermo_mjx.bench
+
+    run = {"date": "2026-01-01", "commit": "abc", "hardware": None, "cases": []}
+    monkeypatch.setattr(nermo_mjx.bench, "run_bench", lambda *_: run)
+    for _ in range(2):
+        assert "moved aside" not in call("bench", "--into", tmp_path).stderr
+    (tmp_path / "results.md").write_text("my remarks")
+    result = call("bench", "--into", tmp_path)
+    assert f"moved aside in {tmp_path}, to results.md.aside-1." in result.stderr
+    assert (tmp_path / "results.md.aside-1").read_text() == "my remarks"
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 3
 
 
 def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -151,9 +151,10 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
     """Masses with the constants MuJoCo derives from them, friction, springs, dampers and servos, world by world."""
     values = {
         "frequency": 0.8,
-        "contact.friction": np.array([0.6, 1.0, 1.4]),
+        "contact.friction": np.array([0.3, 1.0, 1.4]),
         "mass.front": np.array([0.2, 0.1647, 0.15]),
-        "stiffness.spine": np.array([2.4, 1.2, 1.0]),
+        "stiffness.spine": np.array([12.0, 1.2, 1.0]),
+        "damping.spine": np.array([0.3, 0.09, 0.05]),
         "damping.knee": np.array([0.004, 0.005, 0.008]),
         "servo.kp": np.array([5.0, 6.3, 8.0]),
     }

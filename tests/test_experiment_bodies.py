@@ -12,10 +12,12 @@ from experiment_fake import RUN, Fake
 from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.published import shares
-from nermo_mjx.experiments.run import run_experiment, run_experiments
+from nermo_mjx.experiments.run import ExperimentError, run_experiment, run_experiments
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.runs.workers import WorkersLost
 
 #: A body walks as much faster as its friction says (see `experiment_fake`): 80 mm/s are published, so that those
 #: between 0.75 and 1.25 hold.
@@ -28,7 +30,7 @@ def fakes(monkeypatch):
     made = {name: Fake(name) for name in EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     monkeypatch.setattr(ensemble, "draw", lambda n, seed: {"contact.friction": np.roll(FRICTION, seed)[:n]})
     return made
 
@@ -56,9 +58,9 @@ def test_a_line_says_in_which_share_of_the_bodies_it_holds(fakes, tmp_path):
 def test_bodies_walk_once_in_the_exact_profile_and_are_kept_beside_the_results(fakes, tmp_path):
     run_experiment("maze", tmp_path, bodies=3, repeats=2, video=False)
     own, of_bodies = fakes["maze"].asked
-    assert "bodies" not in own
-    assert (of_bodies["profiles"], of_bodies["repeats"]) == (("exact",), 1)
-    assert of_bodies["bodies"]["contact.friction"].tolist() == FRICTION[:3].tolist()
+    assert own.bodies is None
+    assert (of_bodies.profiles, of_bodies.repeats) == (("exact",), 1)
+    assert of_bodies.bodies["contact.friction"].tolist() == FRICTION[:3].tolist()
     stored = Directory(tmp_path).load_bodies("maze")
     assert stored is not None
     assert sorted(set(stored.outcome.columns["body"].tolist())) == [1, 2, 3]
@@ -77,7 +79,7 @@ def test_kept_bodies_are_not_walked_again_and_a_report_is_remade_from_them(fakes
     assert len(fakes["maze"].asked) == 2
     # Other bodies are walked, and the results of the default body stay.
     assert line_of(run_experiment("maze", tmp_path, bodies=2, video=False)).ensemble == 1.0
-    assert [("bodies" in asked) for asked in fakes["maze"].asked] == [False, True, True]
+    assert [(asked.bodies is not None) for asked in fakes["maze"].asked] == [False, True, True]
     # A fresh run has none.
     assert line_of(run_experiment("maze", tmp_path, again=True, video=False)).ensemble is None
     assert not (tmp_path / "results" / "maze-bodies.parquet").exists()
@@ -88,7 +90,7 @@ def test_bodies_outlive_a_damaged_table_of_the_same_settings(fakes, tmp_path):
     result = run_experiment("maze", tmp_path, bodies=4, video=False)
     result.table.write_text("damaged")
     assert line_of(run_experiment("maze", tmp_path, video=False)).ensemble == 0.5
-    assert [("bodies" in asked) for asked in fakes["maze"].asked] == [False, True, False]
+    assert [(asked.bodies is not None) for asked in fakes["maze"].asked] == [False, True, False]
     result.table.write_text("damaged")
     assert line_of(run_experiment("maze", tmp_path, seed=3, video=False)).ensemble is None
 
@@ -103,13 +105,61 @@ def test_bodies_come_in_pieces_and_are_numbered_through(fakes, tmp_path, monkeyp
     assert list(stored.outcome.columns)[:2] == ["profile", "body"]
 
 
+def test_parts_are_stored_in_the_order_in_which_they_come(fakes, tmp_path, monkeypatch):
+    """Whoever is free simulates: here the last part comes first. Tables and report are those of one process."""
+    monkeypatch.setattr(ensemble, "AT_ONCE", 3)
+
+    class Backwards:
+        parts = 2
+
+        def begin(self, computer):
+            self.computer = computer
+
+        def results(self, tasks, tell):
+            for key, task in reversed(list(tasks)):
+                yield key, self.computer(task)
+
+    names = ("maze", "turning")
+    one = run_experiments(names, tmp_path / "one", bodies=4, video=False)
+    other = run_experiments(names, tmp_path / "other", bodies=4, video=False, workers=Backwards())
+    assert [each.lines for each in one.results] == [each.lines for each in other.results]
+    for name in names:
+        ours, theirs = (Directory(each.out).load_bodies(name).outcome.columns for each in (one, other))
+        assert list(ours) == list(theirs)
+        for column in ours:
+            np.testing.assert_array_equal(ours[column], theirs[column])
+    # What is run again replaces the bodies, also where they come before what they belong to.
+    again = run_experiments(names, tmp_path / "other", bodies=4, again=True, video=False, workers=Backwards())
+    assert {line_of(each).ensemble for each in again.results} == {0.5}
+
+
+def test_workers_that_are_lost_leave_the_experiments_that_are_done(fakes, tmp_path):
+    class Lost:
+        parts = 1
+
+        def begin(self, computer):
+            self.computer = computer
+
+        def results(self, tasks, tell):
+            key, task = next(iter(tasks))
+            yield key, self.computer(task)
+            raise WorkersLost("no node came within 300 s.")
+
+    former = run_experiment("maze", tmp_path, bodies=4, seed=4, video=False)
+    former.table.write_text("damaged")
+    with pytest.raises(ExperimentError, match=r"no node came within 300 s\. What is done is kept in .*same command"):
+        run_experiments(("maze", "turning"), tmp_path, bodies=4, video=False, workers=Lost())
+    assert Directory(tmp_path).load("maze") is not None
+    assert Directory(tmp_path).load_bodies("maze") is None, "those of other settings are none of these results"
+
+
 def test_what_is_set_for_all_worlds_is_not_taken_from_the_bodies(fakes, tmp_path, monkeypatch):
     both = {"contact.friction": FRICTION, "servo.kp": np.full(4, 5.0)}
     monkeypatch.setattr(ensemble, "draw", lambda n, seed: both)
     run_experiment("maze", tmp_path, bodies=4, values={"servo.kp": 9.0}, video=False)
     asked = fakes["maze"].asked[1]
-    assert set(asked["bodies"]) == {"contact.friction"}
-    assert asked["values"] == {"servo.kp": 9.0}
+    assert set(asked.bodies) == {"contact.friction"}
+    assert asked.values == {"servo.kp": 9.0}
 
 
 def test_more_bodies_than_there_are_is_refused_before_anything_runs(fakes, tmp_path, monkeypatch):
@@ -128,9 +178,8 @@ def test_the_identified_ensemble_gives_parameters_of_the_body(tmp_path):
 
 def test_a_body_that_falls_does_not_hold(fakes):
     figures = fakes["maze"].experiment().figures
-    outcome = fakes["maze"].run(
-        profiles=("exact",), repeats=1, bodies={"contact.friction": np.array([1.0, np.nan])}, progress=lambda _: None
-    )
+    bodies = {"contact.friction": np.array([1.0, np.nan])}
+    outcome = fakes["maze"].run(Settings(("exact",), repeats=1, bodies=bodies, progress=lambda _: None))
     found = ensemble.of_outcome(outcome, figures)
     assert (found.bodies, found.shares["speed at 0.8 Hz"], found.shares["interval"]) == (2, 0.5, None)
 

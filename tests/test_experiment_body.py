@@ -6,12 +6,13 @@ import pytest
 from nermo_mjx.experiments import body
 from nermo_mjx.experiments.line import compare
 from nermo_mjx.experiments.published import FIGURES
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import ParameterError
 
 
 @pytest.fixture(scope="module")
 def outcome():
-    return body.run()
+    return body.run(Settings())
 
 
 def test_a_row_a_profile_and_the_same_in_both(outcome):
@@ -31,7 +32,7 @@ def test_springs_bend_by_torque_over_stiffness(outcome, column, angle):
 
 
 def test_another_spring_bends_otherwise():
-    stiff = body.run(profiles=("exact",), values={"stiffness.front_knee": 0.27})
+    stiff = body.run(Settings(("exact",), values={"stiffness.front_knee": 0.27}))
     assert stiff.mean("bend_front_knee", profile="exact") == pytest.approx(0.125 / 0.27, rel=1e-3)
 
 
@@ -52,7 +53,7 @@ def test_every_line_of_the_body_is_measured_and_none_is_called_a_prediction(outc
 
 def test_bodies_have_their_own_rows():
     masses = np.array([0.16, 0.17])
-    several = body.run(profiles=("exact",), bodies={"mass.front": masses})
+    several = body.run(Settings(("exact",), bodies={"mass.front": masses}))
     assert several.columns["body"].tolist() == [1, 2]
     np.testing.assert_allclose(np.diff(several.columns["mass"]), 0.01)
     assert "body" not in several.of_body(1).columns
@@ -60,4 +61,4 @@ def test_bodies_have_their_own_rows():
 
 def test_what_is_no_parameter_of_the_body_is_refused():
     with pytest.raises(ParameterError, match="frequency"):
-        body.run(values={"frequency": 0.5})
+        body.run(Settings(values={"frequency": 0.5}))

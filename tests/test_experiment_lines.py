@@ -10,6 +10,7 @@ from nermo_mjx.experiments.judgement import Asked, AtMost, Effect, Number, Range
 from nermo_mjx.experiments.line import Figure, agrees, compare
 from nermo_mjx.experiments.outcome import Outcome, joined
 from nermo_mjx.experiments.published import FIGURES, REASONS
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import load_robot
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Setup
@@ -40,7 +41,7 @@ def test_turning_has_the_published_cases_and_their_mirror_images():
 
 def test_a_batch_is_every_case_in_every_profile_as_often_as_asked():
     cases = [Case({"name": name}, "trt", values={"frequency": f}) for name, f in (("slow", 0.5), ("fast", 0.8))]
-    batch = worlds(cases, Setup().defaults(), repeats=3, seed=7)
+    batch = worlds(cases, Setup().defaults(), Settings(repeats=3, seed=7))
     assert len(batch.labels["profile"]) == 2 * 2 * 3
     np.testing.assert_array_equal(batch.values["frequency"], np.tile(np.repeat([0.5, 0.8], 3), 2))
     published = batch.labels["profile"] == "as_published"
@@ -50,13 +51,13 @@ def test_a_batch_is_every_case_in_every_profile_as_often_as_asked():
 def test_repeats_differ_and_cases_start_alike():
     """Three repeats of a deterministic run are not three repeats; a case is compared from the same starts."""
     cases = [Case({"name": name}, "trt") for name in ("one", "other")]
-    batch = worlds(cases, Setup().defaults(), profiles=("exact",), repeats=3, seed=1)
+    batch = worlds(cases, Setup().defaults(), Settings(("exact",), repeats=3, seed=1))
     for name, width in (("start.x", 1e-3), ("start.yaw", np.radians(1.0)), ("start.phase", 0.02)):
         shifts = batch.values[name].reshape(2, 3)
         np.testing.assert_array_equal(shifts[0], shifts[1])
         assert len(np.unique(shifts[0])) == 3
         assert np.abs(shifts).max() <= width
-    again = worlds(cases, Setup().defaults(), profiles=("exact",), repeats=3, seed=2)
+    again = worlds(cases, Setup().defaults(), Settings(("exact",), repeats=3, seed=2))
     assert not np.array_equal(again.values["start.x"], batch.values["start.x"])
 
 
@@ -64,7 +65,7 @@ def test_a_case_goes_before_what_is_common_to_all_worlds():
     batch = worlds(
         [Case({}, "trt", values={"frequency": 0.8})],
         Setup().defaults(),
-        common={"contact.friction": 1.3, "frequency": 0.5},
+        Settings(values={"contact.friction": 1.3, "frequency": 0.5}),
     )
     assert set(batch.values["contact.friction"]) == {1.3}
     assert set(batch.values["frequency"]) == {0.8}
@@ -75,26 +76,27 @@ def test_a_case_goes_before_what_is_common_to_all_worlds():
 )
 def test_a_wrong_batch_is_refused(wrong, sentence):
     with pytest.raises(ParameterError, match=sentence):
-        worlds([Case({}, "trt")], Setup().defaults(), **wrong)
+        worlds([Case({}, "trt")], Setup().defaults(), Settings(**wrong))
 
 
 def test_bodies_walk_all_cases_and_keep_what_the_cases_decide():
     cases = [Case({"name": name}, "trt", values={"frequency": f}) for name, f in (("slow", 0.5), ("fast", 0.8))]
     bodies = {"contact.friction": np.array([0.9, 1.1, 1.3]), "frequency": np.array([9.0, 9.0, 9.0])}
-    batch = worlds(cases, Setup().defaults(), profiles=("exact",), repeats=2, common={"servo.kp": 6.0}, bodies=bodies)
+    settings = Settings(("exact",), repeats=2, values={"servo.kp": 6.0}, bodies=bodies)
+    batch = worlds(cases, Setup().defaults(), settings)
     assert list(batch.labels) == ["profile", "body", "name", "repeat"]
     np.testing.assert_array_equal(batch.labels["body"], np.repeat([1, 2, 3], 4))
     np.testing.assert_array_equal(batch.values["contact.friction"], np.repeat([0.9, 1.1, 1.3], 4))
     np.testing.assert_array_equal(batch.values["frequency"], np.tile([0.5, 0.5, 0.8, 0.8], 3))
     assert set(batch.values["servo.kp"]) == {6.0}
-    one = worlds(cases, Setup().defaults(), profiles=("exact",), repeats=2)
+    one = worlds(cases, Setup().defaults(), settings.but(bodies=None))
     np.testing.assert_array_equal(batch.values["start.x"], np.tile(one.values["start.x"], 3))
 
 
 @pytest.mark.parametrize("bodies", [{}, {"a": np.zeros(0)}, {"a": np.zeros(2), "b": np.zeros(3)}])
 def test_bodies_without_one_number_of_values_are_refused(bodies):
     with pytest.raises(ParameterError, match="bodies has"):
-        worlds([Case({}, "trt")], Setup().defaults(), bodies=bodies)
+        worlds([Case({}, "trt")], Setup().defaults(), Settings(bodies=bodies))
 
 
 def test_outcomes_are_joined_and_taken_apart_by_body():

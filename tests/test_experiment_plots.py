@@ -16,12 +16,14 @@ from nermo_mjx.experiments.balance import measures as balance_measures
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.plots import balance as plot_balance
+from nermo_mjx.experiments.plots import figures
 from nermo_mjx.experiments.plots import maze as plot_maze
 from nermo_mjx.experiments.plots import orientation as plot_orientation
 from nermo_mjx.experiments.plots import straight_line as plot_straight_line
 from nermo_mjx.experiments.plots import turning as plot_turning
-from nermo_mjx.experiments.plots.draw import DRAWERS, draw, pictures
+from nermo_mjx.experiments.plots.figures import DRAWERS
 from nermo_mjx.experiments.published import FIGURES
+from nermo_mjx.plotting.files import lay_out, write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
@@ -138,8 +140,19 @@ def lines_of(experiment, exact=None):
     ]
 
 
+def pictures(outcome, lines):
+    """The figures by the names of their pictures, in the house's style and laid out as in files."""
+    with matplotlib.rc_context(STYLE):
+        drawn = {
+            name.removeprefix(f"{outcome.experiment}-"): figure for name, figure in figures.figures_of(outcome, lines)
+        }
+        for figure in drawn.values():
+            lay_out(figure)
+    return drawn
+
+
 def figures_of(outcome, **lines):
-    return dict(pictures(outcome, lines_of(outcome.experiment, **lines)))
+    return pictures(outcome, lines_of(outcome.experiment, **lines))
 
 
 @functools.cache
@@ -169,7 +182,7 @@ def entries(figure):
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     """Both files of each, named after the experiment, and nothing else; the PNG is not blank."""
     outcome = MADE[experiment](quick=True)
-    files = draw(outcome, lines_of(experiment, exact=1.0), tmp_path / "plots")
+    files = write_figures(figures.figures_of(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
     assert {path.suffix for path in files} == {".png", ".svg"}
     assert sorted(files) == sorted((tmp_path / "plots").iterdir())
     assert all(path.name.startswith(f"{experiment}-") for path in files)
@@ -182,7 +195,8 @@ def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
 def test_the_same_outcome_gives_the_same_bytes(tmp_path):
     """Drawn twice, every file is the same."""
     outcome = mazed(profiles=("exact",))
-    once, again = ({path.name: path.read_bytes() for path in draw(outcome, [], tmp_path / name)} for name in "ab")
+    written = [write_figures(figures.figures_of(outcome, []), tmp_path / name) for name in "ab"]
+    once, again = ({path.name: path.read_bytes() for path in paths} for paths in written)
     assert once == again
 
 
@@ -197,7 +211,7 @@ def test_one_profile_is_enough(experiment):
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_a_picture_of_nothing_is_not_drawn(experiment):
     """Without recordings and lines, what needs them is left out, and the rest is drawn."""
-    bare = dict(pictures(dataclasses.replace(MADE[experiment](), recordings={}), []))
+    bare = pictures(dataclasses.replace(MADE[experiment](), recordings={}), [])
     left_out = {
         "straight-line": {"orientation"}, "turning": {"paths"}, "balance": {"pitch", "stability", "forces"},
         "maze": {"ways", "sway"},
@@ -375,7 +389,7 @@ def test_the_report_shows_numbers_as_shares_of_the_published():
         line("e", "effect", 1.2, 0.9, 1.3, False, ""),
         line("f", "gain", 0.4, None, 0.2, False, ""),
     ]
-    ax, table = dict(pictures(mazed(), lines))["report"].axes
+    ax, table = pictures(mazed(), lines)["report"].axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "e", "f"]
     np.testing.assert_allclose(marks(ax, "exact"), [(1.5, 0), (1.0, 1), (1.5, 2), (0.5, 3)])
     np.testing.assert_allclose(marks(ax, "as_published"), [(2.5, 1), (-0.5, 2)])

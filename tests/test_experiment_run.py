@@ -13,10 +13,11 @@ from experiment_fake import RUN, Fake
 
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.run import ExperimentError, ExperimentsInterrupted, run_experiment, run_experiments
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.experiments.table import number
 from nermo_mjx.experiments.videos import Shot, shoot
 from nermo_mjx.robot import ParameterError
@@ -34,13 +35,9 @@ def fakes(monkeypatch):
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
 
-    def draw(outcome, lines, out, *, write):
-        files = [out / f"{outcome.experiment}-speed.{form}" for form in ("png", "svg")]
-        for file in files:
-            write(file, b"a picture")
-        return files
-
-    monkeypatch.setattr(plots, "draw", draw)
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [(f"{outcome.experiment}-speed", b"a picture")])
+    monkeypatch.setattr("nermo_mjx.plotting.files.lay_out", lambda figure: None)
+    monkeypatch.setattr("nermo_mjx.plotting.files._encode", lambda figure, form: figure)
     return made
 
 
@@ -113,7 +110,7 @@ def test_every_world_is_a_row_and_every_column_says_its_unit_meaning_and_role(fa
 
 def test_what_is_stored_is_what_was_measured(fakes, tmp_path):
     """Truth values, texts and what is not a number come back as they were."""
-    given = fakes["maze"].run(profiles=("exact",), repeats=3, progress=lambda share: None)
+    given = fakes["maze"].run(Settings(("exact",), repeats=3, progress=lambda share: None))
     result = run_experiment("maze", tmp_path, profiles=("exact",), video=False)
     for name, values in given.columns.items():
         np.testing.assert_array_equal(result.outcome.columns[name], values)
@@ -255,10 +252,10 @@ def test_ctrl_c_says_how_to_go_on(fakes, tmp_path):
 
 
 def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
-    def draw(*_, **__):
+    def fail(*_):
         raise ValueError("no such colour")
 
-    monkeypatch.setattr(plots, "draw", draw)
+    monkeypatch.setattr(plots, "figures_of", fail)
     with pytest.raises(ValueError, match="no such colour"):
         run_experiment("turning", tmp_path, video=False)
     assert len(report_of(tmp_path)["lines"]) == 5
@@ -270,12 +267,11 @@ def test_results_are_kept_if_the_plots_fail(fakes, tmp_path, monkeypatch):
 def pictures_of(monkeypatch, *names):
     """From now on an experiment has these pictures."""
 
-    def draw(outcome, lines, out, *, write):
+    def figures(outcome, lines):
         for name in names:
-            write(out / f"{outcome.experiment}-{name}.png", f"{name} of {outcome.recordings[RUN].duration}".encode())
-        return [out / f"{outcome.experiment}-{name}.png" for name in names]
+            yield f"{outcome.experiment}-{name}", f"{name} of {outcome.recordings[RUN].duration}".encode()
 
-    monkeypatch.setattr(plots, "draw", draw)
+    monkeypatch.setattr(plots, "figures_of", figures)
 
 
 def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path, monkeypatch):
@@ -283,7 +279,7 @@ def test_what_a_fresh_run_does_not_make_any_more_is_removed(fakes, tmp_path, mon
     run_experiment("turning", tmp_path, video=False)
     pictures_of(monkeypatch, "speed")
     run_experiment("turning", tmp_path, video=False, again=True)
-    assert [path.name for path in (tmp_path / "plots").iterdir()] == ["turning-speed.png"]
+    assert [path.name for path in sorted((tmp_path / "plots").iterdir())] == ["turning-speed.png", "turning-speed.svg"]
 
 
 def test_what_a_killed_process_left_half_written_is_removed(fakes, tmp_path):
@@ -325,6 +321,19 @@ def test_a_users_file_in_the_way_is_moved_aside_with_a_sentence(fakes, tmp_path)
     assert aside.read_text() == "another walk"
 
 
+def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(fakes, tmp_path):
+    said = []
+    run_experiment("turning", tmp_path, video=False)
+    report = (tmp_path / "report.md").read_text()
+    run_experiment("turning", tmp_path, video=False, notify=said.append)
+    assert not any("moved aside" in sentence for sentence in said)
+    (tmp_path / "report.md").write_text("my remarks")
+    run_experiment("turning", tmp_path, video=False, notify=said.append)
+    assert f"moved aside in {tmp_path}, to report.md.aside-1." in said[-1]
+    assert (tmp_path / "report.md.aside-1").read_text() == "my remarks"
+    assert (tmp_path / "report.md").read_text() == report
+
+
 def test_a_directory_may_be_named_from_here_and_moved(fakes, tmp_path, monkeypatch):
     """Its files know their own as well as in a directory that is named from the root."""
     monkeypatch.chdir(tmp_path)
@@ -353,7 +362,8 @@ def test_files_of_an_earlier_release_are_moved_aside_if_they_are_not_drawn_alike
     forget_code(tmp_path)
     pictures_of(monkeypatch, "speed")
     run_experiment("turning", tmp_path, video=False, accept_new_code=True)
-    assert [path.name for path in tmp_path.rglob("*aside*")] == ["turning-speed.png.aside-1"]
+    aside = sorted(path.name for path in tmp_path.rglob("*aside*"))
+    assert aside == ["turning-speed.png.aside-1", "turning-speed.svg.aside-1"]
 
 
 # --- which code
@@ -428,9 +438,9 @@ def test_a_directory_of_an_earlier_release_is_refused_until_it_is_accepted(fakes
 def test_a_directory_keeps_the_engine_it_was_begun_with(fakes, tmp_path):
     run_experiment("turning", tmp_path, engine="mjx", video=False)
     run_experiment("maze", tmp_path, video=False)
-    assert fakes["maze"].asked[0]["engine"] == "mjx"
+    assert fakes["maze"].asked[0].engine == "mjx"
     run_experiment("maze", tmp_path, video=False, again=True)
-    assert fakes["maze"].asked[1]["engine"] != "mjx", "what is run again is run as on a new directory"
+    assert fakes["maze"].asked[1].engine != "mjx", "what is run again is run as on a new directory"
 
 
 def test_one_process_runs_experiments_in_a_directory(fakes, tmp_path):
@@ -449,11 +459,7 @@ def test_settings_reach_the_experiment(fakes, tmp_path):
         video=False, progress=lambda what, share: heard.append((what, share)),
     )  # fmt: skip
     (asked,) = fakes["maze"].asked
-    asked.pop("progress")
-    assert asked == {
-        "engine": "c", "profiles": ("as_published",), "repeats": 2, "seed": 5, "quick": False,
-        "values": {"contact.friction": 0.8},
-    }  # fmt: skip
+    assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, "c")
     assert ("maze", 0.5) in heard
     report = report_of(tmp_path)
     assert {line["exact"] for line in report["lines"]} == {None}
@@ -466,8 +472,8 @@ def test_a_quick_run_is_one_repeat_and_no_video(fakes, tmp_path, monkeypatch):
 
     monkeypatch.setattr("nermo_mjx.experiments.run.shoot", none)
     run_experiment("maze", tmp_path, quick=True)
-    assert fakes["maze"].asked[0]["repeats"] == 1
-    assert fakes["maze"].asked[0]["quick"]
+    assert fakes["maze"].asked[0].repeats == 1
+    assert fakes["maze"].asked[0].quick
 
 
 @pytest.mark.parametrize(

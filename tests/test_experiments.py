@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from nermo_mjx.cli import main
 from nermo_mjx.experiments import maze, straight_line, turning
 from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
 
 pytestmark = pytest.mark.slow
@@ -18,17 +19,17 @@ TROTS = ("trt", "trt1")
 
 @pytest.fixture(scope="module")
 def line() -> Outcome:
-    return straight_line.run(engine="c", profiles=("exact",), repeats=1)
+    return straight_line.run(Settings(("exact",), repeats=1, engine="c"))
 
 
 @pytest.fixture(scope="module")
 def turns() -> Outcome:
-    return turning.run(engine="c", profiles=("exact",), repeats=1)
+    return turning.run(Settings(("exact",), repeats=1, engine="c"))
 
 
 @pytest.fixture(scope="module")
 def labyrinth() -> Outcome:
-    return maze.run(engine="c", profiles=("exact",), repeats=1)
+    return maze.run(Settings(("exact",), repeats=1, engine="c"))
 
 
 def value(outcome: Outcome, column: str, **case) -> float:
@@ -150,8 +151,8 @@ def test_spine_based_turning_is_fastest_and_mix_based_between(turns, gait, frequ
 def test_the_paths_that_are_followed_are_the_published_ones(turns):
     """The publication lost one of its 54: the lateral walk at 0.8 Hz, by the spine, on 0.5 m.
 
-    Here it is followed, within 25 mm as all others are. The lateral walk at 0.8 Hz comes nearest to being lost, too, but
-    by both.
+    Here it is followed, within 25 mm as all others are. The lateral walk at 0.8 Hz comes nearest to being lost,
+    too, but by both.
     """
     circles = turns.where(side="left", stride=0.8) & (np.asarray(turns.columns["radius"], float) > 0)
     names = ("gait", "frequency", "strategy", "radius")

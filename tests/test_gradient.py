@@ -35,17 +35,21 @@ def test_constants_that_follow_from_masses_are_mujocos(seed):
 
 
 def test_readings_at_rest_are_mujocos():
-    """A robot put down anywhere reads where its IMU is; nothing moves or pushes in these readings."""
+    """A robot put down anywhere reads where its IMU and its joints are; nothing moves or pushes in these readings."""
     robot = load_robot()
     data = mujoco.MjData(robot.model)
     qpos = robot.model.qpos0.copy()
     qpos[robot.joints.root : robot.joints.root + 7] = [0.3, -0.2, 0.06, 0.8, 0.1, -0.2, 0.55]
     qpos[robot.joints.root + 3 : robot.joints.root + 7] /= np.linalg.norm([0.8, 0.1, -0.2, 0.55])
+    bent = np.concatenate([robot.joints.hip, robot.joints.pulley, robot.joints.knee, [robot.joints.spine_pulley]])
+    qpos[bent] = np.linspace(-0.3, 0.3, len(bent))
     data.qpos[:] = qpos
     mujoco.mj_forward(robot.model, data)
     found, expected = robot.sensors(robot.sensordata_at_rest(jnp.asarray(qpos))), robot.sensors(data.sensordata)
     np.testing.assert_allclose(found.position, expected.position, atol=1e-6)
     np.testing.assert_allclose(found.orientation, expected.orientation, atol=1e-6)
+    np.testing.assert_allclose(found.servo_angle, expected.servo_angle, atol=1e-6)
+    np.testing.assert_allclose(found.knee_angle, expected.knee_angle, atol=1e-6)
     assert not np.any(found.foot_force)
     assert not np.any(found.linear_velocity)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.identification import report, search
+from nermo_mjx.experiments.identification import run, search
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE
-from nermo_mjx.experiments.identification.search import identify
+from nermo_mjx.experiments.identification.search import Search, identify
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, UNCERTAIN, names, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS, figures, objective
 from nermo_mjx.robot.quantity import ParameterError, quantities
@@ -130,17 +130,17 @@ SMALL = {"samples": 16, "generations": 12, "population": 8, "seed": 3}
 
 
 def test_the_search_finds_a_known_optimum_and_is_the_same_again(pretended):
-    found = identify(**SMALL, bodies=0)
+    found = identify(Search(**SMALL, bodies=0))
     assert found.parameters["servo.kp"] == pytest.approx(9.0, rel=0.02)
     assert found.objective < found.start
     assert found.objective == min(found.costs)
     assert found.bodies is None
-    assert identify(**SMALL, bodies=0).parameters == found.parameters
+    assert identify(Search(**SMALL, bodies=0)).parameters == found.parameters
 
 
 def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pretended):
     """The pretended region is known: |(ln kp/9, ln friction/1.4)| is at most what 0.5 allows, whatever the rest."""
-    found = identify(**SMALL, bodies=64, sweeps=3)
+    found = identify(Search(**SMALL, bodies=64, sweeps=3))
     bodies, defaults = found.bodies, Setup().defaults()
     assert bodies.tolerance == TOLERANCE == 0.5
     assert len(bodies.objective) == 64
@@ -161,7 +161,7 @@ def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pr
 
 def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
     """A tolerance that nothing meets: the search's result stands, there is no ensemble.csv, and the report says so."""
-    content = report.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
+    content = run.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
     assert content["ensemble"]["size"] == 0
     assert not (tmp_path / "ensemble.csv").exists()
     assert "There is no body to draw" in (tmp_path / "identification.md").read_text()
@@ -170,27 +170,40 @@ def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
 def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
     """Killed in the search, and again in the ensemble: the same ensemble.csv as at one go, nothing simulated twice."""
     settings = {**SMALL, "generations": 4, "bodies": 24, "sweeps": 3, "engine": "c"}
-    report.run_identification(tmp_path / "whole", **settings)
+    run.run_identification(tmp_path / "whole", **settings)
     needed, pretended.calls = pretended.calls, 0
     for pretended.dies_after in (3, needed - 4):
         with pytest.raises(KeyboardInterrupt):
-            report.run_identification(tmp_path / "killed", **settings)
+            run.run_identification(tmp_path / "killed", **settings)
         pretended.calls -= 1
     pretended.dies_after = None
-    report.run_identification(tmp_path / "killed", **settings)
+    run.run_identification(tmp_path / "killed", **settings)
     assert pretended.calls == needed
     assert (tmp_path / "killed" / "ensemble.csv").read_text() == (tmp_path / "whole" / "ensemble.csv").read_text()
 
 
+def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp_path):
+    said = []
+    (tmp_path / "identification.md").write_text("my plan")
+    (tmp_path / "ensemble.csv").write_text("my bodies")
+    run.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, notify=said.append)
+    assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
+    assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
+    assert said == [
+        "Files were in the way that are not as this program wrote them: moved aside in "
+        f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
+    ]
+
+
 def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, monkeypatch):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
-    report.run_identification(tmp_path, **settings)
+    run.run_identification(tmp_path, **settings)
     (tmp_path / "identification.json").unlink()
-    report.run_identification(tmp_path, **settings)
+    run.run_identification(tmp_path, **settings)
     (tmp_path / "identification.json").unlink()
     monkeypatch.setattr(Setup, "defaults", lambda self: {"contact.friction": 0.9})
     with pytest.raises(ParameterError, match="other settings: choose another directory"):
-        report.run_identification(tmp_path, **settings)
+        run.run_identification(tmp_path, **settings)
 
 
 def killed(pretended, out, **options):
@@ -198,7 +211,7 @@ def killed(pretended, out, **options):
     settings = {**SMALL, "generations": 4, "bodies": 0, "engine": "c", **options}
     pretended.dies_after = 3
     with pytest.raises(KeyboardInterrupt):
-        report.run_identification(out, **settings)
+        run.run_identification(out, **settings)
     pretended.dies_after, pretended.calls = None, 0
     return settings
 
@@ -208,9 +221,9 @@ def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended,
     settings = killed(pretended, tmp_path)
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
-        report.run_identification(tmp_path, **settings)
+        run.run_identification(tmp_path, **settings)
     assert not pretended.calls
-    content = report.run_identification(tmp_path, **settings, accept_new_code=True)
+    content = run.run_identification(tmp_path, **settings, accept_new_code=True)
     codes = [json.loads(line).get("code") for line in (tmp_path / "candidates.jsonl").read_text().splitlines()[1:]]
     former, new = codes_of(tmp_path)
     assert codes == [former] * 3 + [new] * pretended.calls
@@ -221,8 +234,8 @@ def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended,
 def test_another_engine_does_not_go_on_and_auto_is_the_one_begun_with(pretended, tmp_path):
     settings = killed(pretended, tmp_path, engine="mjx")
     with pytest.raises(OtherCode, match="engine mjx, not c"):
-        report.run_identification(tmp_path, **settings | {"engine": "c"})
-    assert report.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
+        run.run_identification(tmp_path, **settings | {"engine": "c"})
+    assert run.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
 
 
 def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(pretended, tmp_path):
@@ -236,8 +249,8 @@ def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(preten
         row.pop("code", None)
     path.write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"points": [[0.1, 0')
     with pytest.raises(OtherCode, match="does not say which code made it"):
-        report.run_identification(tmp_path, **settings)
-    report.run_identification(tmp_path, **settings, accept_new_code=True)
+        run.run_identification(tmp_path, **settings)
+    run.run_identification(tmp_path, **settings, accept_new_code=True)
     again = [json.loads(line) for line in path.read_text().splitlines() if not line.endswith("[[0.1, 0")]
     assert again[: len(rows)] == rows, "what was there stays as it was"
     assert len(again) == len(rows) + pretended.calls
@@ -245,10 +258,10 @@ def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(preten
 
 def test_one_process_identifies_in_a_directory(pretended, tmp_path):
     with RunDirectory(tmp_path, "identification"), pytest.raises(DirectoryError, match="another process works in"):
-        report.run_identification(tmp_path, **SMALL)
+        run.run_identification(tmp_path, **SMALL)
     (tmp_path / "sweep.yaml").write_text("")
     with pytest.raises(WrongDirectory, match="holds a sweep, and not an identification"):
-        report.run_identification(tmp_path, **SMALL)
+        run.run_identification(tmp_path, **SMALL)
     assert not pretended.calls
 
 
@@ -256,7 +269,7 @@ def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
     """identification.json, ensemble.csv and the report: the same bodies, quantiles in order, a picture."""
     from nermo_mjx.robot.identified import read_ensemble
 
-    report.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5)
+    run.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5)
     ensemble = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
     lines = (tmp_path / "ensemble.csv").read_text().splitlines()
     stored = read_ensemble(lines)
@@ -310,7 +323,7 @@ def test_units_of_every_free_parameter_are_known():
 )
 def test_a_search_too_small_is_refused(wrong, sentence):
     with pytest.raises(ParameterError, match=sentence):
-        identify(**wrong)
+        Search(**wrong)
 
 
 def test_what_the_module_says_to_copy_is_what_is_written():

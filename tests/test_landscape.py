@@ -15,11 +15,12 @@ from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, ki
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
 from nermo_mjx.tune import Evaluation, Tuning, run_landscape, run_tuning
-from nermo_mjx.tune.landscape import run, table
+from nermo_mjx.tune.landscape import points, run
 from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
-from nermo_mjx.tune.landscape.plots import line_figure
+from nermo_mjx.tune.landscape.plots import figures, line_figure
+from nermo_mjx.tune.status import landscape_status
 
 TUNING = Tuning.from_dict(SPEC)
 #: Height of a stair, and stairs over the bounds of the amplitude.
@@ -153,7 +154,7 @@ def test_points_once_found_are_kept(tmp_path, monkeypatch):
     monkeypatch.setattr("nermo_mjx.tune.landscape.plots.line_figure", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         measure(tmp_path)
-    assert (tmp_path / "landscape.json").exists()
+    assert (tmp_path / "landscape.parquet").exists()
     monkeypatch.undo()
     result, problem = measure(tmp_path)
     assert (result.evaluated, problem.batches) == (0, [])
@@ -245,7 +246,7 @@ def test_a_landscape_of_a_recording_can_be_moved(tmp_path):
     measure(tmp_path / "here", change=compared, points=5)
     (tmp_path / "here").rename(tmp_path / "there")
     (tmp_path / "walk.npz").unlink()
-    assert len(run.redraw(tmp_path / "there", formats=("svg",))) == 2
+    assert len(list(figures(tmp_path / "there"))) == 2
     own = Tuning.from_file(tmp_path / "there" / "landscape.yaml")
     assert run_landscape(own, tmp_path / "there", problem=FakeProblem(own), points=5).evaluated == 0
 
@@ -394,12 +395,38 @@ def test_figures_have_a_tangent_at_each_point_and_a_bar_for_each_secant(smooth):
     assert below.get_ylabel() == "slope [1/deg]"
 
 
+def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(tmp_path):
+    said = []
+    measure(tmp_path, points=5, warn=said.append)
+    measure(tmp_path, points=5, warn=said.append)
+    assert not said, "what the program wrote itself is replaced without a word"
+    (tmp_path / "report.md").write_text("my thoughts")
+    measure(tmp_path, points=5, warn=said.append)
+    assert (tmp_path / "report.md.aside-1").read_text() == "my thoughts"
+    assert said == [
+        f"A file was in the way that is not as this program wrote it: moved aside in {tmp_path}, to report.md.aside-1."
+    ]
+
+
+def test_a_landscape_that_was_killed_while_it_drew_is_not_complete(tmp_path, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nermo_mjx.tune.landscape.plots.figures_of", killed)
+        with pytest.raises(KeyboardInterrupt):
+            measure(tmp_path, points=5)
+    assert not landscape_status(tmp_path).complete
+    assert measure(tmp_path, points=5)[0].evaluated == 0, "the points are kept"
+    assert landscape_status(tmp_path).complete
+
+
 def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     """Whatever the most is, all batches have one size, and no more is walked than that needs."""
-    monkeypatch.setattr(table, "CPU_BATCH", 7)
+    monkeypatch.setattr(points, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", table.batch_size(len(wanted)), "code")
-    found, count = table.evaluate(TUNING, problem, wanted, lambda *_: None, {table.KEY: "a"}, batches)
+    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", points.batch_size(len(wanted)), "code")
+    found, count = points.evaluate(TUNING, problem, wanted, lambda *_: None, {points.KEY: "a"}, batches)
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import re
@@ -17,13 +18,14 @@ from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli import main
+from nermo_mjx.cli.kinds import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import compare
-from nermo_mjx.experiments.plots.draw import draw
+from nermo_mjx.experiments.plots.figures import figures_of
 from nermo_mjx.experiments.published import REASONS
-from nermo_mjx.experiments.written import Written
-from nermo_mjx.runs import RunDirectory
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.lock import hold
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
@@ -53,6 +55,13 @@ def sweep(swept: Path, tmp_path: Path) -> Path:
 def content(folder: Path) -> dict[str, bytes]:
     """The files of a folder but its lock."""
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != ".lock"}
+
+
+@pytest.mark.parametrize("kind", [*KINDS.values(), RECORDING], ids=lambda kind: kind.name)
+def test_each_kind_names_a_function_for_its_figures_and_one_for_its_status(kind: Kind) -> None:
+    keywords = inspect.signature(kind.load(kind.figures)).parameters
+    assert tuple(keywords)[1:] == kind.options
+    assert kind is RECORDING or callable(kind.load(kind.status))
 
 
 def test_two_commands_do_not_draw_into_one_folder(sweep: Path, tmp_path: Path) -> None:
@@ -177,18 +186,20 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     outcome, out = walked(), tmp_path / "experiments"
     with RunDirectory(out, "experiments") as held:
         about = {"settings": {}, "engine": "fake", "code": "0a1b2c3d", "wall_seconds": 1.0}
-        Directory(out).save(outcome, about, Written(held, {}))
+        Directory(out).save(outcome, about, Written(held))
         held.note_session({})
     result = plot(out)
     assert result.exit_code == 0, result.stderr
     lines = compare(outcome, EXPERIMENTS["straight-line"].figures, REASONS.get("straight-line", {}))
-    made = draw(outcome, lines, tmp_path / "drawn")
+    made = write_figures(figures_of(outcome, lines), tmp_path / "drawn")
     assert len(made) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")
     # A picture that a user has changed is kept.
     picture = next((out / "plots").glob("*.png"))
     picture.write_text("painted over")
-    assert plot(out).exit_code == 0
+    result = plot(out)
+    assert result.exit_code == 0
+    assert "plot: A file was in the way that is not as this program wrote it: moved aside" in result.stderr
     assert picture.with_name(f"{picture.name}.aside-1").read_text() == "painted over"
     (out / "results" / "straight-line.parquet").write_text("damaged")
     result = plot(out)

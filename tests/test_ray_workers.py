@@ -13,14 +13,20 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from ray_fake import STARTS
 from sweep_fake import SPEC, FakeSimulator
+from tune_fake import SPEC as TUNING
+from tune_fake import FakeProblem
 
 from nermo_mjx.cli import main
+from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.runs.ray_workers import RayWorkers
 from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
 from nermo_mjx.sweep import read_table, run_sweep
+from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.version import __version__
 
 FAKE = Path(__file__).with_name("ray_fake.py")
@@ -91,6 +97,37 @@ def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
     assert len(processes) == 2
 
 
+def test_a_tuning_on_a_cluster_that_loses_a_node_finds_what_one_process_finds(tmp_path):
+    """Five starts on three nodes are shares of two: the numbers are those of one batch but for XLA's rounding."""
+    ended = told(started("tune", tmp_path / "out", tmp_path / "log"))
+    tuning = Tuning.from_dict(STARTS)
+    alone = run_tuning(tuning, tmp_path / "one", problem=FakeProblem(tuning))
+    assert (ended["iterations"], len(ended["said"])) == (alone.iterations_run, 1)
+    table = pq.read_table(tmp_path / "out" / "history.parquet").drop_columns(["wall_seconds"])
+    for name in table.column_names:
+        theirs, ours = (each.column(name).to_pylist() for each in (table, alone.history))
+        assert theirs == (pytest.approx(ours, rel=1e-4, abs=1e-5, nan_ok=True) if name != "code" else ours), name
+    processes, sizes = zip(*(line.split() for line in (tmp_path / "log").read_text().splitlines()), strict=True)
+    assert set(sizes) == {"2"}, "one shape, so that each worker compiles once"
+    assert len(sizes) <= 3 * ended["iterations"] + 1, "the share in flight"
+    assert len(set(processes)) == 3
+
+
+@pytest.mark.long
+def test_experiments_on_a_cluster_give_the_tables_of_one_process(tmp_path):
+    """Real ones in MuJoCo C, and their bodies one by one: bit for bit, in the order asked for."""
+    ended = told(started("experiments", tmp_path / "out"))
+    names = ["balance", "body"]
+    assert ended["names"] == names
+    assert {"balance", "body", "balance, 3 bodies", "body, 3 bodies"} <= set(ended["done"])
+    run_experiments(names, tmp_path / "one", engine="c", quick=True, bodies=3)
+    for name in (*names, *(f"{name}-bodies" for name in names)):
+        theirs, ours = (pq.read_table(tmp_path / out / "results" / f"{name}.parquet") for out in ("out", "one"))
+        assert theirs.column_names == ours.column_names
+        for column in ours.column_names:
+            np.testing.assert_array_equal(theirs[column], ours[column], strict=True, err_msg=f"{name} {column}")
+
+
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     """What fails in a task, kills its worker again and again, has other code, or cannot run, is one sentence each."""
     told_by = told(started("tasks"))
@@ -121,11 +158,26 @@ def test_the_command_makes_the_table_of_one_process_on_ray(tmp_path, simulator):
         np.testing.assert_array_equal(table.column(name), walked.column(name), strict=True, err_msg=name)
 
 
-def test_an_address_without_ray_is_wrong_use(tmp_path):
+@pytest.mark.long
+def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path):
+    """A small run of `ray_disturbed.py`; 100,000 walks are run by hand."""
+    command = [sys.executable, FAKE.with_name("ray_disturbed.py"), tmp_path, "--rows", "1000", "--chunk", "25",
+               "--cycles", "0.25", "--every", "10", "--kill-driver"]  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": str(FAKE.parents[1])}
+    done = subprocess.run([*map(str, command)], env=environment, capture_output=True, text=True, timeout=580)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert (found["same"], found["unexplained"], found["chunks"], found["drivers_lost"]) == (True, 0, 40, 1)
+    assert found["nodes_killed"] >= 1
+
+
+@pytest.mark.parametrize("what", ["sweep", "tune", "experiment"])
+def test_an_address_without_ray_is_wrong_use(tmp_path, what):
     """One sentence, and no directory."""
-    (tmp_path / "sweep.yaml").write_text(json.dumps(WALKS))
-    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--ray-address", "auto"]
-    result = CliRunner().invoke(main, command)
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(json.dumps(TUNING if what == "tune" else WALKS))
+    subject = "body" if what == "experiment" else str(spec)
+    result = CliRunner().invoke(main, [what, subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"])
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
     assert not (tmp_path / "out").exists()

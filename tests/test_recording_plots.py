@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -12,16 +13,24 @@ from matplotlib.collections import PolyCollection
 from matplotlib.image import imread
 
 from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import LIMBS, load_robot
 from nermo_mjx.view import Recording, model_hash
 from nermo_mjx.view.plots.body import ground_path, orientation
-from nermo_mjx.view.plots.draw import draw_recording
 from nermo_mjx.view.plots.feet import commanded_feet, in_leg_frame, leg_paths, over_ground
+from nermo_mjx.view.plots.figures import figures_of
 from nermo_mjx.view.plots.gait_diagram import gait_diagram
 from nermo_mjx.view.plots.servos import servo_angles
 from nermo_mjx.view.plots.walk import Walk
 from nermo_mjx.view.standing import spans
+
+
+def drawn_of(recording: Recording, folder: Path, formats: Sequence[str] = FORMATS) -> tuple[list[Path], list[str]]:
+    """The files of a recording's figures, and the notes on those that there are not."""
+    notes: list[str] = []
+    return write_figures(figures_of(recording, notes.append), folder, formats=formats), notes
+
 
 NAMES = ("gait-diagram", "orientation", "foot-paths", "foot-paths-over-ground", "servo-angles", "ground-path")
 #: A lateral walk of a cycle a second.
@@ -65,17 +74,17 @@ def texts(figure: matplotlib.figure.Figure) -> str:
 
 
 def test_all_figures_are_written_with_units_and_are_no_blanks(recording: Recording, tmp_path: Path) -> None:
-    drawn = draw_recording(recording, tmp_path)
-    assert drawn.notes == []
-    assert [file.name for file in drawn.files] == [f"{name}.{form}" for name in NAMES for form in ("png", "svg")]
-    for file in drawn.files[::2]:
+    files, notes = drawn_of(recording, tmp_path)
+    assert notes == []
+    assert [file.name for file in files] == [f"{name}.{form}" for name in NAMES for form in ("png", "svg")]
+    for file in files[::2]:
         picture = imread(file)
         assert min(picture.shape[:2]) > 400
         assert len(np.unique(picture.reshape(-1, picture.shape[2]), axis=0)) > 30
-    again = draw_recording(recording, tmp_path / "again")
-    assert [file.read_bytes() for file in again.files] == [file.read_bytes() for file in drawn.files]
-    only = draw_recording(recording, tmp_path / "png", formats=("png",))
-    assert [file.suffix for file in only.files] == [".png"] * len(NAMES)
+    again, _ = drawn_of(recording, tmp_path / "again")
+    assert [file.read_bytes() for file in again] == [file.read_bytes() for file in files]
+    only, _ = drawn_of(recording, tmp_path / "png", ("png",))
+    assert [file.suffix for file in only] == [".png"] * len(NAMES)
 
 
 def bars(figure: matplotlib.figure.Figure) -> list[list[tuple[float, float]]]:
@@ -178,7 +187,7 @@ def test_servo_angles_are_commanded_and_measured(recording: Recording) -> None:
 
 def test_what_a_recording_lacks_is_left_out_and_said(recording: Recording, tmp_path: Path) -> None:
     poor = dataclasses.replace(recording, sensors={"orientation": recording.sensors["orientation"]}, model_hash="other")
-    drawn = draw_recording(poor, tmp_path, formats=("svg",))
-    assert [file.name for file in drawn.files] == ["orientation.svg"]
-    assert "There is no gait-diagram: the recording lacks its sensors." in drawn.notes
-    assert any("another version of the robot's model" in note for note in drawn.notes)
+    files, notes = drawn_of(poor, tmp_path, ("svg",))
+    assert [file.name for file in files] == ["orientation.svg"]
+    assert "There is no gait-diagram: the recording lacks its sensors." in notes
+    assert any("another version of the robot's model" in note for note in notes)

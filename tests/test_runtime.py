@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
 from nermo_mjx import runtime
+from nermo_mjx.cli import options
 
 SETTINGS = (
     "PJRT_NPROC", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "NERMO_MJX_CACHE",
@@ -143,3 +146,13 @@ def test_without_any_library_drawing_is_refused_with_the_remedy(monkeypatch: pyt
     monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
     with pytest.raises(runtime.RenderingUnavailable, match="apt-get install libosmesa6"):
         runtime.require_gl()
+
+
+def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--threads` stands beside `--engine`, and holds for the processes that a command starts, too."""
+    monkeypatch.setenv(runtime.THREADS, "1")
+    command = click.command()(options.engine(lambda engine: click.echo(runtime.thread_count())))
+    assert CliRunner().invoke(command, ["--threads", "3"]).output == "3\n"
+    done = CliRunner().invoke(command, ["--threads", "0"])
+    assert done.exit_code == 2
+    assert "--threads" in done.output

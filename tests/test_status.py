@@ -19,9 +19,9 @@ from tune_fake import FakeProblem
 from nermo_mjx.bench.page import add_run
 from nermo_mjx.cli import main
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.identification import report, search
+from nermo_mjx.experiments.identification import run, search
 from nermo_mjx.experiments.identification.targets import CASES
-from nermo_mjx.experiments.plots import draw as plots
+from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.run import ExperimentsInterrupted, run_experiments
 from nermo_mjx.runs import RunDirectory, codes_of, stamp
 from nermo_mjx.sweep import run_sweep
@@ -126,7 +126,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     made = {name: Fake(name) for name in EXPERIMENTS}
     for name, fake in made.items():
         monkeypatch.setitem(EXPERIMENTS, name, fake.experiment())
-    monkeypatch.setattr(plots, "draw", lambda outcome, lines, out, **_: [])
+    monkeypatch.setattr(plots, "figures_of", lambda outcome, lines: [])
     return made
 
 
@@ -154,6 +154,23 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     assert (content["engine"], content["code"]) == ("c", [])
 
 
+def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
+    fakes: dict[str, Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as drawing:
+        drawing.setattr(plots, "figures_of", killed)
+        with pytest.raises(ExperimentsInterrupted):
+            run_experiments(["turning"], tmp_path, engine="c", video=False)
+    assert known(said(tmp_path)) == ("experiments", None, 12, False)
+    assert "turning is not finished." in status(tmp_path).stdout
+    run_experiments(["turning"], tmp_path, video=False)
+    assert known(said(tmp_path)) == ("experiments", 12, 12, True)
+    assert len(fakes["turning"].asked) == 1
+
+
 def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = 0
 
@@ -172,12 +189,23 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(search, "Simulator", Walker)
     settings = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
     with pytest.raises(KeyboardInterrupt):
-        report.run_identification(tmp_path, **settings)
+        run.run_identification(tmp_path, **settings)
     content = said(tmp_path)
     assert known(content) == ("identification", None, 9, False)
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
-    report.run_identification(tmp_path, **settings)
+
+    def killed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as drawing:
+        drawing.setattr(run, "figures_of", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run.run_identification(tmp_path, **settings)
+    assert known(said(tmp_path)) == ("identification", None, 21, False)
+    walked = calls
+    run.run_identification(tmp_path, **settings)
     assert known(said(tmp_path)) == ("identification", 21, 21, True)
+    assert calls == walked, "what was found is only drawn"
 
 
 def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Path) -> None:

@@ -12,14 +12,16 @@ import pytest
 from matplotlib.collections import LineCollection, PathCollection, PolyCollection
 
 from nermo_mjx.plotting.cloud import CROWD
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.sweep import Results, draw_plots
-from nermo_mjx.sweep.chosen import draw_chosen
+from nermo_mjx.sweep import Results
 from nermo_mjx.sweep.figures import scatters
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_LINES, chosen_lines
+from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.points import points_of
+from nermo_mjx.sweep.redraw import chosen_figure
 from nermo_mjx.sweep.survey import survey_figures
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.sweep.trade_off import front, named_points
@@ -88,7 +90,7 @@ def test_named_points_are_both_ends_and_some_between() -> None:
 
 def figures(data: pa.Table, metric: str = "speed") -> dict[str, matplotlib.figure.Figure]:
     with matplotlib.rc_context(STYLE):
-        return dict(survey_figures(Results.of_table(data), metric))
+        return dict(survey_figures(Results(data), metric))
 
 
 def test_the_front_names_its_best_points_with_their_parameters() -> None:
@@ -113,7 +115,7 @@ def test_the_front_names_its_best_points_with_their_parameters() -> None:
 def test_repeats_are_one_point_at_their_mean() -> None:
     """A variant is the mean of those of its runs that went well."""
     data = table(rows=120, repeats=3)
-    points = points_of(Results.of_table(data), ["speed"])
+    points = points_of(Results(data), ["speed"])
     well = np.array(data.column("status").to_pylist()) == "ok"
     speed = np.where(well, data.column("speed").to_numpy(), np.nan).reshape(-1, 3)
     np.testing.assert_allclose(points.metrics["speed"].values, 1e3 * np.nanmean(speed, axis=1))
@@ -160,7 +162,7 @@ def test_too_many_lines_are_chosen_evenly_and_nothing_is_dropped_silently() -> N
 def test_a_hundred_thousand_rows_are_drawn_in_seconds(tmp_path: Path) -> None:
     data, began = table(100_000), time.perf_counter()
     with matplotlib.rc_context(STYLE):
-        found = survey_figures(Results.of_table(data), "speed")
+        found = list(survey_figures(Results(data), "speed"))
         for _, figure in found:
             figure.savefig(tmp_path / "a.svg")
             assert (tmp_path / "a.svg").stat().st_size < 3e6
@@ -196,7 +198,7 @@ def test_one_parameter_has_no_survey() -> None:
     ],
 )
 def test_columns_of_choice_give_their_figure(chosen: dict, name: str, tmp_path: Path) -> None:
-    files = draw_chosen(Results.of_table(table()), tmp_path, **chosen)
+    files = write_figures(chosen_figure(Results(table()), **chosen), tmp_path)
     assert [file.name for file in files] == [f"{name}.png", f"{name}.svg"]
     svg = files[1].read_text()
     for column in chosen.values():
@@ -214,25 +216,27 @@ def test_two_parameters_of_a_grid_give_a_heat_map_whose_star_is_the_best(tmp_pat
     columns.add("speed", 0.1 * x * y, "metric", "m/s", "")
     columns.add("slip", 0.02 + 0.01 * x * y, "metric", "m/s", "")
     columns.add("status", np.full(6, "ok"), "status", "1", "")
-    results = Results.of_table(columns.table({"sampler": "grid"}))
-    svg = draw_chosen(results, tmp_path, "frequency", "stride", "slip")[1].read_text()
+    results = Results(columns.table({"sampler": "grid"}))
+    svg = write_figures(chosen_figure(results, "frequency", "stride", "slip"), tmp_path)[1].read_text()
     assert "star: best, 22 mm/s" in svg
-    assert "star: best, 120 mm/s" in draw_chosen(results, tmp_path, "frequency", "stride")[1].read_text()
+    svg = write_figures(chosen_figure(results, "frequency", "stride"), tmp_path)[1].read_text()
+    assert "star: best, 120 mm/s" in svg
 
 
-def test_a_column_that_is_none_is_refused_with_the_nearest(tmp_path: Path) -> None:
+def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
     with pytest.raises(ParameterError, match=r"y is 'rol_std', no column of the table; did you mean 'roll_std'\?"):
-        draw_chosen(Results.of_table(table()), tmp_path, "speed", "rol_std")
+        chosen_figure(Results(table()), "speed", "rol_std")
     fallen = table().filter(pa.compute.equal(table().column("status"), "fell"))
     with pytest.raises(ParameterError, match="no run of the table went well"):
-        draw_chosen(Results.of_table(fallen), tmp_path, "speed", "slip")
+        chosen_figure(Results(fallen), "speed", "slip")
 
 
 def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nermo_mjx.sweep.plots.MOST_POINTS", 20)
     data = table(1000)
     well = np.array(data.column("status").to_pylist()) == "ok"
-    svg = next(file for file in draw_plots(data, tmp_path) if file.name == "speed-over-pairs.svg").read_text()
+    files = write_figures(figures_of(Results(data)), tmp_path)
+    svg = next(file for file in files if file.name == "speed-over-pairs.svg").read_text()
     assert f"star: best, {1e3 * data.column('speed').to_numpy()[well].max():.4g} mm/s" in svg
     assert "20 of 941 runs" in svg
 
@@ -241,8 +245,8 @@ def test_a_star_of_a_thinned_scatter_is_the_best_of_all(tmp_path: Path, monkeypa
 def test_a_crowd_of_points_is_drawn_as_density_and_its_note_says_so(count: int, crowd: bool) -> None:
     """Tens of thousands of dots would be one solid block."""
     values = np.random.default_rng(0)
-    x = Quantity("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
-    z = Quantity("speed", "mm/s", values.normal(80.0, 10.0, count))
+    x = ShownValues("stiffness.ankle", "N m/rad", 10.0 ** values.uniform(-2, 0, count), log=True)
+    z = ShownValues("speed", "mm/s", values.normal(80.0, 10.0, count))
     figure = scatters([x], z, [""], "Speed", "some runs")
     drawn = figure.axes[0].collections[0]
     assert isinstance(drawn, PolyCollection) is crowd

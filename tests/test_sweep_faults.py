@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import io
 import json
 import multiprocessing
 import os
@@ -67,7 +68,7 @@ def test_a_damaged_chunk_is_told_and_run_again(tmp_path, reference, damage, flaw
     damage(tmp_path / "results" / "chunk-00003.parquet")
     said = []
     result = run_sweep(SPEC, tmp_path, simulator=FakeSimulator(), warn=said.append)
-    assert said == [f"chunk 3 of {tmp_path} {flaw}, and is run again."]
+    assert said == [f"chunk 3 of {tmp_path} {flaw}; it is kept in results.aside, and run again."]
     assert result.chunks_run == 1
     assert result.table.equals(reference)
 
@@ -91,14 +92,18 @@ def test_a_chunk_that_is_damaged_meanwhile_is_found_in_the_end(tmp_path, referen
     simulator, said = Vandal(tmp_path), []
     result = run_sweep(SPEC, tmp_path, chunk=4, simulator=simulator, warn=said.append)
     assert len(simulator.batches) == 10
-    assert said == [f"chunk 0 of {tmp_path} is damaged, and is run again."]
+    assert said == [f"chunk 0 of {tmp_path} is damaged; it is kept in results.aside, and run again."]
     assert result.table.equals(reference)
 
 
 def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatch, reference):
     """Chunks that are never as they were written end in a sentence."""
+
+    def loses(path, content, replace=files.replace_file):
+        replace(path, content[:-1] if path.suffix == ".parquet" else content)
+
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.store.seal", lambda content: content[:-1])
+        patch.setattr("nermo_mjx.runs.directory.replace_file", loses)
         with pytest.raises(DirectoryError, match="loses what is written to it"):
             run_sweep(SPEC, tmp_path, chunk=12, simulator=FakeSimulator())
     goes_on(tmp_path, reference, 3)
@@ -107,34 +112,38 @@ def test_a_disk_that_loses_everything_is_not_tried_for_ever(tmp_path, monkeypatc
 # --- no room, no permission
 
 
-def full(path, content, *, kept, replace=files.replace_file):
-    """A disk on which only files whose name has a part of `kept` find room; of the others half is written."""
-    if any(name in str(path) for name in kept):
-        return replace(path, content)
-    path.with_name(f".{path.name}{files.TEMPORARY}").write_bytes(content[: len(content) // 2])
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+class FullDisk(io.FileIO):
+    """A file on a disk with room for half of what is written to it."""
+
+    def write(self, content):
+        super().write(content[: len(content) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize(
-    ("kept", "left"),
+    ("kept", "left", "folder"),
     [
-        ((), 9),
-        (("sweep.yaml", "run.json"), 9),
-        (("sweep.yaml", "run.json", "00000", "00001", "00002"), 6),
-        (("sweep.yaml", "run.json", "results"), 0),
-        (("sweep.yaml", "run.json", "results", "summary"), 0),
+        ((), 9, ""),
+        (("sweep.yaml", "run.json"), 9, ""),
+        (("sweep.yaml", "run.json", "results"), 9, ""),
+        (("sweep.yaml", "run.json", "manifest", "00000", "00001", "00002"), 6, ""),
+        (("sweep.yaml", "run.json", "manifest", "results"), 0, ""),
+        (("sweep.yaml", "run.json", "manifest", "results", "summary"), 0, "plots"),
     ],
 )
-def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, kept, left):
-    """At the beginning, in the middle of a chunk, in the summary, and in the figures."""
+def test_a_full_disk_is_one_sentence_wherever_it_strikes(tmp_path, monkeypatch, reference, kept, left, folder):
+    """At the beginning, in the list of the chunks, in the middle of a chunk, in the summary, and in the figures."""
     with monkeypatch.context() as patch:
-        for module in ("runs.directory", "runs.files", "sweep.run"):
-            patch.setattr(f"nermo_mjx.{module}.replace_file", lambda *args: full(*args, kept=kept))
+        # In the one function that all others write by, so that it strikes whoever imported which before.
+        def opened(path, mode):
+            return open(path, mode) if any(name in str(path) for name in kept) else FullDisk(path, mode)
+
+        patch.setattr(files, "open", opened, raising=False)
         with pytest.raises(DirectoryError) as caught:
             run_sweep(SPEC | {"plots": True}, tmp_path, chunk=4, simulator=FakeSimulator())
     assert str(caught.value) == (
-        f"cannot write in {tmp_path}: No space left on device. What is finished is kept: run the same command again "
-        "when there is room."
+        f"cannot write in {tmp_path / folder}: No space left on device. What is finished is kept: run the same command "
+        "again when there is room."
     )
     goes_on(tmp_path, reference, left)
 

@@ -236,3 +236,11 @@ def test_the_sweeps_of_the_repository_run(tmp_path, path):
     if path.stem == "quickstart":
         assert sweep.variants >= 200
         assert read_table(tmp_path).num_rows == sweep.variants
+
+
+def test_figures_go_into_a_directory_that_is_named_from_here(tmp_path, monkeypatch):
+    """As the README's command names it: `--out runs/quickstart`."""
+    monkeypatch.chdir(tmp_path)
+    result = run_sweep(SPEC | {"plots": True}, "runs/here", simulator=FakeSimulator())
+    assert result.plots
+    assert all(path.exists() and path.parent == Path("runs/here/plots") for path in result.plots)

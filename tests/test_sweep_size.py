@@ -3,12 +3,14 @@
 import gc
 import itertools
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pytest
 from sweep_fake import SPEC, FakeSimulator
 
+from nermo_mjx.bench.history import read
 from nermo_mjx.sweep import Sample, Sweep, read_table, run_sweep, sample, summarize
 from nermo_mjx.sweep.chunk_size import BUSY_WORLDS, WORLD_BYTES, chunk_rows
 
@@ -37,14 +39,23 @@ def test_a_small_sweep_is_divided_among_all_processes():
 @pytest.mark.parametrize("gibibytes", [1, 2, 4, 8, 16, 80, 140])
 @pytest.mark.parametrize("devices", [1, 2, 3, 8])
 @pytest.mark.parametrize("rows", [5, 1000, 10_000_000])
-def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(gibibytes, devices, rows):
+@pytest.mark.parametrize("engine", ["mjx", "warp"])
+def test_a_chunk_on_devices_fits_their_memory_and_divides_among_them(gibibytes, devices, rows, engine):
     """Half of each device's memory at most, the same number of worlds on each, none of them idle for want of rows."""
-    size = chunk_rows("mjx", rows, memory=gibibytes * GIB, devices=devices, cores=16)
+    size = chunk_rows(engine, rows, memory=gibibytes * GIB, devices=devices, cores=16)
     assert size % devices == 0
-    assert size // devices * WORLD_BYTES <= gibibytes * GIB / 2
+    assert size // devices * WORLD_BYTES[engine] <= gibibytes * GIB / 2
     assert size - devices < rows
     if rows == 10_000_000:
-        assert size // devices == min(BUSY_WORLDS, int(gibibytes * GIB / 2 / WORLD_BYTES))
+        assert size // devices == min(BUSY_WORLDS, int(gibibytes * GIB / 2 / WORLD_BYTES[engine]))
+
+
+def test_the_memory_of_a_world_is_what_was_measured_last():
+    """In the benchmarks of this repository: enough for every batch, and not twice as much."""
+    measured = read(Path(__file__).parents[1] / "docs" / "benchmarks").machines.values()
+    walks = [each.good for every in measured for each in every if each.case == "gpu-plan" and each.good]
+    most = max(line["bytes_per_world"] for line in walks if line["program"] == "walk")
+    assert most <= WORLD_BYTES["mjx"] < 2 * most
 
 
 def test_a_device_with_no_memory_left_still_gets_a_world():

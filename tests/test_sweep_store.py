@@ -1,5 +1,6 @@
 """The result directory: chunks whole or not at all, one sweep, one writer, and clear words when something is wrong."""
 
+import hashlib
 import os
 import resource
 import signal
@@ -12,7 +13,6 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.sweep import DirectoryError, Sweep, read_table, run_sweep
-from nermo_mjx.sweep.seal import seal
 from nermo_mjx.sweep.store import Store
 
 
@@ -27,7 +27,7 @@ def test_the_directory_holds_what_other_programs_rely_on(done):
     """results/*.parquet, summary.json, sweep.yaml, run.json and plots/ are there, and nothing half-written."""
     run_sweep(SPEC | {"plots": True}, done, simulator=FakeSimulator())  # figures may be drawn later
     assert sorted(path.name for path in done.iterdir() if path.name[0] != ".") == [
-        "plots", "results", "run.json", "summary.json", "sweep.yaml",
+        "manifest.sha256", "plots", "results", "run.json", "summary.json", "sweep.yaml",
     ]  # fmt: skip
     assert len(list(done.glob("results/*.parquet"))) == 9
     assert not [path for path in done.rglob("*") if path.suffix == ".tmp"]
@@ -82,7 +82,9 @@ def other_rows(path):
 def foreign(path):
     table = pq.read_table(path)
     table = table.replace_schema_metadata({**table.schema.metadata, b"sweep": b"another"})
-    path.write_bytes(seal(parquet_bytes(table)))
+    path.write_bytes(parquet_bytes(table))
+    with open(path.parents[1] / "manifest.sha256", "a") as manifest:
+        manifest.write(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  results/{path.name}\n")
 
 
 @pytest.mark.parametrize(

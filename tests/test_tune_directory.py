@@ -14,7 +14,7 @@ from nermo_mjx.runs import DirectoryError, OtherCode, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
 from nermo_mjx.tune import Tuning, TuningInterrupted, directory, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.plots import redraw
+from nermo_mjx.tune.plots import figures
 
 FEW = {"starts": 1, "iterations": 1}
 #: A tuning that compares with a recording.
@@ -145,7 +145,7 @@ def test_a_directory_that_compares_with_a_recording_can_be_moved(tmp_path):
     (tmp_path / "walk.npz").unlink()
     moved = Tuning.from_file(tmp_path / "there" / "tuning.yaml")
     assert moved.recording == (tmp_path / "there" / "recording.npz").resolve()
-    assert len(redraw(tmp_path / "there", formats=("svg",))) == 4
+    assert len(list(figures(tmp_path / "there"))) == 4
     longer = dataclasses.replace(moved, iterations=2)
     assert run_tuning(longer, tmp_path / "there", problem=FakeProblem(longer)).iterations_run == 1
     assert load_tuning(tmp_path / "there") == longer
@@ -173,7 +173,7 @@ def test_an_earlier_directory_with_an_absolute_path_goes_on_working(tmp_path, go
     (out / "tuning.yaml").write_text(tuning.to_yaml())
     if gone:
         (tmp_path / "walk.npz").unlink()
-        assert len(redraw(out, formats=("svg",))) == 4
+        assert len(list(figures(out))) == 4
         with pytest.raises(SpecError, match=r"recording is .*walk\.npz: cannot be read"):
             run_tuning(load_tuning(out), out, problem=FakeProblem(tuning))
         return
@@ -193,7 +193,7 @@ def earlier(tmp_path):
 
 
 def test_a_directory_of_the_previous_release_is_drawn(earlier):
-    assert len(redraw(earlier, formats=("svg",))) == 4
+    assert len(list(figures(earlier))) == 4
     assert read_history(earlier).num_rows == 3
 
 

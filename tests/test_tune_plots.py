@@ -17,6 +17,7 @@ from matplotlib.image import imread
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
 
 from nermo_mjx import runtime
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import DirectoryError
@@ -36,7 +37,7 @@ from nermo_mjx.tune import video as tune_video
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.history import empty_log, history_table
 from nermo_mjx.tune.path_figure import path_figure
-from nermo_mjx.tune.plots import draw_plots
+from nermo_mjx.tune.plots import figures_of
 from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.traces import MOST_STARTS, Traces
 from nermo_mjx.tune.tuner import Tuner
@@ -90,7 +91,7 @@ def again(finished, tmp_path):
 def undrawn(monkeypatch):
     """No figures; the landscapes that they would have had."""
     landscapes = []
-    monkeypatch.setattr(plots, "draw_plots", lambda *_, background, **__: landscapes.append(background) or [])
+    monkeypatch.setattr(plots, "figures_of", lambda tuning, history, background: landscapes.append(background) or [])
     return landscapes
 
 
@@ -139,7 +140,7 @@ def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
     """Figures can be drawn again from the directory alone."""
     result, _ = drawn
     landscape = background.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
-    again = draw_plots(load_tuning(result.out), read_history(result.out), tmp_path, background=landscape)
+    again = write_figures(figures_of(load_tuning(result.out), read_history(result.out), landscape), tmp_path)
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.pictures.plots]
 
 
@@ -449,11 +450,14 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
 
 def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
     """One sentence with the remedy; nothing walks for a video that cannot be."""
-    monkeypatch.setattr(runtime, "_gl_problem", "No library to draw with was found: `apt-get install libosmesa6`.")
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
     walker = FakeWalker()
     result = again(walker, {"plots": False, "video": True})
     (note,) = result.pictures.notes
-    assert note == "There is no video. No library to draw with was found: `apt-get install libosmesa6`."
+    assert note.startswith("There is no video. No library to draw with was found")
+    assert "apt-get install libosmesa6" in note
     assert walker.batches == []
     assert json.loads((result.out / "best.json").read_text()) == result.best
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem
 
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
 from nermo_mjx.tune.state import initial_state
@@ -139,6 +141,59 @@ def test_the_effort_counts_gradients_at_their_cost(tmp_path, reference):
     assert values_only.best["simulated_seconds"] == 7 * 2 * 17 * 5.0
     at_best = values_only.best["simulated_seconds_to_best"]
     assert at_best == (values_only.best["iteration"] + 1) * 2 * 17 * 5.0
+
+
+class Three:
+    """Three workers in this process, of which the last one is the first to be done."""
+
+    parts = 3
+
+    def begin(self, computer):
+        self.computer = pickle.loads(pickle.dumps(computer))
+        return self.computer.stamp()
+
+    def results(self, tasks, tell):
+        return [(key, self.computer(task)) for key, task in reversed(list(tasks))]
+
+
+@pytest.mark.parametrize("name", ["exact", "mixture"])
+def test_starts_are_shared_among_workers_in_shares_of_one_size(tmp_path, name):
+    """Five starts for three workers are three shares of two, and find what one batch finds, to float precision."""
+    change = {"starts": 5, "estimator": ESTIMATORS[name]}
+    tuning, log = Tuning.from_dict(SPEC | change), tmp_path / "log"
+    alone = tune(tmp_path / "one", change)[0]
+    shared = run_tuning(tuning, tmp_path / "three", problem=FakeProblem(tuning, log=log), workers=Three())
+    ours, theirs = (lasting(result.history).to_pydict() for result in (alone, shared))
+    for column, values in ours.items():
+        assert theirs[column] == (
+            pytest.approx(values, rel=1e-4, abs=1e-5, nan_ok=True) if column != "code" else values
+        )
+    worlds = [int(line.split()[1]) for line in log.read_text().splitlines()]
+    assert worlds == [2 * tuning.estimator.worlds] * 3 * 7
+
+
+def test_workers_that_are_lost_leave_what_is_done(tmp_path):
+    """One sentence; the same command goes on."""
+
+    class Lost(Three):
+        def results(self, tasks, tell):
+            raise WorkersLost("no node came within 300 s.")
+
+    tuning = Tuning.from_dict(SPEC)
+    with pytest.raises(TuningFailed, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
+        run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), workers=Lost())
+
+
+def test_what_a_worker_raises_is_raised(tmp_path):
+    """As if it had been raised here."""
+
+    class Failing(Three):
+        def results(self, tasks, tell):
+            raise TaskFailed(0, ZeroDivisionError("no number"))
+
+    tuning = Tuning.from_dict(SPEC)
+    with pytest.raises(ZeroDivisionError, match="no number"):
+        run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), workers=Failing())
 
 
 # --- worlds that do not walk

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.tune import read_history, run_tuning
-from nermo_mjx.tune.problem import WalkProblem
+from nermo_mjx.tune.problem import Reference, WalkProblem
 from nermo_mjx.tune.spec import Tuning
 
 pytestmark = pytest.mark.slow
@@ -43,6 +45,15 @@ def problem():
 def tuned(problem, tmp_path_factory):
     out = tmp_path_factory.mktemp("tuned")
     return run_tuning(SPEC, out, problem=problem), read_history(out)
+
+
+def test_a_problem_travels_without_the_file_that_it_compares_with(problem):
+    """A worker on another machine has no recording, and gets its numbers."""
+    poses = np.ones((10, problem.rollout.robot.model.nq))
+    there = pickle.loads(pickle.dumps(WalkProblem(problem.tuning, Reference(poses, poses[0]))))
+    assert (there.names, there.mode, there.tuning) == (problem.names, problem.mode, problem.tuning)
+    assert there.simulated_seconds == problem.simulated_seconds
+    np.testing.assert_array_equal(there.reference.qpos, poses)
 
 
 def test_the_robot_ends_faster_than_it_began(tuned):

@@ -250,7 +250,9 @@ def test_an_overlay_needs_its_sensors_and_a_known_name(model: mujoco.MjModel, tm
 def test_a_machine_without_gl_gets_the_remedy(
     model: mujoco.MjModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runtime, "_gl_problem", "No library to draw with was found: `apt-get install libosmesa6`.")
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
     with pytest.raises(VideoError, match="apt-get install libosmesa6"):
         render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
     assert not list(tmp_path.iterdir())

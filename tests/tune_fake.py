@@ -39,6 +39,11 @@ def speed(amplitude, phase=BEST[1]):
     return 0.1 - 0.5 * (amplitude - BEST[0]) ** 2 - 0.02 * (1 - jnp.cos(phase - BEST[1]))
 
 
+def nobody(points):
+    """No world falls."""
+    return jnp.zeros(len(points), bool)
+
+
 class FakeProblem:
     """Metrics in closed form.
 
@@ -46,12 +51,13 @@ class FakeProblem:
         batches: (number of worlds, with gradient) of each call; compiled: how often the program was traced.
         falls: tells from points (n, p) which worlds fall; their numbers are NaN.
         stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
-        delay: seconds that each call takes; log: a file that gets a line a call.
+        delay: seconds that each call takes; log: a file that gets a line a call, the process and the number of worlds.
     """
 
     simulated_seconds, gradient_cost = 5.0, 3.0
 
-    def __init__(self, tuning, falls=lambda points: jnp.zeros(len(points), bool), stop_at=None, delay=0.0, log=None):
+    def __init__(self, tuning, falls=nobody, stop_at=None, delay=0.0, log=None):
+        self._made_of = tuning, falls, stop_at, delay, log
         self.names, self.objective, self.stop_at, self.delay, self.log = (
             tuning.names, tuning.objective, stop_at, delay, log,
         )  # fmt: skip
@@ -74,13 +80,16 @@ class FakeProblem:
 
         self._program = jax.jit(program, static_argnums=1)
 
+    def __reduce__(self):
+        return FakeProblem, self._made_of
+
     def evaluate(self, points, gradient):
         if len(self.batches) == self.stop_at:
             raise KeyboardInterrupt
         self.batches.append((len(points), gradient))
         if self.log:
             with open(self.log, "a") as file:
-                file.write("evaluated\n")
+                file.write(f"{os.getpid()} {len(points)}\n")
         time.sleep(self.delay)
         return self._program(points, gradient)
 

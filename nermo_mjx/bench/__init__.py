@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from typing import Any
 
 from nermo_mjx.bench.hardware import commit, describe
-from nermo_mjx.bench.registry import CASES, Case, plan
+from nermo_mjx.bench.registry import CASES, Benchmark, plan
 
 __all__ = ["CASES", "run_bench"]
 
@@ -47,14 +47,14 @@ def run_bench(
         hardware = found or hardware
         lines.append({"case": name, **chosen, **line})
     if hardware is None:  # every process ended early: a figure without its machine is worth nothing
-        hardware, _ = apart(Case("", "builtins:dict", {}), {})
+        hardware, _ = apart(Benchmark("", "builtins:dict", {}), {})
     if progress:
         progress(len(planned), len(planned))
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     return {"date": now, "commit": commit(), "hardware": hardware, "cases": lines}
 
 
-def apart(case: Case, options: dict[str, Any]) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+def apart(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any] | None, dict[str, Any]]:
     """(hardware, figures) of one measurement, made in a new process; no hardware if that ended early."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         try:
@@ -63,7 +63,7 @@ def apart(case: Case, options: dict[str, Any]) -> tuple[dict[str, Any] | None, d
             return None, {"error": "the process ended without a result; most often it ran out of memory."}
 
 
-def measure(case: Case, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+def measure(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """(hardware, figures) of one measurement, in this process; an error becomes the figures' only entry."""
     try:
         figures = case.measure(**options)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 
-class Column(NamedTuple):
+class ShownColumn(NamedTuple):
     """A column of a table; figures are shown times `scale`."""
 
     heading: str
@@ -22,59 +22,72 @@ class Column(NamedTuple):
         return self.shape.format(value if isinstance(value, str) or self.scale == 1.0 else value * self.scale)
 
 
-_ENGINE, _WORLDS = Column("engine", "engine"), Column("worlds", "worlds", "{:,}")
-_RATIO = Column("ratio", "ratio", "{:.2f}")
-_TRACE, _COMPILE = Column("trace [s]", "trace_s", "{:.1f}"), Column("compile [s]", "compile_s", "{:.1f}")
-_PEAK = Column("peak [MB]", "peak_bytes", "{:,.0f}", 1e-6)
+_ENGINE, _WORLDS = ShownColumn("engine", "engine"), ShownColumn("worlds", "worlds", "{:,}")
+_RATIO = ShownColumn("ratio", "ratio", "{:.2f}")
+_TRACE, _COMPILE = ShownColumn("trace [s]", "trace_s", "{:.1f}"), ShownColumn("compile [s]", "compile_s", "{:.1f}")
+_PEAK = ShownColumn("peak [MB]", "peak_bytes", "{:,.0f}", 1e-6)
 
 #: Case -> its columns. Those of a case that has rows of its own in a line (`ROWS`) are of these rows.
-COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
+COLUMNS: Final[dict[str, tuple[ShownColumn, ...]]] = {
     "throughput": (
         _ENGINE, _WORLDS,
-        Column("steps/s", "steps_per_second", "{:,.0f}"),
-        Column("plain steps/s", "plain_steps_per_second", "{:,.0f}"),
+        ShownColumn("steps/s", "steps_per_second", "{:,.0f}"),
+        ShownColumn("plain steps/s", "plain_steps_per_second", "{:,.0f}"),
         _RATIO,
-        Column("loop's cost", "loop_cost", "{:.1%}"),
-        Column("simulated s/s", "seconds_simulated_per_second", "{:,.0f}"),
+        ShownColumn("loop's cost", "loop_cost", "{:.1%}"),
+        ShownColumn("simulated s/s", "seconds_simulated_per_second", "{:,.0f}"),
         _TRACE, _COMPILE,
-        Column("plain [s]", "plain_compile_s", "{:.1f}"),
-        Column("carry [B/world]", "carry_bytes_per_world", "{:,}"),
+        ShownColumn("plain [s]", "plain_compile_s", "{:.1f}"),
+        ShownColumn("carry [B/world]", "carry_bytes_per_world", "{:,}"),
         _PEAK,
     ),
     "gradient": (
-        Column("mode", "mode"), _WORLDS,
-        Column("cycles", "cycles", "{:g}"),
-        Column("gradient [s]", "gradient_s", "{:.2f}"),
-        Column("walk [s]", "forward_s", "{:.2f}"),
+        ShownColumn("mode", "mode"), _WORLDS,
+        ShownColumn("cycles", "cycles", "{:g}"),
+        ShownColumn("gradient [s]", "gradient_s", "{:.2f}"),
+        ShownColumn("walk [s]", "forward_s", "{:.2f}"),
         _RATIO, _TRACE, _COMPILE,
-        Column("kB/world", "temporary_bytes_per_world", "{:,.0f}", 1e-3),
+        ShownColumn("kB/world", "temporary_bytes_per_world", "{:,.0f}", 1e-3),
         _PEAK,
     ),
     "tuning": (
-        Column("trot [Hz]", "frequency", "{:g}"),
-        Column("search", "search"),
-        Column("from phase [rad]", "start_phase", "{:.2f}"),
-        Column("amplitude [rad]", "amplitude", "{:.3f}"),
-        Column("phase [rad]", "phase", "{:.2f}"),
-        Column("speed [m/s]", "speed", "{:.4f}"),
-        Column("of the best", "share", "{:.1%}"),
-        Column("runs", "runs", "{:g}"),
-        Column("wall [s]", "wall_s", "{:.0f}"),
+        ShownColumn("trot [Hz]", "frequency", "{:g}"),
+        ShownColumn("search", "search"),
+        ShownColumn("from phase [rad]", "start_phase", "{:.2f}"),
+        ShownColumn("amplitude [rad]", "amplitude", "{:.3f}"),
+        ShownColumn("phase [rad]", "phase", "{:.2f}"),
+        ShownColumn("speed [m/s]", "speed", "{:.4f}"),
+        ShownColumn("of the best", "share", "{:.1%}"),
+        ShownColumn("runs", "runs", "{:g}"),
+        ShownColumn("wall [s]", "wall_s", "{:.0f}"),
     ),
     "startup": (
-        _ENGINE, _WORLDS, Column("cache", "cache"), Column("in all [s]", "total_s", "{:.1f}"),
-        Column("import [s]", "import_s", "{:.1f}"),
-        Column("model [s]", "model_s", "{:.1f}"),
-        Column("parameters [s]", "parameters_s", "{:.1f}"),
-        Column("open [s]", "open_s", "{:.1f}"),
-        Column("first tick [s]", "first_tick_s", "{:.1f}"),
+        _ENGINE, _WORLDS, ShownColumn("cache", "cache"), ShownColumn("in all [s]", "total_s", "{:.1f}"),
+        ShownColumn("import [s]", "import_s", "{:.1f}"),
+        ShownColumn("model [s]", "model_s", "{:.1f}"),
+        ShownColumn("parameters [s]", "parameters_s", "{:.1f}"),
+        ShownColumn("open [s]", "open_s", "{:.1f}"),
+        ShownColumn("first tick [s]", "first_tick_s", "{:.1f}"),
     ),
     "profile": (
-        _ENGINE, _WORLDS, Column("stage", "stage"),
-        Column("us a step", "us", "{:.2f}"), Column("share", "share", "{:.0%}"),
-        Column("operations", "operations", "{:,}"), _TRACE, _COMPILE,
+        _ENGINE, _WORLDS, ShownColumn("stage", "stage"),
+        ShownColumn("us a step", "us", "{:.2f}"), ShownColumn("share", "share", "{:.0%}"),
+        ShownColumn("operations", "operations", "{:,}"), _TRACE, _COMPILE,
     ),
-    "speedtest": (_WORLDS, Column("steps/s", "steps_per_second", "{:,.0f}"), _COMPILE, _PEAK),
+    "speedtest": (_WORLDS, ShownColumn("steps/s", "steps_per_second", "{:,.0f}"), _COMPILE, _PEAK),
+    "gpu-plan": (
+        ShownColumn("target", "target"), ShownColumn("program", "program"), _WORLDS, _TRACE, _COMPILE,
+        ShownColumn("kB/world", "bytes_per_world", "{:,.1f}", 1e-3),
+        ShownColumn("fits", "fits"),
+        ShownColumn("launches a step", "launches_per_step", "{:,.0f}"),
+        ShownColumn("a tick", "launches_per_tick", "{:,.0f}"),
+        ShownColumn("library calls a step", "library_calls_per_step", "{:,.0f}"),
+        ShownColumn("unknown loops", "unknown_loops"),
+        ShownColumn("moved [kB/world/step]", "moved_bytes_per_step", "{:,.0f}", 1e-3),
+        ShownColumn("launch bound [steps/s, estimate]", "estimated_launch_bound", "{:,.0f}"),
+        ShownColumn("bandwidth bound [steps/s, estimate]", "estimated_bandwidth_bound", "{:,.0f}"),
+        _PEAK,
+    ),
 }  # fmt: skip
 
 

@@ -9,16 +9,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from nermo_mjx.bench.compilation import compile_cold
 from nermo_mjx.bench.hardware import peak_bytes
-from nermo_mjx.bench.timing import compare
-from nermo_mjx.rollout.derivative import value_and_gradient
+from nermo_mjx.bench.timing import compare, compile_cold
+from nermo_mjx.rollout.derivative import Function, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.setup import Run, Setup
 
 #: What is differentiated: mean speed by the two parameters of the stride extension.
 NAMES: Final = ("spine.amplitude", "spine.phase")
+FREQUENCY: Final = 0.8  # [Hz]
 ROUNDS: Final = 3
+
+
+def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
+    """A walk of so many gait cycles, and its speed and metrics as a function of `NAMES`."""
+    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
+
+    def walk(point: Array) -> tuple[Array, dict[str, Array]]:
+        metrics = rollout({"frequency": FREQUENCY, **dict(zip(NAMES, point, strict=True))})
+        return metrics["speed"], metrics
+
+    return rollout, walk
 
 
 def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
@@ -29,12 +40,7 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
         worlds: size of the batch.
         cycles: length of the walk in gait cycles.
     """
-    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
-
-    def walk(point: Array) -> tuple[Array, dict[str, Array]]:
-        metrics = rollout({"frequency": 0.8, **dict(zip(NAMES, point, strict=True))})
-        return metrics["speed"], metrics
-
+    rollout, walk = differentiable_walk(cycles)
     points = np.stack([np.linspace(0.05, 0.35, worlds), np.linspace(-1.0, 0.0, worlds)], axis=1)
     batch = jnp.asarray(points, float)
     plain = compile_cold(jax.jit(jax.vmap(walk)), batch)
@@ -46,7 +52,7 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
     run(plain.program)
     run(ours.program)
     ours_s, plain_s, ratio = compare(lambda: run(ours.program), lambda: run(plain.program), ROUNDS)
-    steps = round(rollout.seconds({"frequency": 0.8}) / rollout.robot.config.timestep)
+    steps = round(rollout.seconds({"frequency": FREQUENCY}) / rollout.robot.config.timestep)
     return {
         "engine": "mjx",
         "horizon_cycles": cycles,

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import jax
 
+from nermo_mjx.runs.provenance import processor
 from nermo_mjx.runtime import cpu_count
 
 
@@ -19,7 +20,7 @@ def describe() -> dict[str, str | int]:
     devices = jax.devices()
     versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}
     return {
-        "cpu": _cpu_name(),
+        "cpu": processor(),
         "cores": cpu_count(),
         "device": f"{len(devices)} x {devices[0].device_kind}",
         "python": platform.python_version(),
@@ -44,12 +45,3 @@ def peak_bytes() -> int:
         return int(statistics["peak_bytes_in_use"])
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
-
-
-def _cpu_name() -> str:
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    return platform.processor() or platform.machine()

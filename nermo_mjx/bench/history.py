@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +12,7 @@ from typing import Any, Final
 from nermo_mjx.bench.columns import rows, titled
 from nermo_mjx.bench.registry import CASES
 from nermo_mjx.runs.files import replace_file
+from nermo_mjx.runs.status import Status
 
 RESULTS: Final = "results.jsonl"
 #: Heading of runs that ended before they could say where they ran.
@@ -106,6 +108,18 @@ def read(folder: Path) -> History:
         remarks.insert(0, f"{named} of {RESULTS} cannot be read, and {'are' if most else 'is'} not shown.")
     order = sorted(found, key=lambda machine: machine == UNKNOWN)
     return History({machine: _in_order(found[machine]) for machine in order}, tuple(remarks), count, tuple(commits))
+
+
+def status(out: Path) -> Status:
+    """How far a directory of benchmarks is: what results.jsonl has; the commits that were measured are its code."""
+    history = read(out) if (out / RESULTS).exists() else History({}, (), 0, ())
+    measured = [each for machine in history.machines.values() for each in machine]
+    engines = dict.fromkeys(each.good["engine"] for each in measured if each.good and "engine" in each.good)
+    notes = [f"{machine}: {len(each)} kinds of measurement." for machine, each in history.machines.items()]
+    failures = [failure for each in measured if (failure := each.failure())]
+    go_on = f"nermo-mjx bench --into {shlex.quote(str(out))}"
+    return Status("measurements", history.lines, history.lines, history.lines > 0, go_on, ", ".join(engines) or None,
+                  code=history.commits, notes=(*notes, *history.remarks, *failures))  # fmt: skip
 
 
 def _machine(about: Mapping[str, Any] | None) -> str:

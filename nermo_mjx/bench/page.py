@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,65 +12,50 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.history import RESULTS, Measured, append, read
 from nermo_mjx.bench.registry import CASES
-from nermo_mjx.plotting.files import FORMATS, write_figures
+from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, horizontal_grid
-from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
+from nermo_mjx.runs.files import DirectoryError, replace_file
+from nermo_mjx.runs.text import table
 
 _COLOURS = {"c": MUTED, "mjx": LINE, "warp": BEST}
 #: Where logarithmic axes may begin and end.
 _STEPS = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 
 
-def add_run(folder: Path, run: Mapping[str, Any]) -> None:
-    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots."""
+def add_run(folder: Path, run: Mapping[str, Any], write: Callable[[Path, bytes], None] = replace_file) -> None:
+    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots from that.
+
+    Args:
+        write: how page and plots are written; by default they replace what is there.
+    """
     append(folder, run)
-    draw_page(folder)
-
-
-def draw_page(folder: Path) -> None:
-    """Remake FOLDER/results.md and FOLDER/plots from FOLDER/results.jsonl."""
     history = read(folder)
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
     for remark in history.remarks:
         text += [remark, ""]
     for number, (machine, measured) in enumerate(history.machines.items(), 1):
         text += [f"## {machine}", "", *_tables(measured)]
-        for path in _draw(machine, measured, number, folder / "plots", FORMATS):
+        for path in write_figures(_figures(machine, measured, number), folder / "plots", write):
             if path.suffix == ".png":
                 text += [f"![{path.stem.removesuffix(f'_{number}')}](plots/{path.name})", ""]
-    replace_file(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
+    write(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
 
 
-def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Draw the plots of a directory of benchmarks once more; nothing is measured.
-
-    Args:
-        out: the directory.
-        folder: where the files go; by default its `plots/`.
-        formats: of `png` and `svg`.
+def figures(out: Path) -> Figures:
+    """The figures of a directory of benchmarks.
 
     Raises:
-        DirectoryError: results.jsonl cannot be read, or the folder cannot be written.
+        DirectoryError: results.jsonl cannot be read.
     """
-    out = Path(out)
-    folder = out / "plots" if folder is None else folder
     try:
         history = read(out)
     except OSError as error:
         raise DirectoryError(f"{out / RESULTS} cannot be read: {error.strerror}.") from None
     if not history.machines:
         raise DirectoryError(f"{out / RESULTS} cannot be read: no line of it is a run. Measure with nermo-mjx bench.")
-    make_writable(folder)
-    with clear_errors(folder):
-        drawn = [_draw(*each, number, folder, formats) for number, each in enumerate(history.machines.items(), 1)]
-    return [path for files in drawn for path in files]
-
-
-def _draw(machine: str, measured: Sequence[Measured], number: int, folder: Path, formats: Sequence[str]) -> list[Path]:
-    """The files of the figures of a machine."""
-    figures = _figures(machine, [each.good for each in measured if each.good])
-    return write_figures(((f"{name}_{number}", figure) for name, figure in figures), folder, replace_file, formats)
+    each = enumerate(history.machines.items(), 1)
+    return (figure for number, (machine, measured) in each for figure in _figures(machine, measured, number))
 
 
 def _tables(measured: Sequence[Measured]) -> Iterator[str]:
@@ -86,23 +70,24 @@ def _tables(measured: Sequence[Measured]) -> Iterator[str]:
         yield from (f"- {failure}" for each in own if (failure := each.failure()))
         if found:
             shown = [column for column in COLUMNS[case] if any(row.get(column.key) is not None for row in found)]
-            yield from ("", "| " + " | ".join(column.heading for column in shown) + " |", "|---" * len(shown) + "|")
-            yield from ("| " + " | ".join(column.cell(row) for column in shown) + " |" for row in found)
-            yield from ("", "Measured " + "; ".join(dict.fromkeys(line["made"] for line in good)) + ".")
+            cells = ([column.cell(row) for column in shown] for row in found)
+            yield from ("", table([column.heading for column in shown], cells))
+            yield f"Measured {'; '.join(dict.fromkeys(line['made'] for line in good))}."
         yield ""
 
 
-def _figures(machine: str, lines: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, Figure]]:
+def _figures(machine: str, measured: Sequence[Measured], number: int) -> Iterator[tuple[str, Figure]]:
     """Throughput and memory over the batch, compile times, and what gradients need over the length of a walk."""
+    lines = [each.good for each in measured if each.good]
     walks = _with(lines, "throughput", "steps_per_second", "plain_steps_per_second", "peak_bytes")
     if walks:
-        yield "throughput", _throughput(machine, walks)
+        yield f"throughput_{number}", _throughput(machine, walks)
     compiled = _with(lines, "throughput", "trace_s", "compile_s", "plain_trace_s", "plain_compile_s")
     if compiled := [line for line in compiled if line["compile_s"]]:
-        yield "compile", _compile(machine, compiled)
+        yield f"compile_{number}", _compile(machine, compiled)
     gradients = _with(lines, "gradient", "ratio", "temporary_bytes_per_world")
     if gradients:
-        yield "gradient", _gradient(machine, gradients)
+        yield f"gradient_{number}", _gradient(machine, gradients)
 
 
 def _with(lines: Sequence[Mapping[str, Any]], case: str, *figures: str) -> list[Mapping[str, Any]]:

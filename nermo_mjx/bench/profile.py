@@ -17,8 +17,7 @@ import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.bench.compilation import compile_cold
-from nermo_mjx.bench.timing import seconds
+from nermo_mjx.bench.timing import compile_cold, seconds
 from nermo_mjx.physics import differentiable, stages
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.impedance import make_constraint

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import importlib.util
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -42,18 +43,28 @@ class Option:
 
 
 @dataclasses.dataclass(frozen=True)
-class Case:
+class Benchmark:
     """A measurement: a function of its options that returns one line of figures.
 
     Attributes:
         about: what it measures, for listings.
         place: module and name of the function; it is imported in the process that measures.
         options: by name.
+        extra: of this package, without which it cannot be made, and the modules that the extra installs.
     """
 
     about: str
     place: str
     options: Mapping[str, Option]
+    extra: tuple[str, tuple[str, ...]] = ("", ())
+
+    def check(self, name: str) -> None:
+        """Raises `ParameterError` unless what it needs is installed."""
+        extra, modules = self.extra
+        if missing := [module for module in modules if not _installed(module)]:
+            raise ParameterError(
+                f"{name} needs {missing[0]}, which is not installed: pip install 'nermo-mjx[{extra}]'."
+            )
 
     def plan(self, chosen: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
         """The options of each measurement: all combinations of the chosen values, or the defaults."""
@@ -67,15 +78,22 @@ class Case:
         return figures
 
 
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # not even the package that it is in
+        return False
+
+
 _WORLDS = Option((64,), whole=True)
 
-CASES: Final[dict[str, Case]] = {
-    "throughput": Case(
+CASES: Final[dict[str, Benchmark]] = {
+    "throughput": Benchmark(
         "a walk with its controller and metrics against plain physics",
         "nermo_mjx.bench.throughput:throughput_case",
         {"engine": Option(("c", "mjx"), ("c", "mjx", "warp")), "worlds": _WORLDS},
     ),
-    "gradient": Case(
+    "gradient": Benchmark(
         "value and gradient of a walk against the walk alone",
         "nermo_mjx.bench.gradient:gradient_case",
         {
@@ -84,25 +102,35 @@ CASES: Final[dict[str, Case]] = {
             "cycles": Option((1.0,)),
         },
     ),
-    "tuning": Case(
+    "tuning": Benchmark(
         "the speed that tuning by gradient, and CMA-ES, reach on a tenth of a dense sweep's simulated time",
         "nermo_mjx.bench.tuning:tuning_case",
         {"frequency": Option((0.5, 0.8))},
     ),
-    "startup": Case(
+    "startup": Benchmark(
         "from a new process to the first control tick, stage by stage, with a cold and a warm cache",
         "nermo_mjx.bench.startup:startup_case",
         {"engine": Option(("c", "mjx"), ("c", "mjx", "warp")), "worlds": _WORLDS},
     ),
-    "profile": Case(
+    "profile": Benchmark(
         "a physics step, stage by stage",
         "nermo_mjx.bench.profile:profile",
         {"engine": Option(("c", "mjx"), ("c", "mjx")), "worlds": _WORLDS},
     ),
-    "speedtest": Case(
+    "speedtest": Benchmark(
         "MuJoCo's own speed test of MJX on the same model",
         "nermo_mjx.bench.speedtest:speedtest_case",
         {"worlds": _WORLDS},
+    ),
+    "gpu-plan": Benchmark(
+        "what NVIDIA GPUs would make of the programs, told by XLA's compiler without one",
+        "nermo_mjx.bench.gpu_plan:gpu_plan_case",
+        {
+            "target": Option(("h100",), ("h100", "a100", "l4", "t4")),
+            "program": Option(("walk",), ("walk", "forward", "reverse")),
+            "worlds": Option((1024, 8192, 65_536), whole=True),
+        },
+        ("gpu-plan", ("jax_cuda12_plugin", "nvidia.cuda_nvcc")),
     ),
 }
 
@@ -115,7 +143,8 @@ def plan(cases: Sequence[str], chosen: Mapping[str, Sequence[Any]]) -> list[tupl
         chosen: option -> values; what is not there, or empty, has its default.
 
     Raises:
-        ParameterError: an unknown case, a value that is not allowed, an option that none of the cases has.
+        ParameterError: an unknown case, a value that is not allowed, an option that none of the cases has, a case that
+            needs what is not installed.
     """
     for name in cases:
         if name not in CASES:
@@ -127,4 +156,6 @@ def plan(cases: Sequence[str], chosen: Mapping[str, Sequence[Any]]) -> list[tupl
             raise ParameterError(f"{option} is given, but not measured: it is an option of {' and '.join(having)}.")
         for owner, value in itertools.product(owners, values or ()):
             owner.check(option, value)
+    for name in cases:
+        CASES[name].check(name)
     return [(name, options) for name in cases for options in CASES[name].plan(chosen)]

@@ -12,9 +12,8 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from nermo_mjx.bench.compilation import compile_cold
 from nermo_mjx.bench.hardware import peak_bytes
-from nermo_mjx.bench.timing import compare
+from nermo_mjx.bench.timing import compare, compile_cold
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.mjx_import import mjx

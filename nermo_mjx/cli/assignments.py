@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -30,9 +29,11 @@ def assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple[
         example = next(iter(known.items()))
         raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example[0]}={example[1].default:g}.")
     if name not in known:
-        near = difflib.get_close_matches(name, known, n=1) or [n for n in known if n.rpartition(".")[2] == name]
+        from nermo_mjx.robot.nearest import nearest
+
+        near = nearest(name, known)
         what, _, hint = unknown.partition("; ")
-        raise WrongUse(f"--set {text}: {name} {what}; {f'did you mean {near[0]}?' if near else hint}")
+        raise WrongUse(f"--set {text}: {name} {what}; {f'did you mean {near}?' if near else hint}")
     try:
         return name, float(number)
     except ValueError:

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GRADIENT_MODES
-from nermo_mjx.cli.output import plain, print_json, print_table, stdout_reserved
+from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GPU_PROGRAMS, GPU_TARGETS, GRADIENT_MODES
+from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
 EPILOG = """\b
@@ -21,6 +21,7 @@ Cases:
   startup     a new process to its first control tick, cold and warm cache
   profile     a physics step, stage by stage
   speedtest   MuJoCo's own speed test of MJX on the same model
+  gpu-plan    what a GPU would make of the programs, without one
 
 \b
 Examples:
@@ -28,6 +29,7 @@ Examples:
   nermo-mjx bench --engine mjx --worlds 64 --worlds 1024 --json
   nermo-mjx bench gradient --mode reverse --cycles 1 --cycles 4
   nermo-mjx bench throughput startup --into docs/benchmarks
+  nermo-mjx bench gpu-plan --target t4 --program walk --worlds 1024
 """
 
 
@@ -38,6 +40,10 @@ Examples:
 @options.choice("--mode", GRADIENT_MODES, "How gradients are taken; repeatable.", default=None, multiple=True)
 @options.number("--cycles", "Gait cycles that are differentiated; repeatable.", options.POSITIVE, multiple=True)
 @options.number("--frequency", "Trots that are tuned [Hz]; repeatable.", options.POSITIVE, multiple=True)
+@options.choice("--target", GPU_TARGETS, "GPU that is compiled for; repeatable.", default=None, multiple=True)
+@options.choice(
+    "--program", GPU_PROGRAMS, "A walk, or its gradient in one mode; repeatable.", default=None, multiple=True
+)
 @click.option("--into", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Add the run to DIR/results.jsonl, and draw its page and plots.")  # fmt: skip
 @options.report
@@ -48,6 +54,8 @@ def command(
     mode: tuple[str, ...],
     cycles: tuple[float, ...],
     frequency: tuple[float, ...],
+    target: tuple[str, ...],
+    program: tuple[str, ...],
     into: Path | None,
     as_json: bool,
     quiet: bool,
@@ -57,12 +65,16 @@ def command(
     Without a CASE, the throughput: the robot with its controller, and the
     same physics without; the ratio of both is the price of the controller.
     """
-    given = {"engine": engine, "worlds": worlds, "mode": mode, "cycles": cycles, "frequency": frequency}
+    given = {
+        "engine": engine, "worlds": worlds, "mode": mode, "cycles": cycles, "frequency": frequency, "target": target,
+        "program": program,
+    }  # fmt: skip
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
         from nermo_mjx.bench.page import add_run
-        from nermo_mjx.runs import RunDirectory, session
+        from nermo_mjx.runs import RunDirectory, Written, session
         from nermo_mjx.runs.files import clear_errors
+        from nermo_mjx.runs.text import plain
 
         # Held while it measures: what took an hour has a place to go to.
         with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
@@ -70,8 +82,10 @@ def command(
                 result = run_bench(cases or ("throughput",), given, progress.count)
             if held is not None:
                 held.note_session(session())
-                with clear_errors(held.out):
-                    add_run(held.out, plain(result))
+                with Written(held) as written, clear_errors(held.out):
+                    add_run(held.out, plain(result), written.write)
+                if written.aside and not quiet:
+                    click.echo(f"bench: {written.sentence()}", err=True)
     if as_json:
         print_json(result)
     elif not quiet:

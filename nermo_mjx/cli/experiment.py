@@ -42,31 +42,38 @@ _WIDEST = 72
 @click.option("--quick", is_flag=True, help="A look: fewer cases, no videos; a minute.")
 @click.option("--no-video", is_flag=True, help="Draw no videos.")
 @click.option("--again", is_flag=True, help="Run again, and replace, what DIR holds of it.")
+@options.workers
 @options.accept_new_code
 @options.assigned("A parameter of the body, such as contact.friction; repeatable.")
 @options.engine
 @options.report
 def command(
     name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
-    no_video: bool, again: bool, accept_new_code: bool, assignments: tuple[str, ...], engine: str, as_json: bool,
-    quiet: bool,
+    no_video: bool, again: bool, workers: str, ray_address: str | None, accept_new_code: bool,
+    assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
     Writes a table of every run, a report with the published figures beside
     the simulated ones, plots, recordings and a video. DIR keeps what is
     finished; the same command goes on.
+
+    --workers ray shares experiments, and batches of bodies, among a cluster's
+    machines, which need not see DIR.
     """
     with stdout_reserved():
         from nermo_mjx.experiments.run import run_experiments
 
         values = _values(assignments)
-        with Stages(quiet, compiles=lambda what: "," not in what) as stages:
+        with (
+            Stages(quiet, compiles=lambda what: "," not in what) as stages,
+            options.crew(workers, ray_address, stages.say) as crew,
+        ):
             result = run_experiments(
                 EXPERIMENTS if name == ALL else [name], out, engine=engine,
                 profiles=PROFILES if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
                 values=values, bodies=bodies, video=not no_video, again=again,
-                accept_new_code=accept_new_code, progress=stages.share, notify=stages.say,
+                accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
             )  # fmt: skip
     if as_json:
         run = {each.name: {"kept": each.kept} for each in result.results}

@@ -43,11 +43,14 @@ def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any)
     free as well: ensemble.csv. The same command goes on with what was
     stopped.
     """
+    notes: list[str] = []
     with stdout_reserved():
-        from nermo_mjx.experiments.identification.report import run_identification
+        from nermo_mjx.experiments.identification.run import run_identification
 
         with Progress("identify", quiet=quiet, compiles=True) as progress:
-            content = run_identification(out, engine=engine, **settings, progress=progress.share)
+            content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=notes.append)
+    for note in notes if not quiet else []:
+        click.echo(f"identify: {note}", err=True)
     if as_json:
         print_json({"out": out, **content})
     elif not quiet:
@@ -55,7 +58,7 @@ def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any)
 
 
 def _print(content: dict[str, Any], out: Path) -> None:
-    from nermo_mjx.experiments.identification.report import (
+    from nermo_mjx.experiments.identification.run import (
         PARAMETER_HEADINGS,
         TARGET_HEADINGS,
         parameter_rows,

@@ -1,4 +1,4 @@
-"""The kinds of directories that commands open by their content, and where each says what it holds and draws it."""
+"""The kinds of directories that commands open by their content, and where each says what it holds and what it shows."""
 
 from __future__ import annotations
 
@@ -13,19 +13,24 @@ from nermo_mjx.cli.group import WrongUse
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """A kind of directory.
+    """A kind of directory, or of file.
 
     Attributes:
         name: as run.json has it.
         called: in a sentence.
-        status: module and name of the function that says how far such a directory is.
-        redraw: the same of the function that draws its figures once more.
+        figures: module and name of the function that names its figures: `figures(path, **options)` reads and checks,
+            and returns `plotting.files.Figures`, of which each is made when it is written.
+        status: the same of the function that says how far such a directory is.
+        options: keywords that `figures` takes, of those that the command `plot` has.
+        tracked: whether run.json knows which files the program wrote, so that no others are replaced.
     """
 
     name: str
     called: str
-    status: str
-    redraw: str
+    figures: str
+    status: str = ""
+    options: tuple[str, ...] = ()
+    tracked: bool = False
 
     def load(self, place: str) -> Callable[..., Any]:
         """The function of a place, imported now."""
@@ -34,18 +39,21 @@ class Kind:
         return function
 
 
+#: Kinds of directories, by name.
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("sweep", "a sweep", "sweep.status:status", "sweep.redraw:redraw"),
-        Kind("tuning", "a tuning", "tune.status:status", "tune.plots:redraw"),
-        Kind("landscape", "a landscape", "tune.landscape.status:status", "tune.landscape.run:redraw"),
-        Kind("experiments", "published experiments", "experiments.status:status", "experiments.redraw:redraw"),
-        Kind("identification", "an identification", "experiments.status:identification_status",
-             "experiments.redraw:redraw_identification"),
-        Kind("benchmarks", "benchmarks", "bench.status:status", "bench.page:redraw"),
+        Kind("sweep", "a sweep", "sweep.redraw:figures", "sweep.status:status", ("x", "y", "color", "notify")),
+        Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
+        Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.status:landscape_status"),
+        Kind("experiments", "published experiments", "experiments.plots.figures:figures", "experiments.status:status",
+             tracked=True),
+        Kind("identification", "an identification", "experiments.identification.plots:figures",
+             "experiments.status:identification_status", tracked=True),
+        Kind("benchmarks", "benchmarks", "bench.page:figures", "bench.history:status", tracked=True),
     )
 }  # fmt: skip
+RECORDING: Final = Kind("recording", "a recording", "cli.recordings:figures", options=("notify",))
 
 
 def kind_of_directory(path: Path) -> Kind:

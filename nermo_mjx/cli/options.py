@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
 import os
 from collections.abc import Callable
-from typing import Any, TypeVar
+from contextlib import AbstractContextManager
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -22,6 +25,9 @@ from nermo_mjx.cli.choices import (
 )
 from nermo_mjx.cli.completing import FileKind, assignments, names
 from nermo_mjx.runtime import THREADS
+
+if TYPE_CHECKING:
+    from nermo_mjx.runs.workers import Workers
 
 F = TypeVar("F", bound=Callable[..., Any])
 POSITIVE = click.FloatRange(0, min_open=True)
@@ -65,6 +71,28 @@ def threads(function: F) -> F:
 
     return number("--threads", "Processors that the engine c uses; by default all.", click.IntRange(1),
                   expose_value=False, callback=keep)(function)  # fmt: skip
+
+
+def workers(function: F) -> F:
+    """`--workers` and `--ray-address`; see `crew`."""
+    about = "ADDRESS:PORT of a Ray cluster, or auto; else one is started here."
+    address = click.option("--ray-address", metavar="ADDR", help=about)
+    return choice("--workers", ("local", "ray"), "Who simulates: this machine, or a Ray cluster.")(address(function))
+
+
+def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> AbstractContextManager[Workers]:
+    """The workers that the options ask for; `say` gets sentences on what becomes of them."""
+    if kind == "local":
+        if address is not None:
+            raise click.UsageError("--ray-address is given without --workers ray.")
+        from nermo_mjx.runs.workers import LocalWorkers
+
+        return contextlib.nullcontext(LocalWorkers())
+    if importlib.util.find_spec("ray") is None:
+        raise click.UsageError("--workers ray needs Ray: install nermo-mjx with its extra ray, or ray itself, by pip.")
+    from nermo_mjx.runs.ray_workers import RayWorkers
+
+    return RayWorkers(address, say)
 
 
 def accept_new_code(function: F) -> F:

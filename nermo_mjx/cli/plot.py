@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -14,9 +13,8 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS
 from nermo_mjx.cli.completing import FileKind
 from nermo_mjx.cli.group import Failure, WrongUse
-from nermo_mjx.cli.kinds import kind_of_directory
+from nermo_mjx.cli.kinds import RECORDING, Kind, kind_of_directory
 from nermo_mjx.cli.output import print_json, stdout_reserved
-from nermo_mjx.cli.recordings import load_recording
 
 EPILOG = """\b
 Examples:
@@ -57,42 +55,44 @@ def command(
     give a heat map, two metrics with a better side a Pareto front, all else a
     scatter. --color alone, a metric, gives the usual figures of it.
     """
-    kind = kind_of_directory(path) if path.is_dir() or not path.exists() else None
-    if (kind is None or kind.name != "sweep") and (x, y, color) != (None, None, None):
-        called = "a recording" if kind is None else f"the directory of {kind.called}"
-        raise WrongUse(f"--x, --y and --color choose columns of a sweep, but {path} is {called}.")
-    if kind is None and out is None:
+    kind = RECORDING if path.is_file() else kind_of_directory(path)
+    chosen = {"x": x, "y": y, "color": color}
+    if not set(chosen) <= set(kind.options) and any(chosen.values()):
+        place = "" if kind is RECORDING else "the directory of "
+        raise WrongUse(f"--x, --y and --color choose columns of a sweep, but {path} is {place}{kind.called}.")
+    if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: say with --out DIR where its figures go.")
-    formats = FORMATS if form is None else (form,)
     notes: list[str] = []
+    given = {name: value for name, value in (chosen | {"notify": notes.append}).items() if name in kind.options}
     with stdout_reserved():
-        if kind is None:
-            assert out is not None
-            files = _plot_recording(path, out, formats, notes)
-        else:
-            chosen = {"x": x, "y": y, "color": color, "notify": notes.append} if kind.name == "sweep" else {}
-            with _drawing_into(path / "plots" if out is None else out):
-                files = kind.load(kind.redraw)(path, out, formats=formats, **chosen)
+        from nermo_mjx.plotting.files import write_figures
+
+        figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
+        with _drawing_into(folder), _writing(kind, path, folder, notes) as write:
+            files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
+    if not files:
+        raise Failure(f"there is nothing to draw of {path}: {' '.join(notes)}")
     for note in notes if not quiet else []:
         click.echo(f"plot: {note}", err=True)
     if as_json:
-        print_json({"path": path, "kind": kind.name if kind else "recording", "files": files, "notes": notes})
+        print_json({"path": path, "kind": kind.name, "files": files, "notes": notes})
     elif not quiet:
         for file in files:
             click.echo(f"wrote {file}")
 
 
-def _plot_recording(path: Path, out: Path, formats: Any, notes: list[str]) -> list[Path]:
-    from nermo_mjx.runs.files import clear_errors, replace_file
-    from nermo_mjx.view.plots.draw import draw_recording
+@contextlib.contextmanager
+def _writing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator[Callable[[Path, bytes], None]]:
+    """How files are written into a folder: of a directory that knows its own files, others are moved aside."""
+    from nermo_mjx.runs import RunDirectory, Written
+    from nermo_mjx.runs.files import replace_file
 
-    recording = load_recording(path)
-    with _drawing_into(out), clear_errors(out):
-        drawn = draw_recording(recording, out, write=replace_file, formats=formats)
-    notes += drawn.notes
-    if not drawn.files:
-        raise Failure(f"there is nothing to draw of {path}: {' '.join(drawn.notes)}")
-    return drawn.files
+    if not kind.tracked or folder != path / "plots":
+        yield replace_file
+        return
+    with RunDirectory(path, kind.name) as held, Written(held) as written:
+        yield written.write
+    notes += filter(None, [written.sentence()])
 
 
 @contextlib.contextmanager

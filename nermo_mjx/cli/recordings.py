@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nermo_mjx.cli.group import WrongUse
 
 if TYPE_CHECKING:
+    from nermo_mjx.plotting.files import Figures
     from nermo_mjx.view import Recording
 
 
@@ -28,3 +30,10 @@ def load_recording(path: Path) -> Recording:
         text = str(error)
         raise WrongUse(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
     return recording
+
+
+def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
+    """The figures of a recording's file; arguments and errors as for `view.plots.figures.figures_of` and above."""
+    from nermo_mjx.view.plots.figures import figures_of
+
+    return figures_of(load_recording(path), notify)

@@ -12,7 +12,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ENGINES
 from nermo_mjx.cli.group import Failure
-from nermo_mjx.cli.output import plain, print_json, stdout_reserved
+from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.render import render_video
 from nermo_mjx.cli.walk_plan import Plan
@@ -131,6 +131,7 @@ def _save(
     camera: str,
     quiet: bool,
 ) -> None:
+    from nermo_mjx.runs.text import plain
     from nermo_mjx.view import recording_of
 
     if not len(replay.history.time):

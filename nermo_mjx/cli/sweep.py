@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import importlib.util
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +14,6 @@ from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 if TYPE_CHECKING:
-    from nermo_mjx.runs.workers import Workers
     from nermo_mjx.sweep import SweepResult
 
 EPILOG = """\b
@@ -47,8 +42,7 @@ class Shard(click.ParamType):
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))
 @options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
-@options.choice("--workers", ("local", "ray"), "Who simulates: this machine, or a Ray cluster.")
-@click.option("--ray-address", metavar="ADDR", help="ADDRESS:PORT of a Ray cluster, or auto; else one is started here.")
+@options.workers
 @options.accept_new_code
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
 @options.report
@@ -88,7 +82,7 @@ def command(
             sweep = dataclasses.replace(sweep, seed=seed)
         say = None if quiet else _say
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
-        with _workers(workers, ray_address, say) as crew, progress:
+        with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(
                 sweep, out, engine=engine, chunk=chunk, shard=shard, accept_new_code=accept_new_code, warn=say,
                 workers=crew,
@@ -99,21 +93,6 @@ def command(
         print_json({**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary})
     elif not quiet:
         _print_summary(result)
-
-
-def _workers(kind: str, address: str | None, say: Callable[[str], None] | None) -> AbstractContextManager[Workers]:
-    """Who simulates."""
-    if kind == "local":
-        if address is not None:
-            raise click.UsageError("--ray-address is given without --workers ray.")
-        from nermo_mjx.runs.workers import LocalWorkers
-
-        return contextlib.nullcontext(LocalWorkers())
-    if importlib.util.find_spec("ray") is None:
-        raise click.UsageError("--workers ray needs Ray: install nermo-mjx with its extra ray, or ray itself, by pip.")
-    from nermo_mjx.runs.ray_workers import RayWorkers
-
-    return RayWorkers(address, say)
 
 
 def _say(sentence: str) -> None:

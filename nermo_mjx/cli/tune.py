@@ -14,7 +14,7 @@ from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
-    from nermo_mjx.tune import Progress, Tuning, TuningResult
+    from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
 
 EPILOG = """\b
 Examples:
@@ -36,26 +36,36 @@ _NAMED = 3
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
 @click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
 @click.option("--video/--no-video", default=None, help="Render start and best, whatever the file says.")
+@options.workers
 @options.accept_new_code
 @options.report
-def command(spec: Path, out: Path, accept_new_code: bool, as_json: bool, quiet: bool, **chosen: Any) -> None:
+def command(
+    spec: Path, out: Path, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool, quiet: bool,
+    **chosen: Any,
+) -> None:  # fmt: skip
     """Tune the parameters that a tuning file names, by gradient.
 
     Writes the best point, the history of all iterations, a sweep file with
     the tuned values, checkpoints, plots and, on demand, a video to DIR. After
     Ctrl-C or a crash, give the same command again: it goes on, and ends with
     the same numbers. More iterations prolong a tuning that is done.
+
+    --workers ray shares the starts among a cluster's machines, which need not
+    see DIR.
     """
     with stdout_reserved():
         from nermo_mjx.tune import Tuning, run_tuning
 
         tuning = Tuning.from_file(spec)
         tuning = dataclasses.replace(tuning, **{name: value for name, value in chosen.items() if value is not None})
-        with Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages:
+        with (
+            Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages,
+            options.crew(workers, ray_address, stages.say) as crew,
+        ):
             display = _Display(stages, tuning)
             result = run_tuning(
                 tuning, out, progress=display.report, drawing=stages.share, warn=stages.say,
-                accept_new_code=accept_new_code,
+                accept_new_code=accept_new_code, workers=crew,
             )  # fmt: skip
             for note in result.pictures.notes:
                 stages.say(note)
@@ -72,14 +82,14 @@ class _Display:
         self._stages, self._tuning = stages, tuning
         self._begun = False
 
-    def report(self, progress: Progress) -> None:
+    def report(self, progress: TuningProgress) -> None:
         """Show how far the tuning is; there is one evaluation more than steps."""
         total = progress.iterations + 1
         done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
         self._begun = True
         self._stages.part("tune", "evaluations").share(done / total, done, total, self._known(progress))
 
-    def _known(self, progress: Progress) -> str:
+    def _known(self, progress: TuningProgress) -> str:
         """The best objective so far, and the metrics of this iteration's best point."""
         if progress.best is None:
             return ""
@@ -157,7 +167,7 @@ def _digits(value: float) -> str:
 
 
 def _number_and_unit(metric: str, value: float) -> str:
-    from nermo_mjx.plotting.quantity import shown
+    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     quantity = shown(metric, OBJECTIVE_METRICS[metric].unit, value)
@@ -166,7 +176,7 @@ def _number_and_unit(metric: str, value: float) -> str:
 
 def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
     """Values of a parameter or metric as figures show them, and the unit."""
-    from nermo_mjx.plotting.quantity import shown
+    from nermo_mjx.plotting.shown import shown
     from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
     about = tuning.parameters.get(name) or OBJECTIVE_METRICS[name]

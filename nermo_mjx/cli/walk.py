@@ -9,7 +9,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import PILOTS, ROBOTS, TAILS
-from nermo_mjx.cli.output import plain, print_json, stdout_reserved
+from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.render import render_video
 from nermo_mjx.cli.walk_plan import Plan, plan
@@ -89,6 +89,7 @@ def _check_video(wanted: Plan, video: Path, camera: str) -> None:
 def _save(
     trace: Any, wanted: Plan, report: dict[str, Any], record: Path | None, video: Path | None, camera: str, quiet: bool
 ) -> None:
+    from nermo_mjx.runs.text import plain
     from nermo_mjx.view import recording_of
 
     recording = recording_of(trace, wanted.setup.load().model, metadata=plain(report))

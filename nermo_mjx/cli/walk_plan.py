@@ -105,7 +105,7 @@ def _length(cycles: float | None, duration: float | None, warmup: float | None) 
 def _shifted_start(seed: int) -> dict[str, float]:
     import numpy as np
 
-    from nermo_mjx.sweep.spec import START_SPREAD
+    from nermo_mjx.rollout.start import START_SPREAD
 
     random = np.random.default_rng(seed)
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
+from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.parameters import GAIT_PATTERNS, LIMBS
 from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
 
@@ -205,7 +205,7 @@ def choice(field: str, name: str, options: Iterable[str]) -> str:
     names = list(options)
     if name in names:
         return name
-    near = difflib.get_close_matches(str(name), names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    near = nearest(str(name), names)
+    hint = f"did you mean {near!r}? " if near else ""
     allowed = ", ".join(names) if len(names) <= 12 else f"{', '.join(names[:4])}, ... ({len(names)} names)"
     raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {allowed}.")

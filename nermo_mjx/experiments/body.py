@@ -7,15 +7,16 @@ the published stiffnesses, so that it checks how they were built in.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES, choice
-from nermo_mjx.experiments.cases import LABELS, body_count
+from nermo_mjx.control.parameters import choice
+from nermo_mjx.experiments.cases import LABELS
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
+from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.equipment import VISUAL_GROUP
@@ -42,37 +43,25 @@ ABOUT: Final = {
 }
 
 
-def run(
-    *,
-    engine: str = "auto",
-    profiles: Sequence[str] = PROFILES,
-    repeats: int = 3,
-    seed: int = 0,
-    quick: bool = False,
-    values: Mapping[str, float] | None = None,
-    bodies: Mapping[str, np.ndarray] | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Outcome:
+def run(settings: Settings) -> Outcome:
     """Measure the body; a row a profile, whose numbers are the same.
 
-    Args: see `straight_line.run`; there are no repeats, and the engine is always MuJoCo C.
+    There are no repeats, and the engine is always MuJoCo C.
 
     Raises:
-        ParameterError: an unknown name, or a value out of range.
+        ParameterError: a parameter that is none of the body's.
     """
-    for profile in profiles:
-        choice("profile", profile, PROFILES)
-    for name in {**(values or {}), **(bodies or {})}:
+    bodies, count = settings.bodies or {}, body_count(settings.bodies)
+    for name in {**settings.values, **bodies}:
         choice("values", name, sorted(SETTABLE))
-    count = 0 if bodies is None else body_count(bodies)
     rows: list[dict[str, Any]] = []
     for body in range(max(count, 1)):
-        own = {name: float(of[body]) for name, of in (bodies or {}).items()}
-        measured = _measured(tuple(sorted({**(values or {}), **own}.items())))
+        own = {name: float(of[body]) for name, of in bodies.items()}
+        measured = _measured(tuple(sorted({**settings.values, **own}.items())))
         numbered = {BODY: body + 1} if count else {}
-        rows += [{"profile": profile, **numbered, "repeat": 0, **measured} for profile in profiles]
-        if progress:
-            progress((body + 1) / max(count, 1))
+        rows += [{"profile": profile, **numbered, "repeat": 0, **measured} for profile in settings.profiles]
+        if settings.progress:
+            settings.progress((body + 1) / max(count, 1))
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return Outcome(NAME, columns, {name: LABELS[name] for name in ("profile", "repeat", BODY)} | ABOUT, {})
 

@@ -1,18 +1,21 @@
-"""Cases of an experiment, and the one batch of worlds that they become."""
+"""Cases of an experiment, the one batch of worlds that they become, and its run."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES, choice, published_values
+from nermo_mjx.control.parameters import published_values
 from nermo_mjx.experiments.outcome import BODY, Column
-from nermo_mjx.robot.quantity import ParameterError, quantities
+from nermo_mjx.experiments.settings import Settings, body_count
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.rollout import METRICS, Run, RunResult, Simulator
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
+from nermo_mjx.view.recording import Recording, recording_of
 
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4
@@ -65,12 +68,7 @@ class Worlds:
 def worlds(
     cases: Sequence[Case],
     defaults: Mapping[str, float],
-    *,
-    profiles: Sequence[str] = PROFILES,
-    repeats: int = 1,
-    seed: int = 0,
-    common: Mapping[str, float] | None = None,
-    bodies: Mapping[str, np.ndarray] | None = None,
+    settings: Settings,
 ) -> Worlds:
     """Every case in every profile, `repeats` times from starts that differ by a seeded shift, and for every body.
 
@@ -80,45 +78,24 @@ def worlds(
     Args:
         cases: all with the same labels.
         defaults: value of every parameter that no case names.
-        profiles: of `PROFILES`.
-        repeats: at least 1.
-        seed: of the shifts.
-        common: parameters for all worlds, such as another friction.
-        bodies: parameter name -> (n,) values of n bodies, of which each walks everything; they go before `common`; the
-            column `BODY` then numbers them from 1.
+        settings: of the experiment; of several bodies, the column `BODY` numbers them from 1.
 
     Raises:
-        ParameterError: an unknown profile, or no repeat.
+        ParameterError: see `settings.body_count`.
     """
-    if repeats < 1:
-        raise ParameterError(f"repeats is {repeats}: allowed is 1 or more.")
-    for profile in profiles:
-        choice("profile", profile, PROFILES)
-    shifts = [_shift(seed, repeat) for repeat in range(repeats)]
+    shifts, bodies = [_shift(settings.seed, repeat) for repeat in range(settings.repeats)], settings.bodies
     labels: list[dict[str, Label]] = []
     rows: list[dict[str, float]] = []
-    for profile in profiles:
+    for profile in settings.profiles:
         for case in cases:
             named = published_values(case.gait, steering=case.steering, profile=profile)
             for repeat, shift in enumerate(shifts):
                 labels.append({"profile": profile, **case.labels, "repeat": repeat})
-                rows.append({**shift, **(common or {}), **named, **case.values})
+                rows.append({**shift, **settings.values, **named, **case.values})
     names = dict.fromkeys(name for row in rows for name in row)
     values = {name: np.array([row.get(name, defaults[name]) for row in rows]) for name in names}
     batch = Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
     return batch if bodies is None else _of_bodies(batch, bodies, {name for case in cases for name in case.values})
-
-
-def body_count(bodies: Mapping[str, np.ndarray]) -> int:
-    """How many bodies there are.
-
-    Raises:
-        ParameterError: none, or parameters with different numbers of values.
-    """
-    sizes = {len(values) for values in bodies.values()}
-    if len(sizes) != 1 or sizes == {0}:
-        raise ParameterError(f"bodies has {sorted(sizes)} values of its parameters: allowed is one number, at least 1.")
-    return sizes.pop()
 
 
 def _of_bodies(batch: Worlds, bodies: Mapping[str, np.ndarray], decided: set[str]) -> Worlds:
@@ -145,3 +122,41 @@ def settable(cases: Sequence[Case]) -> frozenset[str]:
     for case in cases:
         decided |= {*published_values(case.gait, profile="as_published"), *case.values}
     return frozenset(name for name, _ in quantities(WorldParameters)) - decided
+
+
+def measured(
+    simulator: Simulator, batch: Worlds, run: Run, *, progress: Callable[[float], None] | None = None
+) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """Labels, metrics and status of each world, and what the measured columns mean."""
+    return table_of(batch, simulator.run(batch.values, run, progress=progress))
+
+
+def recorded(simulator: Simulator, batch: Worlds, run: Run, names: Sequence[str]) -> dict[str, Recording]:
+    """The recording of each world, by the names given."""
+    return recordings_of(simulator, batch, simulator.run(batch.values, run, record=True), dict(enumerate(names)))
+
+
+def table_of(batch: Worlds, result: RunResult) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """See `measured`."""
+    columns = {**batch.labels, **result.metrics, "status": result.status}
+    about = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
+    return columns, about | {"status": Column("1", "ok, or what became of the run")}
+
+
+def recordings_of(
+    simulator: Simulator, batch: Worlds, result: RunResult, names: Mapping[int, str]
+) -> dict[str, Recording]:
+    """The recordings of the worlds whose name is given."""
+    recordings = {}
+    for world, name in names.items():
+        metadata = {
+            "case": name,
+            "setup": {"scene": simulator.setup.scene, "spine": simulator.setup.spine},
+            "labels": {key: column[world].item() for key, column in batch.labels.items()},
+            "parameters": {key: float(column[world]) for key, column in batch.values.items()},
+            "metrics": {key: float(column[world]) for key, column in result.metrics.items()}
+            | {"status": str(result.status[world])},
+            "engine": result.engine,
+        }
+        recordings[name] = recording_of(result.trace, simulator.robot.model, world=world, metadata=metadata)
+    return recordings

@@ -12,6 +12,7 @@ from nermo_mjx.experiments.cases import settable
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.experiments.videos import Shot
 
 
@@ -21,7 +22,7 @@ class Experiment:
 
     Attributes:
         name: as on the command line.
-        run: simulates all its cases, see `straight_line.run`.
+        run: simulates all its cases.
         figures: what was published, and how the same is measured.
         settable: parameters that may be set for all its worlds.
         title: for the report.
@@ -33,7 +34,7 @@ class Experiment:
     """
 
     name: str
-    run: Callable[..., Outcome]
+    run: Callable[[Settings], Outcome]
     figures: tuple[Figure, ...]
     settable: frozenset[str]
     title: str
@@ -85,17 +86,8 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             _STRAIGHT_LINE,
             quick="0.8 Hz and the offset compensation only, over half a metre",
             metrics=(
-                "speed",
-                "theory_speed",
-                "slip",
-                "loaded_front",
-                "loaded_rear",
-                "front_load_share",
-                "tail_time",
-                "roll_std",
-                "pitch_mean",
-                "pitch_std",
-                "yaw_std",
+                "speed", "theory_speed", "slip", "loaded_front", "loaded_rear", "front_load_share", "tail_time",
+                "roll_std", "pitch_mean", "pitch_std", "yaw_std",
             ),
             shot=Shot("with spine"),
         ),
@@ -108,12 +100,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             _TURNING,
             quick="trot at 0.67 Hz only, on 0.5 m and at full lock",
             metrics=(
-                "speed",
-                "time",
-                "followed",
-                "cross_track_peak",
-                "turning_radius",
-                "theory_radius",
+                "speed", "time", "followed", "cross_track_peak", "turning_radius", "theory_radius",
                 "theory_equal_strides",
             ),
             needs={"followed": "cross_track_peak"},
@@ -127,13 +114,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             "Balance",
             _BALANCE,
             metrics=(
-                "passed",
-                "upright",
-                "clear",
-                "tilt_max",
-                "pitch_rest",
-                "theory_margin",
-                "com_margin_lift",
+                "passed", "upright", "clear", "tilt_max", "pitch_rest", "theory_margin", "com_margin_lift",
                 "com_margin_swing",
             ),
             shot=Shot("rear_left sbc"),
@@ -160,7 +141,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             metrics=tuple(body.ABOUT),
         ),
     )
-}
+}  # fmt: skip
 
 
 def experiment(name: str) -> Experiment:

@@ -2,11 +2,11 @@
 
 DIR/results/<experiment>.parquet    one row a world; the settings and the provenance are in the schema's metadata
 DIR/results/<experiment>-bodies.parquet   the same of identified bodies, if they were asked for
-DIR/results/<experiment>.json       its lines of the report, what was run, and which files the program wrote of it
+DIR/results/<experiment>.json       its lines of the report, and what was run
 DIR/recordings/<experiment>-*.npz   runs that plots and videos show
 DIR/plots/, DIR/videos/             made from the above
 DIR/report.json, DIR/report.md      all experiments that the directory holds
-DIR/run.json                        which code made the rows (their column `code`), and each session
+DIR/run.json                        which code made the rows (their column `code`), each session, the program's files
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ from typing import Any
 
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.table import outcome_of, table_of
-from nermo_mjx.experiments.written import Written
-from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, replace_file
-from nermo_mjx.sweep.store import read_chunk
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs import Written
+from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_table, replace_file
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.view.recording import Recording
 
 _NOTES = b"about"
@@ -61,10 +60,6 @@ class Directory:
         with clear_errors(self.out):
             replace_file(path, content)
 
-    def relative(self, path: Path) -> str:
-        """A path for links within the directory."""
-        return Path(os.path.relpath(path, self.out)).as_posix()
-
     def save(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
         """Store an experiment's results in the place of former ones; the table comes last, and makes them valid.
 
@@ -74,7 +69,10 @@ class Directory:
         """
         table = self._table(outcome.experiment)
         written.clear(table)
-        written.remove([name for name in written.known if name.startswith(("recordings/", "videos/"))])
+        # Without the lines of former results, which go with the table.
+        self.write_entry(outcome.experiment, {})
+        own = tuple(f"{folder}/{outcome.experiment}" for folder in ("recordings", "videos"))
+        written.remove([name for name in written.known if name.startswith(own)])
         files: dict[str, Path] = {}
         for name, recording in outcome.recordings.items():
             path = self.out / "recordings" / f"{outcome.experiment}-{_slug(name, outcome.experiment)}.npz"
@@ -82,15 +80,14 @@ class Directory:
             written.make(files[name], recording.save)
         notes = {**about, "recordings": {name: path.name for name, path in files.items()}}
         written.write(table, _content(outcome, notes))
-        # At once, and without the lines of former results: a process that is killed now knows its own files again.
-        self.write_entry(outcome.experiment, {"files": written.known})
+        written.note()
         return _read_back(self.load(outcome.experiment), table)
 
     def save_bodies(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
         """Store what the identified bodies gave, beside the experiment's own results; arguments as for `save`."""
         path = self._bodies(outcome.experiment)
         written.write(path, _content(outcome, {**about, "recordings": {}}))
-        self.note_files(outcome.experiment, written.known)
+        written.note()
         return _read_back(self.load_bodies(outcome.experiment), path)
 
     def discard_bodies(self, experiment: str, written: Written) -> None:
@@ -110,7 +107,7 @@ class Directory:
         return self._load(self._bodies(experiment))
 
     def _load(self, path: Path) -> Stored | None:
-        table = read_chunk(path)
+        table = parquet_table(path)
         if table is None:
             return None
         try:
@@ -123,29 +120,16 @@ class Directory:
         return Stored(outcome_of(table, _Recordings(files)), about, path, tuple(files.values()))
 
     def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
-        """Store an experiment's lines, what was run, and `files`, see `written`."""
+        """Store an experiment's lines, what was run, and whether all that is made from it is there (`finished`)."""
         self.write(self.out / "results" / f"{experiment}.json", to_json(entry))
 
     def entry(self, experiment: str) -> dict[str, Any] | None:
         """What `write_entry` stored of an experiment that has lines, or None."""
-        entry = self._entry(experiment)
-        return entry if "lines" in entry else None
-
-    def written(self, experiment: str) -> dict[str, str]:
-        """Path -> digest of the files that the program wrote of an experiment; empty for those of earlier releases."""
-        files = self._entry(experiment).get("files", {})
-        return files if isinstance(files, dict) else {}
-
-    def note_files(self, experiment: str, files: Mapping[str, str]) -> None:
-        """Note which files the program wrote of an experiment, and leave the rest of its entry as it is."""
-        self.write_entry(experiment, {**self._entry(experiment), "files": files})
-
-    def _entry(self, experiment: str) -> dict[str, Any]:
         try:
             entry = json.loads((self.out / "results" / f"{experiment}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            return {}
-        return entry if isinstance(entry, dict) else {}
+            return None
+        return entry if isinstance(entry, dict) and "lines" in entry else None
 
     def _table(self, experiment: str) -> Path:
         return self.out / "results" / f"{experiment}.parquet"

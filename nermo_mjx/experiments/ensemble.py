@@ -9,17 +9,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
-from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.line import Figure, agrees, measured
 from nermo_mjx.experiments.outcome import BODY, Outcome, joined
-
-if TYPE_CHECKING:
-    from nermo_mjx.experiments.catalogue import Experiment
 
 #: The profile in which bodies are compared.
 PROFILE: Final = "exact"
@@ -57,31 +53,15 @@ def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
-def walked(
-    chosen: Experiment, bodies: Mapping[str, np.ndarray], progress: Callable[[float], None], **asked: Any
-) -> Outcome:
-    """The experiment of every body, once each in the profile `exact`; the column `BODY` tells them apart.
-
-    Args:
-        bodies: parameter name -> (n,) values.
-        progress: called with the share done.
-        asked: of `straight_line.run`: engine, seed, quick and values.
-    """
-    count = body_count(bodies)
-    parts: list[Outcome] = []
-    for begin in range(0, count, AT_ONCE):
-        some = {name: values[begin : begin + AT_ONCE] for name, values in bodies.items()}
-        size = body_count(some)
-
-        def report(share: float, begin: int = begin, size: int = size) -> None:
-            progress((begin + share * size) / count)
-
-        part = chosen.run(profiles=(PROFILE,), repeats=1, bodies=some, progress=report, **asked)
+def numbered(parts: Mapping[int, Outcome]) -> Outcome:
+    """What all bodies gave, from batches of them by the place of each one's first; `BODY` tells them apart."""
+    several = []
+    for begin, part in sorted(parts.items()):
         numbers = {BODY: np.asarray(part.columns[BODY]) + begin}
         # The order of the columns stays: those before `repeat` tell the cases apart.
         columns = {name: numbers.get(name, column) for name, column in part.columns.items()}
-        parts.append(dataclasses.replace(part, columns=columns, recordings={}))
-    return joined(parts)
+        several.append(dataclasses.replace(part, columns=columns, recordings={}))
+    return joined(several)
 
 
 def of_outcome(outcome: Outcome, figures: Sequence[Figure]) -> Ensemble:

@@ -40,21 +40,16 @@ class Judgement(Protocol):
 class Number:
     """A plain number, which agrees within `AGREES` of it."""
 
-    value: float
+    published: float
     name = "number"
-
-    @property
-    def published(self) -> float:
-        """See `Judgement`."""
-        return self.value
 
     def holds(self, value: Value) -> bool:
         """See `Judgement`."""
-        return abs(_number(value) - self.value) <= AGREES * abs(self.value) + _ROUNDING
+        return abs(_number(value) - self.published) <= AGREES * abs(self.published) + _ROUNDING
 
     def ratio(self, value: float) -> float | None:
         """See `Judgement`."""
-        return value / self.value if self.value else None
+        return value / self.published if self.published else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,12 +60,12 @@ class Effect:
     that is more: 1.01 is 0.01 +- 0.005.
 
     Attributes:
-        value: the ratio, or the change itself if `neutral` is 0.
+        published: the ratio, or the change itself if `neutral` is 0.
         digits: decimals that were published.
         neutral: the value that stands for no effect.
     """
 
-    value: float
+    published: float
     digits: int = 2
     neutral: float = 1.0
 
@@ -79,19 +74,14 @@ class Effect:
         """See `Judgement`."""
         return "effect" if self.neutral else "gain"
 
-    @property
-    def published(self) -> float:
-        """See `Judgement`."""
-        return self.value
-
     def holds(self, value: Value) -> bool:
         """See `Judgement`."""
-        tolerance = max(AGREES * abs(self.value - self.neutral), 0.5 * 10.0**-self.digits)
-        return abs(_number(value) - self.value) <= tolerance + _ROUNDING
+        tolerance = max(AGREES * abs(self.published - self.neutral), 0.5 * 10.0**-self.digits)
+        return abs(_number(value) - self.published) <= tolerance + _ROUNDING
 
     def ratio(self, value: float) -> float | None:
         """The effect over the published effect."""
-        size = self.value - self.neutral
+        size = self.published - self.neutral
         return (value - self.neutral) / size if size else None
 
 
@@ -150,17 +140,12 @@ class Range:
 class Same:
     """A trend, an outcome or a count, which agrees if it is the same."""
 
-    value: bool | str | int
+    published: bool | str | int
     name = "outcome"
-
-    @property
-    def published(self) -> bool | str | int:
-        """See `Judgement`."""
-        return self.value
 
     def holds(self, value: Value) -> bool:
         """See `Judgement`."""
-        return value == self.value
+        return value == self.published
 
     def ratio(self, value: float) -> None:
         """See `Judgement`."""
@@ -174,11 +159,7 @@ class Asked:
     low: float
     high: float
     name = "asked"
-
-    @property
-    def published(self) -> None:
-        """See `Judgement`."""
-        return None
+    published = None
 
     def holds(self, value: Value) -> bool:
         """See `Judgement`."""
@@ -193,13 +174,8 @@ class Asked:
 class Shown:
     """A number that is shown and not judged: ambiguous as published, or not published at all."""
 
-    value: float | None = None
+    published: float | None = None
     name = "not judged"
-
-    @property
-    def published(self) -> float | None:
-        """See `Judgement`."""
-        return self.value
 
     def holds(self, value: Value) -> None:
         """See `Judgement`."""
@@ -207,7 +183,7 @@ class Shown:
 
     def ratio(self, value: float) -> float | None:
         """See `Judgement`."""
-        return value / self.value if self.value else None
+        return value / self.published if self.published else None
 
 
 def _number(value: Value) -> float:

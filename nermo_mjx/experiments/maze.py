@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES
-from nermo_mjx.experiments.cases import AMPLITUDE, LABELS, Case, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, LABELS, Case, recordings_of, table_of, worlds
 from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
-from nermo_mjx.experiments.worlds_run import recordings_of, table_of
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import History, Run, Setup, Simulator
 
@@ -43,40 +41,24 @@ def cases() -> tuple[Case, ...]:
     )
 
 
-def run(
-    *,
-    engine: str = "auto",
-    profiles: Sequence[str] = PROFILES,
-    repeats: int = 3,
-    seed: int = 0,
-    quick: bool = False,
-    values: Mapping[str, float] | None = None,
-    bodies: Mapping[str, np.ndarray] | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Outcome:
+def run(settings: Settings) -> Outcome:
     """Walk through the maze in all cases, in one batch.
 
-    Args: see `straight_line.run`; `quick` walks the first metre only, so that no run reaches the end.
-
-    Raises:
-        ParameterError: an unknown name, or a value out of range.
+    Quick: the first metre only, so that no run reaches the end.
     """
     setup = Setup(scene="maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
-    simulator = Simulator(setup, engine=engine)
-    batch = worlds(
-        cases(), setup.defaults(), profiles=profiles, repeats=repeats, seed=seed, common=values, bodies=bodies
-    )  # fmt: skip
-    length = 1.0 if quick else maze_course().length + 2 * _PASSES
+    simulator = Simulator(setup, engine=settings.engine)
+    batch = worlds(cases(), setup.defaults(), settings)
+    length = 1.0 if settings.quick else maze_course().length + 2 * _PASSES
     cycles = np.ceil(length / (_SLOWEST * 0.12))
-    result = simulator.run(
-        batch.values, Run(cycles=cycles, warmup_cycles=2.0, distance=length), record=True, progress=progress
-    )
+    walk = Run(cycles=cycles, warmup_cycles=2.0, distance=length)
+    result = simulator.run(batch.values, walk, record=True, progress=settings.progress)
     assert result.trace is not None
     columns, about = table_of(batch, result)
     columns |= _arrivals(result.trace) | touches(simulator.robot, result.trace)
-    if quick:
+    if settings.quick:
         columns["reached"] = np.full(len(columns["reached"]), np.nan)
-    shown = (batch.labels["repeat"] == 0) & (bodies is None)
+    shown = (batch.labels["repeat"] == 0) & (settings.bodies is None)
     names = [
         f"{profile}, {'with' if spine else 'without'} spine"
         for profile, spine in zip(batch.labels["profile"], batch.labels["spine"], strict=True)

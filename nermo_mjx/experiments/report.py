@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from nermo_mjx.experiments.line import KINDS, Line
 from nermo_mjx.experiments.settings import differences
-from nermo_mjx.experiments.table import MISSING, case_count, number, status_counts
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.experiments.table import case_count, number, status_counts
+from nermo_mjx.runs import Written
+from nermo_mjx.runs.text import MISSING, to_json
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.catalogue import Experiment
@@ -23,13 +24,13 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def write(directory: Directory, experiments: Mapping[str, Experiment]) -> None:
+def write(directory: Directory, experiments: Mapping[str, Experiment], written: Written) -> None:
     """Write the report of all experiments that the directory holds."""
     from nermo_mjx.experiments.report_page import page
 
     content = collect(directory, experiments)
-    directory.write(directory.out / "report.json", to_json(content))
-    directory.write(directory.out / "report.md", page(directory, content, experiments).encode())
+    written.write(directory.out / "report.json", to_json(content))
+    written.write(directory.out / "report.md", page(directory, content, experiments).encode())
 
 
 def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict[str, Any]:
@@ -52,7 +53,9 @@ def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict
         "lines": lines,
         "summary": {**counts(lines), "by_kind": counts_by_kind(lines), "by_experiment": by_experiment},
         "experiments": {
-            name: {key: value for key, value in entry.items() if key not in ("experiment", "lines", "files")}
+            name: {
+                key: value for key, value in entry.items() if key not in ("experiment", "lines", "files", "finished")
+            }
             for name, entry in entries.items()
         },
         "differences": _differences(entries),

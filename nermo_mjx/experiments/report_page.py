@@ -12,7 +12,8 @@ from nermo_mjx.experiments.judgement import AGREES
 from nermo_mjx.experiments.line import KINDS
 from nermo_mjx.experiments.report import HEADINGS, cells, published
 from nermo_mjx.experiments.settings import said
-from nermo_mjx.experiments.table import MISSING, case_tables
+from nermo_mjx.experiments.table import case_tables
+from nermo_mjx.runs.text import MISSING, listed, table
 from nermo_mjx.sweep.spec import START_SPREAD
 
 if TYPE_CHECKING:
@@ -177,10 +178,8 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
     )
     for command in dict.fromkeys(content["experiments"][each.name]["command"] for each in chosen):
         yield f"- Command: `{command}`"
-    versions = ", ".join(f"{package} {version}" for package, version in (content["versions"] or {}).items())
-    machine = ", ".join(f"{key} {value}" for key, value in (content["machine"] or {}).items())
-    yield f"- Versions of the latest run: {versions}"
-    yield f"- Machine of the latest run: {machine}\n"
+    yield f"- Versions of the latest run: {listed(content['versions'])}"
+    yield f"- Machine of the latest run: {listed(content['machine'])}\n"
 
 
 def _conventions() -> Iterator[str]:
@@ -196,13 +195,6 @@ def _conventions() -> Iterator[str]:
         "- No constant is chosen for a case. What the publication does not give (contact, servo gains, damping) is "
         "the same in all experiments."
     )
-
-
-def table(headings: list[str], rows: list[list[str]], sides: str) -> str:
-    """A Markdown table; sides is a letter a column, l or r."""
-    rules = ["---" if side == "l" else "--:" for side in sides]
-    texts = [headings, rules, *([cell.replace("|", "\\|") for cell in row] for row in rows)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in texts) + "\n"
 
 
 def _moment(started: str) -> str:

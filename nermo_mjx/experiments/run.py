@@ -9,32 +9,30 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import ensemble, report
-from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored
 from nermo_mjx.experiments.line import Line, compare
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.published.shares import shipped
-from nermo_mjx.experiments.settings import Settings, check_bodies, checked, differences
+from nermo_mjx.experiments.settings import QUICK_REPEATS, REPEATS, Settings, check_bodies, differences
+from nermo_mjx.experiments.simulating import Part, Simulation, of_bodies, own, simulate
 from nermo_mjx.experiments.videos import shoot
-from nermo_mjx.experiments.written import Written
 from nermo_mjx.physics.engine import resolve_engine
-from nermo_mjx.robot import ParameterError, load_robot
-from nermo_mjx.runs import CodeStamp, RunDirectory, codes_of, engine_of, session, stamp
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.runs import CodeStamp, RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.directory import remove_leftovers
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
 from nermo_mjx.view import RecordingError, VideoError
 
-Progress = Callable[[str, float], None]
 #: What is made from the results, and is added to an experiment's entry when it is there.
 _MADE_LATER: Final = ("plots", "videos", "notes")
 
@@ -100,10 +98,11 @@ def run_experiments(
     video: bool = True,
     again: bool = False,
     accept_new_code: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[str, float], None] | None = None,
     notify: Callable[[str], None] | None = None,
+    workers: Workers | None = None,
 ) -> ExperimentsResult:
-    """Run experiments one after the other; the report is written anew after each.
+    """Run experiments; each is stored as it comes, and the report is written anew after each.
 
     Args:
         names: of `EXPERIMENTS`.
@@ -122,16 +121,20 @@ def run_experiments(
         accept_new_code: go on in a directory that other code made; the tables' column `code` tells the rows apart.
         progress: called with what is being done and the share of it.
         notify: called with a sentence on anything out of the ordinary.
+        workers: who simulates; by default this process, one experiment after the other, else
+            `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
 
     Raises:
         ParameterError: wrong arguments, or a directory that holds one of them with other settings; nothing has run.
         OtherCode: other code made what the directory holds; nothing has run.
-        ExperimentError: an experiment failed; what was done before is kept.
+        ExperimentError: an experiment failed, or all workers are lost; what was done before is kept.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
         ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
-    settings = checked(profiles, repeats, seed, quick, values)
+    if repeats is None:
+        repeats = QUICK_REPEATS if quick else REPEATS
+    settings = Settings(profiles, repeats, seed, quick, values or {})
     check_bodies(bodies)
     drawn = None if bodies is None else ensemble.draw(bodies, seed)
     _check_settable(chosen, settings)
@@ -142,16 +145,21 @@ def run_experiments(
             remove_leftovers(directory.out / folder)
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
-        code = stamp(load_robot().fingerprint, resolve_engine(engine))
-        work = _Work(held, directory, settings, code, drawn, again, video and not quick, progress or _ignore,
+        code = Simulation(resolve_engine(engine)).stamp()
+        work = _Work(Written(held), directory, settings, code, drawn, again, video and not quick, progress or _ignore,
                      notify or _ignore)  # fmt: skip
         # All are looked up before anything runs: a refusal costs no simulation.
         kept = {each.name: None if again else work.kept(each) for each in chosen}
         held.take_code(code, holds_rows=directory.holds_rows(), accept=again or accept_new_code)
         if drawn is not None or None in kept.values():
             held.note_session(session(experiments=list(kept)))
-        results = tuple(work.run(each, kept[each.name]) for each in chosen)
-        return ExperimentsResult(directory.out, results, report.collect(directory, EXPERIMENTS))
+        parts = [part for each in chosen for part in work.missing(each, kept[each.name])]
+        stored, left, results = work.simulated(parts, workers or LocalWorkers()), {part.label for part in parts}, []
+        for each in chosen:
+            while any(part.name == each.name and part.label in left for part in parts):
+                left.remove(next(stored))
+            results.append(work.finish(each, kept[each.name]))
+        return ExperimentsResult(directory.out, tuple(results), report.collect(directory, EXPERIMENTS))
 
 
 def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
@@ -166,14 +174,14 @@ def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
 class _Work:
     """What all experiments of one call share."""
 
-    held: RunDirectory
+    written: Written
     directory: Directory
     settings: Settings
     code: CodeStamp
     bodies: Mapping[str, np.ndarray] | None
     again: bool
     video: bool
-    progress: Progress
+    progress: Callable[[str, float], None]
     notify: Callable[[str], None]
 
     def kept(self, chosen: Experiment) -> Stored | None:
@@ -189,30 +197,70 @@ class _Work:
             )
         return stored
 
-    def run(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
-        """Simulate, or take what is kept; then everything that is made from it."""
-        written = Written(self.held, self.directory.written(chosen.name))
-        if kept is None:
-            stored = self._simulate(chosen, written)
-        else:
-            stored = kept
+    def missing(self, chosen: Experiment, kept: Stored | None) -> list[Part]:
+        """What is to be simulated of an experiment: itself, identified bodies, both or neither."""
+        parts = [own(chosen, self.settings)] if kept is None else []
+        if self.bodies is None:
+            return parts
+        # What is set for all worlds is set for the bodies, too.
+        bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
+        held = self.directory.load_bodies(chosen.name)
+        fits = held is not None and held.about["drawn"] == ensemble.fingerprint(bodies)
+        if fits and not (parts and self._outdated(held)):
+            return parts
+        return parts + of_bodies(chosen, bodies, self.settings)
+
+    def simulated(self, parts: Sequence[Part], workers: Workers) -> Iterator[str]:
+        """Have parts simulated, and store what comes; yields the label of what is stored."""
+        fresh = set()  # experiments whose bodies came first
+        try:
+            for each in simulate(parts, self.code.engine, workers, self.progress):
+                part = each.part
+                about = each.session | {"settings": self.settings.as_dict(), "engine": self.code.engine,
+                                        "code": self.code.id, "wall_seconds": each.seconds}  # fmt: skip
+                if part.bodies:
+                    about |= {"bodies": part.bodies, "drawn": part.drawn}
+                    self.directory.save_bodies(each.outcome, about, self.written)
+                    fresh.add(part.name)
+                else:
+                    if part.name not in fresh and self._outdated(self.directory.load_bodies(part.name)):
+                        self.directory.discard_bodies(part.name, self.written)
+                    self.directory.save(each.outcome, about, self.written)
+                yield part.label
+        except TaskFailed as failed:
+            self._explain(parts[failed.key].name, failed.error)
+        except WorkersLost as lost:
+            raise ExperimentError(
+                f"{lost} What is done is kept in {self.directory.out}: run the same command again."
+            ) from None
+
+    def _outdated(self, bodies: Stored | None) -> bool:
+        """Whether bodies, if there are any, are not of what is simulated now."""
+        return self.again or bodies is None or bodies.about["settings"] != self.settings.as_dict()
+
+    def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
+        """Everything that is made from what was simulated, or from what is kept."""
+        written, stored = self.written, kept or self.directory.load(chosen.name)
+        assert stored is not None, "it was read back when it was saved"
+        if kept is not None:
             self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{self._other_code(kept)}; --again runs "
                         "it anew.")  # fmt: skip
-        several = self._ensemble(chosen, stored, written)
+        several = self._ensemble(chosen, stored)
         shares = several.shares if several else None
         lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}), shares)
         former = self.directory.entry(chosen.name) if kept is not None else None
         entry = report.entry_of(chosen.title, stored, lines) | {
             name: (former or {}).get(name, []) for name in _MADE_LATER
         }
-        entry["bodies"] = several.bodies if several else None
+        entry |= {"bodies": several.bodies if several else None, "finished": False}
         self._publish(chosen, entry, written)
         plots = self._plots(chosen, stored.outcome, lines, written)
-        entry["plots"] = [self.directory.relative(plot) for plot in plots]
+        entry["plots"] = [written.name(plot) for plot in plots]
         entry["videos"], entry["notes"] = self._videos(chosen, stored.outcome, entry["videos"], written)
-        self._publish(chosen, entry, written)
+        self._publish(chosen, entry | {"finished": True}, written)
         if written.aside:
             self.notify(f"{chosen.name}: {written.sentence()}")
+            written.aside.clear()
         return ExperimentResult(
             chosen.name, self.directory.out, stored.outcome, tuple(lines), stored.table, tuple(plots),
             stored.recordings, tuple(self.directory.out / video["file"] for video in entry["videos"]),
@@ -226,74 +274,37 @@ class _Work:
             return " by code that is not known"
         return f" by other code ({unlike})" if (unlike := made.unlike(self.code)) else ""
 
-    def _about(self, **more: Any) -> dict[str, Any]:
-        """What is noted beside a table, but for how long it took."""
-        return session(settings=self.settings.as_dict(), engine=self.code.engine, code=self.code.id, **more)
-
-    def _simulate(self, chosen: Experiment, written: Written) -> Stored:
-        asked, about = self.settings, self._about()
-        begun = time.monotonic()
-        with self._explained(chosen):
-            outcome = chosen.run(
-                engine=self.code.engine, profiles=asked.profiles, repeats=asked.repeats, seed=asked.seed,
-                quick=asked.quick, values=dict(asked.values), progress=lambda share: self.progress(chosen.name, share),
-            )  # fmt: skip
-        bodies = self.directory.load_bodies(chosen.name)
-        if self.again or bodies is None or bodies.about["settings"] != about["settings"]:
-            self.directory.discard_bodies(chosen.name, written)
-        return self.directory.save(outcome, about | {"wall_seconds": time.monotonic() - begun}, written)
-
-    def _ensemble(self, chosen: Experiment, stored: Stored, written: Written) -> ensemble.Ensemble | None:
-        """The shares of the identified bodies: those asked for, those that the directory holds, or the package's."""
+    def _ensemble(self, chosen: Experiment, stored: Stored) -> ensemble.Ensemble | None:
+        """The shares of the identified bodies: those that the directory holds, or the package's."""
         held = self.directory.load_bodies(chosen.name)
-        if self.bodies is not None:
-            # What is set for all worlds is set for the bodies, too.
-            bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
-            if held is None or held.about["drawn"] != ensemble.fingerprint(bodies):
-                held = self._simulate_bodies(chosen, bodies, written)
         if held is not None:
             return ensemble.of_outcome(held.outcome, chosen.figures)
         settings = stored.about["settings"]
         return None if settings["quick"] or settings["values"] else shipped(chosen.name)
 
-    def _simulate_bodies(self, chosen: Experiment, bodies: Mapping[str, np.ndarray], written: Written) -> Stored:
-        asked, count = self.settings, body_count(bodies)
-        about = self._about(bodies=count, drawn=ensemble.fingerprint(bodies))
-        begun = time.monotonic()
-        with self._explained(chosen):
-            outcome = ensemble.walked(
-                chosen, bodies, lambda share: self.progress(f"{chosen.name}, {count} bodies", share),
-                engine=self.code.engine, seed=asked.seed, quick=asked.quick, values=dict(asked.values),
-            )  # fmt: skip
-        return self.directory.save_bodies(outcome, about | {"wall_seconds": time.monotonic() - begun}, written)
-
-    @contextlib.contextmanager
-    def _explained(self, chosen: Experiment) -> Iterator[None]:
-        """Says of a failure which experiment it was, and what is kept."""
-        try:
-            yield
-        except ParameterError:
-            raise
-        except (ValueError, RuntimeError, OSError) as error:
-            ours = type(error).__module__.startswith("nermo_mjx")
-            text = f"{chosen.name} failed: {error} What was done before is kept in {self.directory.out}."
-            if ours:
+    def _explain(self, name: str, error: BaseException) -> NoReturn:
+        """Raise what a part failed with, with a sentence on which experiment it was, and what is kept."""
+        text = f"{name} failed: {error} What was done before is kept in {self.directory.out}."
+        if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
+            if type(error).__module__.startswith("nermo_mjx"):
                 raise ExperimentError(text) from error
             error.add_note(text)
-            raise
+        raise error
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any], written: Written) -> None:
         """Store an experiment's entry, and the report of all that the directory holds."""
-        self.directory.write_entry(chosen.name, entry | {"files": written.known})
-        report.write(self.directory, EXPERIMENTS)
+        self.directory.write_entry(chosen.name, entry)
+        report.write(self.directory, EXPERIMENTS, written)
+        written.note()
 
     def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line], written: Written) -> list[Path]:
-        from nermo_mjx.experiments.plots.draw import draw
+        from nermo_mjx.experiments.plots.figures import figures_of
+        from nermo_mjx.plotting.files import write_figures
 
         self.progress(f"{chosen.name}, plots", 0.0)
-        plots = draw(outcome, lines, self.directory.out / "plots", write=written.write)
-        made = {self.directory.relative(plot) for plot in plots}
-        written.remove([name for name in written.known if name.startswith("plots/") and name not in made])
+        plots = write_figures(figures_of(outcome, lines), self.directory.out / "plots", written.write)
+        made, own = {written.name(plot) for plot in plots}, f"plots/{chosen.name}-"
+        written.remove([name for name in written.known if name.startswith(own) and name not in made])
         return plots
 
     def _videos(
@@ -316,7 +327,7 @@ class _Work:
             note = f"There is no video of {chosen.name}. {error}"
             self.notify(note)
             return [], [note]
-        return [{"file": self.directory.relative(path), "shows": shows, "speed": speed}], []
+        return [{"file": written.name(path), "shows": shows, "speed": speed}], []
 
 
 def _ignore(*_: Any) -> None:

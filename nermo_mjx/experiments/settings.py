@@ -1,10 +1,12 @@
-"""What decides the numbers of a published experiment, checked before anything runs."""
+"""What a published experiment is run with, checked before anything runs."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
+
+import numpy as np
 
 from nermo_mjx.control.parameters import PROFILES, choice
 from nermo_mjx.robot import ParameterError
@@ -18,47 +20,74 @@ _WORDS: Final = {"values": "parameters", "quick": "quick run"}
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """What decides an experiment's numbers, besides the engine.
+    """What an experiment is run with; the first five decide its numbers.
 
     Attributes:
-        profiles: that are run, `exact` first.
-        repeats, seed: of the shifted starts.
+        profiles: of `PROFILES`; `exact` comes first.
+        repeats: worlds of each case, from starts that differ by a seeded shift.
+        seed: of the shifts.
         quick: fewer cases.
         values: parameters for all worlds, by name.
-    """
-
-    profiles: tuple[str, ...]
-    repeats: int
-    seed: int
-    quick: bool
-    values: Mapping[str, float]
-
-    def as_dict(self) -> dict[str, Any]:
-        """As it is written into files."""
-        return {**dataclasses.asdict(self), "profiles": list(self.profiles), "values": dict(self.values)}
-
-
-def checked(
-    profiles: Sequence[str], repeats: int | None, seed: int, quick: bool, values: Mapping[str, float] | None
-) -> Settings:
-    """Settings from what a caller gave.
+        engine: of the simulations.
+        bodies: parameter name -> (n,) values of n bodies, each of which does all cases; they go before `values`, and no
+            run is kept as a recording.
+        progress: called with the share done.
 
     Raises:
         ParameterError: an unknown name, or a number out of range.
     """
-    if isinstance(profiles, str) or not profiles:
-        raise ParameterError(f"profiles is {profiles!r}: allowed is a list of {' and '.join(PROFILES)}.")
-    named = {choice("profile", profile, PROFILES) for profile in profiles}
-    worlds = (QUICK_REPEATS if quick else REPEATS) if repeats is None else repeats
-    if not _whole(worlds) or worlds < 1:
-        raise ParameterError(f"repeats is {worlds!r}: allowed is a whole number of at least 1.")
-    if not _whole(seed) or seed < 0:
-        raise ParameterError(f"seed is {seed!r}: allowed is a whole number that is not negative.")
-    known = dict(quantities(WorldParameters))
-    for name, value in (values or {}).items():
-        known[choice("parameter", name, known)].check(name, value)
-    numbers = {name: float(value) for name, value in sorted((values or {}).items())}
-    return Settings(tuple(name for name in PROFILES if name in named), worlds, seed, quick, numbers)
+
+    profiles: Sequence[str] = PROFILES
+    repeats: int = REPEATS
+    seed: int = 0
+    quick: bool = False
+    values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    engine: str = "auto"
+    bodies: Mapping[str, np.ndarray] | None = None
+    progress: Callable[[float], None] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.profiles, str) or not self.profiles:
+            raise ParameterError(f"profiles is {self.profiles!r}: allowed is a list of {' and '.join(PROFILES)}.")
+        named = {choice("profile", profile, PROFILES) for profile in self.profiles}
+        if not _whole(self.repeats) or self.repeats < 1:
+            raise ParameterError(f"repeats is {self.repeats!r}: allowed is a whole number of at least 1.")
+        if not _whole(self.seed) or self.seed < 0:
+            raise ParameterError(f"seed is {self.seed!r}: allowed is a whole number that is not negative.")
+        known = dict(quantities(WorldParameters))
+        for name, value in self.values.items():
+            if isinstance(value, str) or np.ndim(value):
+                raise ParameterError(f"{name} is {value!r}: allowed is one number for all cases.")
+            known[choice("parameter", name, known)].check(name, value)
+        object.__setattr__(self, "profiles", tuple(name for name in PROFILES if name in named))
+        object.__setattr__(self, "values", {name: float(value) for name, value in sorted(self.values.items())})
+
+    def as_dict(self) -> dict[str, Any]:
+        """What decides the numbers, as it is written into files."""
+        return {"profiles": list(self.profiles), "repeats": self.repeats, "seed": self.seed, "quick": self.quick,
+                "values": dict(self.values)}  # fmt: skip
+
+    def but(self, **other: Any) -> Settings:
+        """The same, except for what is named."""
+        return dataclasses.replace(self, **other)
+
+    def of_one_run(self) -> Settings:
+        """For a run that is shown: the first profile, and the first start."""
+        return self.but(profiles=self.profiles[:1], repeats=1)
+
+
+def body_count(bodies: Mapping[str, np.ndarray] | None) -> int:
+    """How many bodies there are; 0 if there are none but the default one.
+
+    Raises:
+        ParameterError: parameters with different numbers of values, or without any.
+    """
+    if bodies is None:
+        return 0
+    sizes = {len(values) for values in bodies.values()}
+    if len(sizes) != 1 or sizes == {0}:
+        raise ParameterError(f"bodies has {sorted(sizes)} values of its parameters: allowed is one number, at least 1.")
+    return sizes.pop()
 
 
 def check_bodies(bodies: int | None) -> None:
@@ -92,4 +121,4 @@ def said(value: Any) -> str:
 
 
 def _whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)

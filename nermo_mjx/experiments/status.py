@@ -20,7 +20,9 @@ def status(out: Path) -> Status:
     found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
     bodies = {name: stored for name in found if (stored := directory.load_bodies(name)) is not None}
     asked = {name: None for session in sessions for name in session.get("experiments", [])} or found
-    missing = [name for name in asked if name not in found or directory.entry(name) is None]
+    # What is made from the tables comes last; directories of earlier releases do not say whether it is there.
+    entries = {name: directory.entry(name) or {"finished": False} for name in asked}
+    missing = [name for name in asked if name not in found or not entries[name].get("finished", True)]
     rows = sum(_rows(stored) for stored in (*found.values(), *bodies.values()))
     notes = [_note(name, stored, bodies.get(name)) for name, stored in found.items()]
     notes += [f"{name} is not finished." for name in missing]
@@ -36,8 +38,7 @@ def status(out: Path) -> Status:
 
 def identification_status(out: Path) -> Status:
     """How many candidates an identification has walked."""
-    from nermo_mjx.experiments.identification.memory import FILE, candidates
-    from nermo_mjx.experiments.identification.report import RESULT
+    from nermo_mjx.experiments.identification.memory import FILE, RESULT, candidates
 
     lines = (out / FILE).read_text().splitlines() if (out / FILE).exists() else []
     # A batch that was not full has some of its points twice.
@@ -46,7 +47,7 @@ def identification_status(out: Path) -> Status:
         content: dict[str, Any] = json.loads((out / RESULT).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         content = {}
-    complete = bool(content)
+    complete = "plots" in content  # comes last
     engine = engine_of(out) or content.get("engine") or (_engine(lines[0]) if lines else None)
     return Status(
         "candidates", done, done if complete else None, complete,

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import cycle, theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Worlds, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Worlds, measured, recorded, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
-from nermo_mjx.experiments.worlds_run import measured, recorded
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.view.recording import Recording
 
@@ -53,45 +51,22 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
     return (*gaits, *lateral, *strides, *compensated)
 
 
-def run(
-    *,
-    engine: str = "auto",
-    profiles: Sequence[str] = PROFILES,
-    repeats: int = 3,
-    seed: int = 0,
-    quick: bool = False,
-    values: Mapping[str, float] | None = None,
-    bodies: Mapping[str, np.ndarray] | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Outcome:
+def run(settings: Settings) -> Outcome:
     """Walk all cases in one batch, and those whose gait cycle is looked into in another, which is recorded.
 
-    Args:
-        engine: of the simulation.
-        profiles: of `PROFILES`.
-        repeats, seed: of the shifted starts.
-        quick: fewer cases, and half a metre.
-        values: parameters for all worlds, by name.
-        bodies: parameter name -> (n,) values of n bodies that walk everything, see `cases.worlds`; then no run is kept
-            as a recording.
-        progress: called with the share done.
-
-    Raises:
-        ParameterError: an unknown name, or a value out of range.
+    Quick: fewer cases, and half a metre.
     """
-    simulator = Simulator(Setup(scene="straight_line", spine="stride_extension"), engine=engine)
-    defaults = simulator.setup.defaults()
-    batch = worlds(
-        cases(quick), defaults, profiles=profiles, repeats=repeats, seed=seed, common=values, bodies=bodies
-    )  # fmt: skip
+    simulator = Simulator(Setup(scene="straight_line", spine="stride_extension"), engine=settings.engine)
+    defaults, quick = simulator.setup.defaults(), settings.quick
+    batch = worlds(cases(quick), defaults, settings)
     distance = 0.5 if quick else DISTANCE
     length = Run(cycles=_LONGEST / (4 if quick else 1), warmup_cycles=_WARMUP, distance=distance)
-    columns, about = measured(simulator, batch, length, progress=progress)
+    columns, about = measured(simulator, batch, length, progress=settings.progress)
     columns["theory_speed"] = theory.speed(batch.all_values(defaults))
     looked_into = np.logical_or.reduce([_is(batch, case) for case in cycle_cases()])
     cycles = Run(cycles=_WARMUP + (4.0 if quick else _RECORDED), warmup_cycles=_WARMUP)
     columns |= cycle.measured(simulator, batch, looked_into, cycles)
-    recordings = {} if bodies is not None else _recordings(simulator, profiles[0], seed, values, quick)
+    recordings = {} if settings.bodies is not None else _recordings(simulator, settings)
     return Outcome(NAME, columns, LABELS | _ABOUT | about | cycle.ABOUT, recordings)
 
 
@@ -105,13 +80,11 @@ def _is(batch: Worlds, case: Case) -> np.ndarray:
     return np.logical_and.reduce([batch.labels[name] == value for name, value in case.labels.items()])
 
 
-def _recordings(
-    simulator: Simulator, profile: str, seed: int, values: Mapping[str, float] | None, quick: bool
-) -> dict[str, Recording]:
+def _recordings(simulator: Simulator, settings: Settings) -> dict[str, Recording]:
     shown = [_case("trt", 0.67, False), _case("trt", 0.67, True)]
-    runs = worlds(shown, simulator.setup.defaults(), profiles=(profile,), seed=seed, common=values)
+    runs = worlds(shown, simulator.setup.defaults(), settings.of_one_run())
     names = [f"trt, 0.67 Hz, {'with' if case.labels['spine'] else 'without'} spine" for case in shown]
-    return recorded(simulator, runs, Run(cycles=4.0 if quick else _RECORDED), names)
+    return recorded(simulator, runs, Run(cycles=4.0 if settings.quick else _RECORDED), names)
 
 
 def stride_linearity(outcome: Outcome, profile: str, spine: bool = False) -> float:

@@ -14,14 +14,14 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.experiments.outcome import Column, Outcome
-from nermo_mjx.plotting.quantity import shown
+from nermo_mjx.plotting.shown import shown
+from nermo_mjx.runs.text import MISSING
 from nermo_mjx.sweep.table import Columns, meta
 from nermo_mjx.view.recording import Recording
 
 REPEAT: Final = "repeat"
 PROFILE: Final = "profile"
 CODE: Final = "code"
-MISSING: Final = "–"
 
 
 def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:

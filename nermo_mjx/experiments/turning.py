@@ -7,16 +7,15 @@ the publication's speeds on the straight line were made with (erratum 13).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, worlds
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, measured, recorded, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
-from nermo_mjx.experiments.worlds_run import measured, recorded
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.view.recording import Recording
 
@@ -57,14 +56,8 @@ def _case(gait: str, frequency: float, radius: float, strategy: str, side: str, 
         values["pilot.turn_rate"] = SIDES[side]
     else:
         values |= {"pilot.radius": radius, "pilot.direction": SIDES[side]}
-    labels: dict[str, Label] = {
-        "gait": gait,
-        "frequency": frequency,
-        "radius": radius,
-        "strategy": strategy,
-        "side": side,
-        "stride": stride,
-    }
+    labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy,
+                                "side": side, "stride": stride}  # fmt: skip
     return Case(labels, gait, strategy, values)
 
 
@@ -95,43 +88,27 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
     return (*left, *right, *other)
 
 
-def run(
-    *,
-    engine: str = "auto",
-    profiles: Sequence[str] = PROFILES,
-    repeats: int = 3,
-    seed: int = 0,
-    quick: bool = False,
-    values: Mapping[str, float] | None = None,
-    bodies: Mapping[str, np.ndarray] | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Outcome:
-    """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command.
-
-    Args: see `straight_line.run`.
-
-    Raises:
-        ParameterError: an unknown name, or a value out of range.
-    """
+def run(settings: Settings) -> Outcome:
+    """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command."""
     parts: list[tuple[float, dict[str, np.ndarray]]] = []
     about: dict[str, Column] = {}
     recordings: dict[str, Recording] = {}
     for pilot, share in (("arc", 0.8), ("open_loop", 0.2)):
-        chosen = [case for case in cases(quick) if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")]
-        simulator = Simulator(Setup(scene="quarter_circles", pilot=pilot), engine=engine)
+        chosen = [
+            case for case in cases(settings.quick) if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")
+        ]
+        simulator = Simulator(Setup(scene="quarter_circles", pilot=pilot), engine=settings.engine)
         defaults = simulator.setup.defaults()
-        batch = _mirrored_starts(
-            worlds(chosen, defaults, profiles=profiles, repeats=repeats, seed=seed, common=values, bodies=bodies)
-        )
+        batch = _mirrored_starts(worlds(chosen, defaults, settings))
         before = sum(done for done, _ in parts)
         everything = batch.all_values(defaults)
         length = _length(everything, batch.labels["radius"])
-        report = None if progress is None else _part(progress, before, share)
+        report = None if settings.progress is None else _part(settings.progress, before, share)
         columns, about = measured(simulator, batch, length, progress=report)
         warmup, end = length.seconds(everything["frequency"], everything["tracking.clock_ratio"])
         parts.append((share, _judged(columns, end - warmup, everything["stance.max_stride"])))
-        if pilot == "arc" and bodies is None:
-            recordings = _recordings(simulator, profiles[0], seed, values)
+        if pilot == "arc" and settings.bodies is None:
+            recordings = _recordings(simulator, settings)
     joined = {name: np.concatenate([columns[name] for _, columns in parts]) for name in parts[0][1]}
     return Outcome(NAME, joined, LABELS | _ABOUT | about, recordings)
 
@@ -182,11 +159,9 @@ def bound(radius: np.ndarray) -> np.ndarray:
     return np.maximum(BOUND_SHARE * radius, LEAST_BOUND)
 
 
-def _recordings(
-    simulator: Simulator, profile: str, seed: int, values: Mapping[str, float] | None
-) -> dict[str, Recording]:
+def _recordings(simulator: Simulator, settings: Settings) -> dict[str, Recording]:
     shown = [_case("trt", 0.67, 0.5, strategy, "left") for strategy in STRATEGIES]
-    batch = worlds(shown, simulator.setup.defaults(), profiles=(profile,), seed=seed, common=values)
+    batch = worlds(shown, simulator.setup.defaults(), settings.of_one_run())
     names = [f"trt, 0.67 Hz, R = 0.5 m, {case.labels['strategy']}" for case in shown]
     length = _length(batch.all_values(simulator.setup.defaults()), batch.labels["radius"])
     return recorded(simulator, batch, length, names)

@@ -17,13 +17,38 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Annotated, Any, ClassVar
+
+from pydantic import Field, create_model
 
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.interface import servo_range
-from nermo_mjx.sweep.reading import Document, describe, nearest, read_file, read_mapping
+from nermo_mjx.specs.fields import Fields, optional, read
+from nermo_mjx.specs.reading import read_file, read_mapping
+from nermo_mjx.specs.values import Finite, Whole
 
-_FIELDS: Final = ("channel", "direction", "zero", "low", "high")
+
+class ChannelFields(Fields):
+    """A servo, as it stands in a file."""
+
+    what: ClassVar = "a field of a channel"
+    expected: ClassVar = "a mapping such as {channel: 0, direction: 1, zero: 90}"
+    example: ClassVar = expected
+    channel: Annotated[int, Whole(0, 65_535)] = Field(description="on the servo board, from 0")
+    direction: float = optional("-1 where the servo turns against the controller's angle", enum=[1, -1])
+    zero: Finite = optional("servo angle where the controller says 0 [deg]")
+    low: Finite = optional("least that the servo may be given [deg]")
+    high: Finite = optional("most that the servo may be given [deg]")
+
+
+class Servos(Fields):
+    """A file for `nermo-mjx servos --channels`: the connected servos."""
+
+    what: ClassVar = "a servo"
+
+
+_NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in SERVOS}
+ChannelsFile = create_model("ChannelsFile", __base__=Servos, __doc__=Servos.__doc__, **_NAMED)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,38 +89,19 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
         SpecError: a sentence with file, line, field, value and what is allowed.
     """
     doc = read_mapping(source, "channels") if isinstance(source, Mapping) else read_file(source, "table of channels")
+    file = read(doc, ChannelsFile)
     found: dict[int, Channel] = {}
-    for servo, fields in doc.data.items():
-        if servo not in SERVOS:
-            doc.fail((servo,), f"is no servo{nearest(servo, SERVOS)} There are {', '.join(SERVOS)}.")
-        channel = _channel(doc, servo, fields)
+    for servo in doc.data:
+        given = getattr(file, servo).model_dump(exclude_unset=True)
+        channel = Channel(servo, given.pop("channel"), **given)
+        if channel.direction not in (1, -1):
+            doc.fail((servo, "direction"), f"is {channel.direction:g}: allowed is 1 or -1.")
         if channel.number in found:
             doc.fail((servo, "channel"), f"is {channel.number}, which {found[channel.number].servo} has already.")
+        if channel.low >= channel.high:
+            doc.fail((servo, "low" if "low" in given else "high"), f"low is {channel.low:g} and high {channel.high:g}: "
+                     "low must be less.")  # fmt: skip
         found[channel.number] = channel
     if not found:
         doc.fail((), "no servo is named; at least one is needed.")
     return tuple(found[number] for number in sorted(found))
-
-
-def _channel(doc: Document, servo: str, fields: Any) -> Channel:
-    if not isinstance(fields, dict):
-        doc.fail((servo,), f"is {describe(fields)}: expected a mapping such as {{channel: 0, direction: 1, zero: 90}}.")
-    for name, value in fields.items():
-        if name not in _FIELDS:
-            doc.fail((servo, name), f"is unknown{nearest(name, _FIELDS)} There are {', '.join(_FIELDS)}.")
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            doc.fail((servo, name), f"is {describe(value)}: expected a finite number.")
-    number = fields.get("channel")
-    if not isinstance(number, int) or number < 0:
-        what = "missing" if number is None else f"{number:g}"
-        doc.fail(
-            (servo, "channel") if "channel" in fields else (servo,), f"the channel is {what}: expected 0, 1, 2, ..."
-        )
-    if fields.get("direction", 1) not in (1, -1):
-        doc.fail((servo, "direction"), f"is {fields['direction']:g}: allowed is 1 or -1.")
-    given = {name: float(fields[name]) for name in ("direction", "zero", "low", "high") if name in fields}
-    channel = Channel(servo, number, **given)
-    if channel.low >= channel.high:
-        doc.fail((servo, "low" if "low" in fields else "high"), f"low is {channel.low:g} and high {channel.high:g}: "
-                 "low must be less.")  # fmt: skip
-    return channel

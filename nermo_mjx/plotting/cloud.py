@@ -7,7 +7,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BAND, light
 
 #: Points of a panel from which on dots would run into each other.
@@ -22,7 +22,7 @@ def remark(count: int) -> str:
     return "; darker: more runs" if count >= CROWD else ""
 
 
-def cloud(ax: Axes, x: Quantity, y: Quantity, *, size: float) -> None:
+def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
     """Draw points as dots of a size [pt^2], or a crowd of them as hexagons, darker (logarithmically) where more lie."""
     if len(x.values) < CROWD:
         ax.scatter(x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2)

@@ -12,16 +12,40 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
 
 FORMATS: Final = ("png", "svg")
 _DPI: Final = 200
+#: Figures by name; a generator makes each when its turn comes, in the house's style.
+Figures = Iterable[tuple[str, Figure]]
 
 
-def encode(figure: Figure, form: str) -> bytes:
-    """The figure as PNG or SVG; the same figure gives the same bytes."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format=form, dpi=_DPI, metadata={"Date": None} if form == "svg" else {"Software": None})
-    return stream.getvalue()
+def write_figures(
+    figures: Figures,
+    folder: Path,
+    write: Callable[[Path, bytes], None] = replace_file,
+    formats: Sequence[str] = FORMATS,
+) -> list[Path]:
+    """Write figures as FOLDER/NAME.png and .svg, each as soon as it is made, and return the files in the order drawn.
+
+    Args:
+        figures: a generator is run in the house's style, so that its figures have it.
+        folder: where the files go; made if it is missing.
+        write: how a file is written; by default whole or not at all.
+        formats: of `FORMATS`.
+
+    Raises:
+        DirectoryError: a file cannot be written.
+    """
+    make_writable(folder)
+    files: list[Path] = []
+    with clear_errors(folder), rc_context(STYLE):
+        for name, figure in figures:
+            lay_out(figure)
+            for form in formats:
+                files.append(folder / f"{name}.{form}")
+                write(files[-1], _encode(figure, form))
+    return files
 
 
 def lay_out(figure: Figure) -> None:
@@ -33,42 +57,8 @@ def lay_out(figure: Figure) -> None:
         ax.set_position(np.round(ax.get_position(original=True).bounds, 6).tolist())
 
 
-def write_figures(
-    figures: Iterable[tuple[str, Figure]],
-    folder: Path,
-    write: Callable[[Path, bytes], None] | None = None,
-    formats: Sequence[str] = FORMATS,
-) -> list[Path]:
-    """Write figures in the house's style, each as soon as it is made, and return the files in the order drawn.
-
-    Args:
-        figures: name -> figure, such as a generator that makes one after the other.
-        folder: where the files go; made if it is missing.
-        write, formats: see `write_figure`.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    files: list[Path] = []
-    with rc_context(STYLE):
-        for name, figure in figures:
-            lay_out(figure)
-            files += write_figure(figure, folder, name, write, formats)
-    return files
-
-
-def write_figure(
-    figure: Figure,
-    folder: Path,
-    name: str,
-    write: Callable[[Path, bytes], None] | None = None,
-    formats: Sequence[str] = FORMATS,
-) -> list[Path]:
-    """Write a figure that is laid out as FOLDER/NAME.png and .svg, and return the files.
-
-    Args:
-        write: how a file is written; `Path.write_bytes` if it is None.
-        formats: of `FORMATS`.
-    """
-    files = [folder / f"{name}.{form}" for form in formats]
-    for file in files:
-        (write or Path.write_bytes)(file, encode(figure, file.suffix[1:]))
-    return files
+def _encode(figure: Figure, form: str) -> bytes:
+    """The figure as PNG or SVG; the same figure gives the same bytes."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format=form, dpi=_DPI, metadata={"Date": None} if form == "svg" else {"Software": None})
+    return stream.getvalue()

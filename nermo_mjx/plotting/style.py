@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 
 #: Okabe, M. and Ito, K., "Color universal design", 2008.
 OKABE_ITO: Final = {
@@ -72,7 +72,7 @@ def light(colour: str) -> str:
     return to_hex((red, green, blue))
 
 
-def set_scales(ax: Axes, x: Quantity, y: Quantity | None = None) -> None:
+def set_scales(ax: Axes, x: ShownValues, y: ShownValues | None = None) -> None:
     """Linear or logarithmic axes, with ticks at round values; whole turns in round angles."""
     for quantity, axis, scale in ((x, ax.xaxis, ax.set_xscale), (y, ax.yaxis, ax.set_yscale)):
         if quantity is None:

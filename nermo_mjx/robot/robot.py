@@ -151,14 +151,20 @@ class Robot:
         return Sensors(**parts)
 
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
-        """`sensordata` of the robot put down at `qpos`, in JAX: where its IMU is; what moves or pushes reads zero."""
+        """`sensordata` of the robot put down at `qpos`, in JAX: where IMU and joints are; all else reads zero."""
         place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
         arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
         axis = jnp.stack([x, y, z])
         turned = arm + 2.0 * jnp.cross(axis, jnp.cross(axis, arm) + w * arm)
         data = jnp.zeros((self.model.nsensordata,), qpos.dtype)
-        data = data.at[self._compiled.sensor_slices["position"]].set(place + turned)
-        return data.at[self._compiled.sensor_slices["orientation"]].set(jnp.stack([w, x, y, z]))
+        servos = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
+        readings = {
+            "position": place + turned, "orientation": jnp.stack([w, x, y, z]), "servo_angle": qpos[servos],
+            "knee_angle": qpos[np.array(self.joints.knee)],
+        }  # fmt: skip
+        for name, reading in readings.items():
+            data = data.at[self._compiled.sensor_slices[name]].set(reading)
+        return data
 
     @property
     def mass_model(self) -> MassModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import Final
 
 import jax.numpy as jnp
@@ -25,6 +26,9 @@ TAUT: Final = 2e-5
 #: The lowest sole starts so deep in the ground [m]. On its surface rounding would decide whether it touches in the
 #: first steps, which moves the robot by 0.1 micrometres.
 DEPTH: Final = 1e-5
+
+#: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
+START_SPREAD: Final = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

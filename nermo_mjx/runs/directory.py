@@ -2,6 +2,7 @@
 
 DIR/.lock       held by whoever writes
 DIR/run.json    kind; `codes`, which code made rows, by its short name; `sessions`, each with command, versions, machine
+                (`files`: path -> digest of what the program wrote, where a user's may be in the way, see `written`)
 DIR/*.aside-N   what did not fit, under a new name: nothing is deleted that a user may want back
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -149,6 +150,11 @@ class RunDirectory:
                         "directory, or go on with --accept-new-code, and tell the rows apart by their column code."
                     )
                 codes[stamp.id] = stamp.fields()
+
+    def note_files(self, files: Mapping[str, str]) -> None:
+        """Keep which files the program wrote (`written.Written`)."""
+        with self._record() as record:
+            record["files"] = dict(files)
 
     def note_session(self, session: dict[str, Any]) -> None:
         """Add what runs here, and where (`provenance.session`)."""

@@ -82,6 +82,24 @@ def create_file(path: Path, content: bytes) -> None:
     sync_folder(path.parent)
 
 
+def append_line(path: Path, line: str) -> None:
+    """Add a line to a text file that one process writes, durably; a last line that was cut off ends before it.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    new = not path.exists()
+    with open(path, "ab+") as file:
+        if not new and file.tell():
+            file.seek(-1, os.SEEK_END)
+            line = line if file.read(1) == b"\n" else f"\n{line}"
+        file.write(f"{line}\n".encode())
+        file.flush()
+        os.fsync(file.fileno())
+    if new:
+        sync_folder(path.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names in a folder as durable as the files' content: a rename may be lost with the power otherwise."""
     # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
@@ -114,10 +132,13 @@ def content_of(path: Path) -> bytes | None:
         raise DirectoryError(f"{path} cannot be read: {error.strerror or error}; nothing was changed.") from error
 
 
-def parquet_table(content: bytes) -> pa.Table | None:
-    """The table of a Parquet file's content; None if it is damaged."""
+def parquet_table(source: Path | bytes) -> pa.Table | None:
+    """The table of a Parquet file, or of its content, every page checked; None if it is absent or damaged."""
     try:
-        return pq.read_table(pa.BufferReader(content), page_checksum_verification=True)
+        with pq.ParquetFile(
+            pa.BufferReader(source) if isinstance(source, bytes) else source, page_checksum_verification=True
+        ) as file:
+            return file.read()
     except (OSError, pa.ArrowException, ValueError):
         return None
 

@@ -31,7 +31,7 @@ def machine() -> dict[str, Any]:
     """The machine's name, processor, number of cores and platform."""
     return {
         "host": platform.node(),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "platform": platform.platform(),
     }
@@ -43,7 +43,8 @@ def session(**more: Any) -> dict[str, Any]:
     return {"started": started, "command": shlex.join(sys.argv), "versions": versions(), "machine": machine(), **more}
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The processor's name."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

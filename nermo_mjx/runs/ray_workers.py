@@ -27,8 +27,9 @@ from nermo_mjx.runs.workers import Computer, TaskFailed, Tell, WorkersLost
 #: What Ray reads when it is imported: it reports no usage.
 QUIET: Final = {"RAY_USAGE_STATS_ENABLED": "0"}
 #: A cluster that is started here listens on 127.0.0.1 alone. The switch is made for Windows and macOS; on Linux Ray
-#: replaces a given address of 127.0.0.1 by the machine's.
-LOOPBACK: Final = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+#: replaces a given address of 127.0.0.1 by the machine's. Its workers are as nice as the command, and not 15 more, with
+#: which they starve where others compute.
+LOOPBACK: Final = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 #: Seconds between two looks at which nodes there are, and for which nobody may be there before it is given up.
 LOOK, PATIENCE = 1.0, 300.0
 #: How often a task's worker may be lost, and how often a node's workers may fail to start.
@@ -103,6 +104,8 @@ class RayWorkers:
         import ray.util.scheduling_strategies
 
         self._ray = ray
+        # Ray prints the last log of each node that is lost, a page of it; `say` gets a sentence.
+        ray._private.worker._worker_logs_enabled = False
         # Ray lets SIGTERM end the process at once; whoever writes ends what is half done first.
         main = threading.current_thread() is threading.main_thread()
         before = signal.getsignal(signal.SIGTERM) if main else None
@@ -137,7 +140,8 @@ class RayWorkers:
     @property
     def parts(self) -> int:
         """See `nermo_mjx.runs.workers.Workers`."""
-        return max(1, sum(max(1, int(each["Resources"].get("GPU", 0))) for each in self._nodes()))
+        resources = [each["Resources"] for each in self._nodes()]
+        return max(1, sum(int(each.get("GPU", 0)) or int(each.get("CPU", 0) >= 1) for each in resources))
 
     def begin(self, computer: Computer) -> CodeStamp:
         """See `Workers`; the code of this process is the one that all must have."""

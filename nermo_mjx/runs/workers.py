@@ -65,11 +65,12 @@ class Workers(Protocol):
 
 
 class TaskFailed(RuntimeError):
-    """A task that raised an error, wherever it ran; the error is the cause."""
+    """A task that raised an error, wherever it ran: `error`, which is the cause, too."""
 
     def __init__(self, key: int, error: BaseException) -> None:
         super().__init__(f"task {key} failed: {error}")
-        self.key, self.__cause__ = key, error
+        self.key, self.error = key, error
+        self.__cause__ = error
 
 
 class WorkersLost(RuntimeError):

@@ -1,20 +1,18 @@
 """Sweeps: read and check a sweep file, sample its variants, run them into a directory, sum up and draw."""
 
 from nermo_mjx.runs.provenance import machine, versions
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunks import SweepError
-from nermo_mjx.sweep.plots import draw_plots
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Rows, Sample, sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError
 from nermo_mjx.sweep.summary import summarize
-from nermo_mjx.sweep.tally import Progress
+from nermo_mjx.sweep.tally import SweepProgress
 
 __all__ = [
     "DirectoryError",
-    "Progress",
     "Results",
     "Rows",
     "Sample",
@@ -22,8 +20,8 @@ __all__ = [
     "Sweep",
     "SweepError",
     "SweepInterrupted",
+    "SweepProgress",
     "SweepResult",
-    "draw_plots",
     "machine",
     "read_table",
     "run_sweep",

@@ -3,25 +3,51 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 from scipy import special
 
-from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.sweep.reading import Document, FieldPath, describe, nearest
+from nermo_mjx.robot.quantity import Quantity
+from nermo_mjx.specs.fields import OneOf, optional
+from nermo_mjx.specs.reading import Document
+from nermo_mjx.specs.values import Numbers, check_value
 
-#: Forms of a varied parameter, with how each is written.
-AXIS_FORMS = {
-    "linspace": "[from, to, count]",
-    "logspace": "[from, to, count]",
-    "values": "[a, b, ...]",
-    "uniform": "[low, high]",
-    "loguniform": "[low, high]",
-}
-#: Forms of a randomized parameter.
-DRAW_FORMS = {"uniform": "[low, high]", "loguniform": "[low, high]", "normal": "[mean, std]"}
-_LARGEST_AXIS = 1_000_000
+_LARGEST_AXIS: Final = 1_000_000
+_TRIED: Final = 5
+_Steps = Annotated[list[float], Numbers("[from, to, count]", 2, 3)]
+_Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
+
+
+class AxisForm(OneOf):
+    """A varied parameter, as it stands in a file; with a sampler, `linspace` and `logspace` need no count."""
+
+    expected: ClassVar = (
+        "{linspace: [from, to, count]} or {logspace: [from, to, count]} or {values: [a, b, ...]}, with a sampler also "
+        "{uniform: [low, high]} or {loguniform: [low, high]}; put a fixed value under 'set'"
+    )
+    other: ClassVar = "has the form {name!r}"
+    short: ClassVar = ({"type": "array", "items": {"type": "number"}, "minItems": 1},)
+    linspace: _Steps = optional("evenly spaced, both ends included")
+    logspace: _Steps = optional("evenly in the logarithm; the ends are values, not exponents")
+    values: Annotated[list[float], Numbers("[a, b, ...]", 1)] = optional("these")
+    uniform: _Bounds = optional("between the bounds, with a sampler")
+    loguniform: _Bounds = optional("evenly in the logarithm, with a sampler")
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        return {"values": given} if isinstance(given, list) else super().written_out(given)
+
+
+class DrawForm(OneOf):
+    """A randomized parameter, as it stands in a file."""
+
+    expected: ClassVar = "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed " \
+                         "value under 'set'"  # fmt: skip
+    other: ClassVar = "has the form {name!r}"
+    uniform: _Bounds = optional("between the bounds")
+    loguniform: _Bounds = optional("evenly in the logarithm")
+    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("cut off at the range")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +56,7 @@ class Axis:
 
     Attributes:
         name: dotted name of the parameter.
-        form: a key of `AXIS_FORMS`. `logspace` and `loguniform` are given by their end values, not by exponents.
+        form: a field of `AxisForm`. `logspace` and `loguniform` are given by their end values, not by exponents.
         numbers: what stood in the list; the count of a linspace or logspace that only bounds a sampler may be absent.
     """
 
@@ -54,6 +80,10 @@ class Axis:
             return self.values()[np.floor(share * len(self.numbers)).astype(int)]
         return _between(self.numbers[0], self.numbers[1], share, log=self.form in ("logspace", "loguniform"))
 
+    def tried(self, *, grid: bool) -> np.ndarray:
+        """Values to try before a sweep begins: all of a grid, else a few within the bounds."""
+        return self.values() if grid or self.form == "values" else self.at(np.linspace(0.0, 0.999, _TRIED))
+
     def written(self) -> dict[str, list[float]]:
         """The axis as it stands in a sweep file."""
         count = [int(self.numbers[2])] if self.form in ("linspace", "logspace") and len(self.numbers) == 3 else []
@@ -66,7 +96,7 @@ class Draw:
 
     Attributes:
         name: dotted name of the parameter.
-        form: a key of `DRAW_FORMS`; a normal distribution is cut off at the parameter's range.
+        form: a field of `DrawForm`; a normal distribution is cut off at the parameter's range.
         numbers: (low, high), or (mean, standard deviation).
         low, high: range of the parameter.
     """
@@ -85,22 +115,22 @@ class Draw:
         low, high = special.ndtr((self.low - a) / b), special.ndtr((self.high - a) / b)
         return np.clip(a + b * special.ndtri(low + (high - low) * share), self.low, self.high)
 
+    def tried(self) -> np.ndarray:
+        """A few values within the bounds; of a normal draw, all but one in a thousand on either side."""
+        return self.at(np.linspace(0.001 if self.form == "normal" else 0.0, 0.999, _TRIED))
+
     def written(self) -> dict[str, list[float]]:
         """The draw as it stands in a sweep file."""
         return {self.form: list(self.numbers)}
 
 
-def read_axis(doc: Document, name: str, value: Any, about: Quantity, *, grid: bool) -> Axis:
-    """Read and check the entry `vary.name`; `grid` tells whether the sampler needs listed values or only bounds."""
-    path: FieldPath = ("vary", name)
-    forms = {form: text for form, text in AXIS_FORMS.items() if not grid or "uniform" not in form}
-    if isinstance(value, list):
-        value = {"values": value}
-    if grid and isinstance(value, dict) and list(value) in (["uniform"], ["loguniform"]):
-        doc.fail(path, f"is {next(iter(value))}, which a grid cannot list: give {_choices(forms)}, or a sampler "
+def read_axis(doc: Document, name: str, given: AxisForm, about: Quantity, *, grid: bool) -> Axis:
+    """Check the entry `vary.name`; `grid` tells whether the sampler needs listed values or only bounds."""
+    form, numbers = given.chosen
+    path = ("vary", name, form)
+    if grid and form in ("uniform", "loguniform"):
+        doc.fail(path, f"is {form}, which a grid cannot list: give {{linspace: [from, to, count]}}, or a sampler "
                        "such as sample: {sobol: 256}.", name)  # fmt: skip
-    form, numbers = _read_form(doc, path, value, forms, "put a fixed value under 'set'")
-    path = (*path, form)
     if form == "values":
         if not numbers:
             doc.fail(path, "is an empty list, so the grid is empty: give at least one value.", name)
@@ -108,10 +138,8 @@ def read_axis(doc: Document, name: str, value: Any, about: Quantity, *, grid: bo
             doc.fail(path, f"lists {_first_repeat(numbers):g} twice: every variant would be run twice.", name)
         check_value(doc, path, name, about, numbers)
         return Axis(name, form, tuple(numbers))
-    counted = form in ("linspace", "logspace")
-    wanted = (3,) if counted and grid else (2, 3) if counted else (2,)
-    if len(numbers) not in wanted:
-        doc.fail(path, f"is {form} with {len(numbers)} numbers: expected {AXIS_FORMS[form]}.", name)
+    if grid and len(numbers) != 3:
+        doc.fail(path, f"is {form} with {len(numbers)} numbers: expected [from, to, count].", name)
     check_value(doc, path, name, about, numbers[:2])
     count = numbers[2] if len(numbers) == 3 else 2.0
     if not 1 <= count <= _LARGEST_AXIS or count != int(count):
@@ -127,59 +155,18 @@ def read_axis(doc: Document, name: str, value: Any, about: Quantity, *, grid: bo
     return Axis(name, form, tuple(numbers))
 
 
-def read_draw(doc: Document, name: str, value: Any, about: Quantity) -> Draw:
-    """Read and check the entry `randomize.name`."""
-    path: FieldPath = ("randomize", name)
-    form, numbers = _read_form(doc, path, value, DRAW_FORMS, "put a fixed value under 'set'")
-    path = (*path, form)
-    if len(numbers) != 2:
-        doc.fail(path, f"is {form} with {len(numbers)} numbers: expected {DRAW_FORMS[form]}.", name)
-    a, b = numbers
-    if form == "normal":
-        check_value(doc, path, name, about, [a])
-        if not (0 < b < np.inf):
-            doc.fail(path, f"has the standard deviation {b:g}: it must be above 0 and finite.", name)
-    else:
-        check_value(doc, path, name, about, numbers)
-        if a >= b:
-            doc.fail(path, f"has the bounds {a:g} and {b:g}: the lower one comes first.", name)
-        if form == "loguniform" and a <= 0:
-            doc.fail(path, f"is loguniform from {a:g}: both bounds must be above 0.", name)
+def read_draw(doc: Document, name: str, given: DrawForm, about: Quantity) -> Draw:
+    """Check the entry `randomize.name`."""
+    form, (a, b) = given.chosen
+    path = ("randomize", name, form)
+    check_value(doc, path, name, about, [a] if form == "normal" else [a, b])
+    if form == "normal" and not 0 < b < np.inf:
+        doc.fail(path, f"has the standard deviation {b:g}: it must be above 0 and finite.", name)
+    if form != "normal" and a >= b:
+        doc.fail(path, f"has the bounds {a:g} and {b:g}: the lower one comes first.", name)
+    if form == "loguniform" and a <= 0:
+        doc.fail(path, f"is loguniform from {a:g}: both bounds must be above 0.", name)
     return Draw(name, form, (a, b), about.low, about.high)
-
-
-def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, value: Any) -> None:
-    """Fail at `path` unless every number is finite and within the parameter's range."""
-    try:
-        about.check(name, value)
-    except ParameterError as error:
-        doc.fail(path, str(error).removeprefix(f"{name} "), name)
-
-
-def read_number(doc: Document, path: FieldPath, value: Any, field: str | None = None) -> float:
-    """A number, and not a truth value, a text or a list."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        doc.fail(path, f"is {describe(value)}: expected a number.", field)
-    return float(value)
-
-
-def _read_form(
-    doc: Document, path: FieldPath, value: Any, forms: dict[str, str], otherwise: str
-) -> tuple[str, list[float]]:
-    """The single `form: [numbers]` of an entry."""
-    name = str(path[-1])
-    if not isinstance(value, dict) or len(value) != 1:
-        doc.fail(path, f"is {describe(value)}: expected {_choices(forms)}; {otherwise}.", name)
-    form, numbers = next(iter(value.items()))
-    if form not in forms:
-        doc.fail((*path, form), f"has the form '{form}': expected {_choices(forms)}{nearest(form, forms)}", name)
-    if not isinstance(numbers, list):
-        doc.fail((*path, form), f"is {form} of {describe(numbers)}: expected the list {forms[form]}.", name)
-    return form, [read_number(doc, (*path, form, i), number, name) for i, number in enumerate(numbers)]
-
-
-def _choices(forms: dict[str, str]) -> str:
-    return " or ".join(f"{{{form}: {text}}}" for form, text in forms.items())
 
 
 def _first_repeat(numbers: list[float]) -> float:

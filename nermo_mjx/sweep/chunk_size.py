@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import jax
 
@@ -14,9 +15,12 @@ from nermo_mjx.runtime import cpu_count
 CORE_ROWS = 32
 #: Chunks above which they grow, up to so many times: each is a file, and is looked at when a sweep goes on.
 MANY_CHUNKS, MOST_GROWTH = 10_000, 10
-#: Share of a device's memory for a batch, and what a world takes of it at most while a step is computed [bytes]: the
-#: model and the data of MJX (about 60 kB for this robot), and as much again several times over for what XLA keeps.
-MEMORY_SHARE, WORLD_BYTES = 0.5, 1_000_000
+#: Share of a device's memory for a batch.
+MEMORY_SHARE: Final = 0.5
+#: What a world takes of it, by engine [bytes]. `mjx`: what XLA plans for a walk, arguments and results included, by
+#: `nermo-mjx bench gpu-plan` (docs/benchmarks); a test holds it to the newest run there. `warp` has memory of its own,
+#: which the plan does not see: a guess, and a high one.
+WORLD_BYTES: Final = {"mjx": 36_000, "warp": 1_000_000}
 #: Worlds with which a device is busy; more of them only take longer, and are lost together.
 BUSY_WORLDS = 8192
 
@@ -38,7 +42,7 @@ def chunk_rows(
     if engine == "c" or memory is None:
         usual = CORE_ROWS * cores
         return min(max(usual, min(math.ceil(rows / MANY_CHUNKS), usual * MOST_GROWTH)), share)
-    worlds = min(int(memory * MEMORY_SHARE / WORLD_BYTES), BUSY_WORLDS)
+    worlds = min(int(memory * MEMORY_SHARE / WORLD_BYTES[engine]), BUSY_WORLDS)
     return max(min(worlds, math.ceil(share / devices)), 1) * devices
 
 

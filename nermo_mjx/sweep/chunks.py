@@ -14,8 +14,8 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import batch_size, batch_values, listed, rows_digest
-from nermo_mjx.sweep.reading import SpecError
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, Simulated
 from nermo_mjx.sweep.store import ChunkNote, Store
@@ -56,20 +56,17 @@ class Work:
         """Look at every chunk's file; one with a flaw counts as missing, which is told if this process runs it."""
         self._forget()
         flawed: dict[str, list[int]] = {}
-        for k in sorted(self.store.present()):
-            if k < len(self.layout):
-                note, flaw, foreign = self.store.inspect(k, self.layout[k])
-                if note is not None:
-                    self._finish(k, note)
-                elif self.mine[k] and flaw:
-                    flawed.setdefault(flaw, []).append(k)
-                    self._foreign |= {k} if foreign else set()
+        for k, (note, flaw) in self.store.states(self.layout):
+            if note is not None:
+                self._finish(k, note)
+            elif self.mine[k] and flaw:
+                flawed.setdefault(flaw, []).append(k)
+        say = warn or (lambda _: None)
         for flaw, chunks in flawed.items():
             named = f"chunk {chunks[0]} of {self.store.out}"
             if len(chunks) > 1:
                 named = f"chunks {listed(np.array(chunks))} of {self.store.out}: each"
-            if warn:
-                warn(f"{named} {flaw}, and is run again.")
+            say(f"{named} {flaw}; it is kept in results.aside, and run again.")
 
     def effort(self) -> dict[str, Any]:
         """Engine, physics steps and the time they took, over all sessions."""
@@ -162,8 +159,6 @@ class Work:
         table = chunk_table(
             self.store.sweep, self.rows.take(index), index, metrics, result.status[: len(index)], stamp.id, about
         )
-        if k in self._foreign:
-            self.store.move_chunk_aside(k)
         self.store.write_chunk(k, table)
         self._finish(k, ChunkNote(stamp.engine, result.steps, result.seconds))
 
@@ -171,7 +166,6 @@ class Work:
         self.done = np.zeros(len(self.layout), bool)
         self.engines: list[str] = []
         self.steps = self.seconds = 0.0
-        self._foreign: set[int] = set()
 
     def _finish(self, k: int, note: ChunkNote) -> None:
         self.done[k] = True

@@ -18,7 +18,7 @@ from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.page import around, blank
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import (
     BAND,
     BEST,
@@ -34,9 +34,9 @@ from nermo_mjx.sweep.summary import OBJECTIVES, cost
 
 
 def heat_maps(
-    x: Quantity,
-    y: Quantity,
-    z: Quantity,
+    x: ShownValues,
+    y: ShownValues,
+    z: ShownValues,
     panels: Sequence[tuple[str, np.ndarray]],
     title: str,
     note: str,
@@ -86,7 +86,7 @@ def heat_maps(
     return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else _signed(best)}{ring}")
 
 
-def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
+def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     """Mean over x, with a band of one standard deviation where points share an x, and the best point as a star."""
     figure, (ax,) = _panels(1, 4.4)
     xs, mean, std = _binned(x.values, z.values, np.unique(x.values))
@@ -102,7 +102,7 @@ def line(x: Quantity, z: Quantity, title: str, note: str) -> Figure:
     return around(figure, title, note)
 
 
-def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: str, note: str) -> Figure:
+def scatters(xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], title: str, note: str) -> Figure:
     """The metric against each parameter: every run, or how many there are; a running mean over runs of alike value."""
     figure, axes = _panels(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
@@ -118,7 +118,7 @@ def scatters(xs: Sequence[Quantity], z: Quantity, titles: Sequence[str], title: 
 
 
 def pair_scatters(
-    pairs: Sequence[tuple[Quantity, Quantity]], z: Quantity, title: str, note: str, *, star: bool = True
+    pairs: Sequence[tuple[ShownValues, ShownValues]], z: ShownValues, title: str, note: str, *, star: bool = True
 ) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
     figure, axes = _panels(len(pairs), 2.7 if len(pairs) > 1 else 4.0)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from nermo_mjx.plotting.page import around, blank
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BEST, COLOURS, INK, MUTED, SMALL
 
 #: Lines that are drawn; of more points, as many are chosen evenly by rank.
@@ -41,7 +41,7 @@ def chosen_lines(costs: np.ndarray) -> np.ndarray:
     return np.concatenate([rest[np.linspace(0, len(rest) - 1, MOST_LINES).round().astype(int)], order[-BEST_LINES:]])
 
 
-def parallel(parameters: Sequence[Quantity], z: Quantity, title: str, note: str) -> Figure:
+def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note: str) -> Figure:
     """The figure.
 
     Args:
@@ -79,14 +79,14 @@ def parallel(parameters: Sequence[Quantity], z: Quantity, title: str, note: str)
     return around(figure, title, note)
 
 
-def _share(axis: Quantity, values: np.ndarray) -> np.ndarray:
+def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
     """Where values stand on an axis, from 0 at its lowest to 1 at its highest."""
     own, wanted = (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
     low, high = float(own.min()), float(own.max())
     return (wanted - low) / (high - low) if high > low else np.full(np.shape(wanted), 0.5)
 
 
-def _draw_axis(ax: Axes, place: int, axis: Quantity) -> None:
+def _draw_axis(ax: Axes, place: int, axis: ShownValues) -> None:
     """A line with ticks: each value where there are few, else round ones."""
     ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
     values = np.unique(axis.values)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nermo_mjx.plotting.quantity import Quantity, shown
+from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.summary import Variants
 from nermo_mjx.sweep.table import columns_of, meta
@@ -28,10 +28,10 @@ class Points:
     results: Results
     parameters: tuple[str, ...]
     rows: np.ndarray
-    metrics: dict[str, Quantity]
+    metrics: dict[str, ShownValues]
     runs: int
 
-    def of(self, names: Sequence[str], chosen: np.ndarray) -> list[Quantity]:
+    def of(self, names: Sequence[str], chosen: np.ndarray) -> list[ShownValues]:
         """Columns of the chosen points, as shown; only those columns are read, and only those points kept."""
         rows = self.rows[chosen]
         return [quantity(self.results, name, values[rows]) for name, values in self.results.columns(names)]
@@ -53,8 +53,7 @@ class Points:
 
 def points_of(results: Results, metrics: Sequence[str]) -> Points:
     """The points of a table with these metrics; only runs that went well count."""
-    well, _ = results.statuses()
-    varied = columns_of(results, "varied")
+    well, varied = results.well, columns_of(results, "varied")
     columns = results.columns(["variant", *metrics])
     variant = next(columns)[1]
     places = np.flatnonzero(well)
@@ -68,7 +67,36 @@ def points_of(results: Results, metrics: Sequence[str]) -> Points:
     return Points(results, tuple(varied), places[variants.first], found, len(places))
 
 
-def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> Quantity:
+def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
     """Values of a column as shown."""
     about = meta(results.schema.field(name))
     return shown(name, about["unit"], values, log=about.get("scale") == "log")
+
+
+def quantities(results: Results, names: Sequence[str]) -> list[ShownValues]:
+    """Columns as shown."""
+    return [quantity(results, name, values) for name, values in results.columns(names)]
+
+
+def metric_of(results: Results, metric: str) -> ShownValues:
+    """A metric as shown, NaN where a run did not go well."""
+    return quantity(results, metric, np.where(results.well, results.column(metric), np.nan))
+
+
+def repeats_remark(results: Results) -> str:
+    """What the note of a figure says of repeats that share a point."""
+    repeats = int(np.max(results.column("repeat"))) + 1
+    return f"mean of {repeats} repeats; " if repeats > 1 else ""
+
+
+def thinned(values: np.ndarray, most: int, kept: np.ndarray | Sequence[int] = ()) -> np.ndarray:
+    """So many of some sorted values, evenly, and those to be kept; all of them where they are no more."""
+    if len(values) <= most:
+        return values
+    even = values[np.linspace(0, len(values) - 1, most).round().astype(int)]
+    return np.union1d(even, np.asarray(kept, values.dtype))
+
+
+def titled(metric: str) -> str:
+    """A metric's name as a title begins with it."""
+    return metric.replace("_", " ").capitalize()

@@ -1,80 +1,135 @@
-"""The figures of a sweep's directory once more, from its table alone."""
+"""The figures of a sweep's directory, from its table alone: the usual ones, or one of columns that a user names."""
 
 from __future__ import annotations
 
-import os
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from nermo_mjx.plotting.files import FORMATS
+import numpy as np
+from matplotlib.figure import Figure
+
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
-from nermo_mjx.sweep.chosen import check_column, draw_chosen
-from nermo_mjx.sweep.plots import draw_plots
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.specs.reading import did_you_mean
+from nermo_mjx.sweep.figures import pair_scatters, scatters
+from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
+from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_remark, thinned
+from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.summary import LEADING
+from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.survey import trade_off_figure
 from nermo_mjx.sweep.table import columns_of
 
 
-def redraw(
-    out: str | os.PathLike[str],
-    folder: Path | None = None,
+def figures(
+    out: Path,
     *,
     x: str | None = None,
     y: str | None = None,
     color: str | None = None,
-    formats: Sequence[str] = FORMATS,
     notify: Callable[[str], None] | None = None,
-) -> list[Path]:
-    """Draw the figures of a sweep's directory, as far as it is finished.
+) -> Figures:
+    """The figures of a sweep's directory, as far as it is finished.
 
     Args:
         out: the directory.
-        folder: where the files go; by default its `plots/`.
-        x, y, color: columns of one figure, see `nermo_mjx.sweep.chosen.draw_chosen`; a metric as color alone gives the
-            usual figures of that metric; without any of them, those of the speed are drawn.
-        formats: of `png` and `svg`.
+        x, y, color: columns of one figure, see `chosen_figure`; a metric as color alone gives the usual figures of that
+            metric; without any of them, those of the speed are drawn.
         notify: called with a sentence where the table is not complete.
 
-    Returns:
-        The files.
-
     Raises:
-        ParameterError: there is no such column, or the folder cannot be written.
+        ParameterError: there is no such column.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    out = Path(out)
-    files = sorted(path for path in out.glob("results/chunk-*.parquet") if re.fullmatch(r"chunk-\d+", path.stem))
+    files = list(chunk_files(out).values())
     if not files:
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
-    results, rows = Results.of_present(files), len(Sample(Sweep.from_file(out / "sweep.yaml")))
+    results, rows = Results(files), len(Sample(Sweep.from_file(out / "sweep.yaml")))
     remark = ""
     if results.rows < rows:
         remark = f"{results.rows:,} of {rows:,} runs so far; "
         if notify is not None:
             notify(f"{results.rows:,} of {rows:,} runs are in {out}; the figures show these.")
-    else:
-        results = Results.of_files(files, rows)
-    if x is None and y is not None:
+    if x is not None:
+        return chosen_figure(results, x, y, color, remark)
+    if y is not None:
         raise ParameterError("y is given without x: name both, or x alone.")
-    if x is None and color is not None and color not in columns_of(results, "metric"):
-        check_column(results, color, "color")
+    if color is not None and color not in columns_of(results, "metric"):
+        _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
-    folder = out / "plots" if folder is None else folder
-    make_writable(folder)
-    with clear_errors(folder):
-        if x is not None:
-            return draw_chosen(results, folder, x, y, color, write=replace_file, formats=formats, remark=remark)
-        drawn = draw_plots(
-            results, folder, metrics=(color or LEADING,), write=replace_file, formats=formats, remark=remark
-        )
-    if not drawn:
-        well = results.statuses()[0].any()
-        why = "all its parameters have one value" if well else "no run went well"
+    return _usual(out, results, color or LEADING, remark)
+
+
+def chosen_figure(
+    results: Results, x: str, y: str | None = None, color: str | None = None, remark: str = ""
+) -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of the named columns, made when it is asked for.
+
+    Two parameters of a grid give a heat map, two metrics that have a better side a Pareto front, all else a scatter.
+
+    Args:
+        results: the table.
+        x, y: parameters or metrics; without y, it is the speed.
+        color: a column that colours the points; of two parameters, the speed by default.
+        remark: what the figure's note begins with.
+
+    Raises:
+        ParameterError: there is no such column, or no run that went well.
+    """
+    for option, name in (("x", x), ("y", y), ("color", color)):
+        _check_column(results, name, option)
+    if not results.well.any():
+        raise ParameterError("no run of the table went well, so that there is nothing to plot.")
+    return (_figure(results, x, y or LEADING, color, remark) for _ in range(1))
+
+
+def _usual(out: Path, results: Results, metric: str, remark: str) -> Iterator[tuple[str, Figure]]:
+    some = False
+    for named in figures_of(results, metric, remark):
+        some = True
+        yield named
+    if not some:
+        why = "all its parameters have one value" if results.well.any() else "no run went well"
         raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
-    return drawn
+
+
+def _check_column(results: Results, name: str | None, option: str) -> None:
+    """Refuse a name that is no parameter and no metric of the table; None is none."""
+    known = columns_of(results, "varied", "randomized", "metric")
+    if name is not None and name not in known:
+        hint = did_you_mean(name, known)
+        raise ParameterError(f"{option} is {name!r}, no column of the table{hint} There are {', '.join(known)}.")
+
+
+def _figure(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
+    metrics, varied = columns_of(results, "metric"), columns_of(results, "varied")
+    if color is None and x in OBJECTIVES and y in OBJECTIVES and x != y:
+        points = points_of(results, [x, y])
+        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
+    if color is None and not {x, y} & set(metrics):
+        color = LEADING
+    if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
+        others = quantities(results, varied)
+        across, up = (next(each for each in others if each.name == wanted) for wanted in (x, y))
+        differing = [each for each in others if np.ptp(each.values) > 0]
+        return heat_map(across, up, differing, metric_of(results, color), remark + repeats_remark(results))
+    title = f"{color} over {x} and {y}" if color else f"{y} over {x}"
+    name = title.replace(" ", "-")
+    drawn = [quantities(results, [each])[0] for each in (x, y, color) if each]
+    good = results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn])
+    places = np.flatnonzero(good)
+    note = f"{len(places):,} runs"
+    if len(places) > MOST_POINTS:
+        best = places[np.argmin(cost(drawn[-1].name, drawn[-1].values[places]))]
+        places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
+    note = remark + note
+    across, up, *by = (ShownValues(each.name, each.unit, each.values[places], each.log) for each in drawn)
+    title = title[:1].upper() + title[1:]
+    if by:
+        return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)
+    return name, scatters([across], up, [""], title, f"{note}; line: running mean")

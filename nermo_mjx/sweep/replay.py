@@ -15,12 +15,13 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.physics import ENGINES
 from nermo_mjx.rollout import METRICS, History, Simulator
+from nermo_mjx.runs.files import parquet_table
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
-from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.store import Store, read_chunk
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +120,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     seconds = simulated_seconds(sweep, rows)
     layout = layout_of(seconds, sweep.chunk or chunk_rows_here("auto", len(rows)))
     k = next(k for k, index in enumerate(layout) if row in index)
-    table = read_chunk(Store(out, sweep).chunk_path(k))  # never entered: it only reads
+    path = chunk_files(out).get(k)
+    table = None if path is None else parquet_table(path)
     stored = table if table is not None and _holds(table, sweep, layout[k]) else None
     if stored is not None:
         engine = stored.schema.metadata[b"engine"].decode()
@@ -191,7 +193,7 @@ def _holds(table: pa.Table, sweep: Sweep, rows: np.ndarray) -> bool:
 
 def _begun_with(out: Path, digest: str) -> str | None:
     """Engine of the first readable chunk of this sweep; a directory keeps its engine."""
-    for path in sorted(out.glob("results/chunk-*.parquet")):
+    for path in chunk_files(out).values():
         try:
             about = pq.read_schema(path).metadata or {}
         except (OSError, pa.ArrowException, ValueError):

@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-import collections
 import contextlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.sweep.store import read_chunk
+from nermo_mjx.runs.files import DirectoryError, parquet_table
 
 #: Schema metadata that differs between the chunks of one table.
 CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds", b"engine", b"code")
 #: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
-HELD = 32_000_000
-
-
-class Part(NamedTuple):
-    """Some rows of a table: their places in its order, (n,), and some of their columns."""
-
-    places: np.ndarray
-    columns: pa.Table
+HELD = 24_000_000
+_FORMAT = ds.ParquetFileFormat(
+    default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+)
 
 
 class Results:
@@ -35,73 +30,69 @@ class Results:
 
     Attributes:
         schema: names, types and metadata of the columns, and of the table.
-        rows: how many.
+        rows: how many there are.
+        well: which runs went well, (rows,) bool.
+        statuses: how often each status occurs.
     """
 
-    def __init__(self, schema: pa.Schema, rows: int, parts: Callable[[Sequence[str]], Iterator[Part]]) -> None:
+    def __init__(self, source: pa.Table | Sequence[Path]) -> None:
         """
         Args:
-            parts: the table bit by bit, with the named columns.
-        """
-        self.schema, self.rows, self._parts = schema, rows, parts
-
-    @classmethod
-    def of_table(cls, table: pa.Table) -> Results:
-        """A table that is in memory anyway."""
-        return cls(table.schema, table.num_rows, lambda names: iter([_whole(table, names)]))
-
-    @classmethod
-    def of_files(cls, files: Sequence[Path], rows: int) -> Results:
-        """The chunks of a complete table of so many rows."""
-        schema = pq.read_schema(files[0])
-        return cls(schema.with_metadata(_common(schema)), rows, lambda names: _read(files, names))
-
-    @classmethod
-    def of_present(cls, files: Sequence[Path]) -> Results:
-        """The chunks that are there of a table that may have more; their rows in the order of the files.
+            source: a table, or chunks of one; a column that an earlier release did not know is null in its chunks.
 
         Raises:
-            DirectoryError: a chunk cannot be read.
+            DirectoryError: a chunk cannot be read, now or when a column is asked for.
         """
-        with _clear(files[0]):
-            schema = pq.read_schema(files[0])
-        counts = []
-        for path in files:
-            with _clear(path):
-                counts.append(pq.read_metadata(path).num_rows)
-        begins = np.cumsum([0, *counts])
+        self._files = () if isinstance(source, pa.Table) else source
+        with self._readable():
+            schema = source.schema if isinstance(source, pa.Table) else pq.read_schema(source[0])
+            data = source if isinstance(source, pa.Table) else [str(path) for path in source]
+            self._data = ds.dataset(data, schema, None if isinstance(source, pa.Table) else _FORMAT)
+        self.schema = schema.with_metadata(_common(schema))
+        table = self._read(["row", "status"])
+        self._order = np.argsort(table.column("row").to_numpy(), kind="stable")
+        self.rows, status = len(self._order), table.column("status")
+        self.well = pc.equal(status, "ok").to_numpy()[self._order]
+        counts = {each["values"]: each["counts"] for each in pc.value_counts(status).to_pylist()}
+        self.statuses: dict[str, int] = dict(sorted(counts.items()))
 
-        def parts(names: Sequence[str]) -> Iterator[Part]:
-            for begin, part in zip(begins, _read(files, names), strict=False):
-                yield Part(begin + np.arange(len(part.places)), part.columns)
-
-        return cls(schema.with_metadata(_common(schema)), int(begins[-1]), parts)
+    @property
+    def is_grid(self) -> bool:
+        """Whether the varied parameters are a grid's."""
+        return (self.schema.metadata or {}).get(b"sampler") == b"grid"
 
     def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
         """Columns of numbers one after the other, (rows,) each; the files are read as few times as memory allows."""
         at_once = max(1, HELD // max(self.rows, 1))
         for start in range(0, len(names), at_once):
-            group = list(names[start : start + at_once])
-            kinds = [self.schema.field(name).type.to_pandas_dtype() for name in group]
-            held = {name: np.empty(self.rows, kind) for name, kind in zip(group, kinds, strict=True)}
-            for part in self._parts(group):
-                for name in group:
-                    held[name][part.places] = part.columns.column(name).to_numpy()
-            for name in group:
-                yield name, held.pop(name)
+            table = self._read(names[start : start + at_once])
+            for name in table.column_names:
+                yield name, table.column(name).to_numpy()[self._order]
+                table = table.drop([name])
 
     def column(self, name: str) -> np.ndarray:
         """One column of numbers, (rows,)."""
         return next(self.columns([name]))[1]
 
-    def statuses(self) -> tuple[np.ndarray, dict[str, int]]:
-        """Which runs went well, (rows,) bool, and how often each status occurs."""
-        well, counts = np.zeros(self.rows, bool), collections.Counter[str]()
-        for part in self._parts(["status"]):
-            status = part.columns.column("status")
-            well[part.places] = pc.equal(status, "ok").to_numpy()
-            counts.update({each["values"]: each["counts"] for each in pc.value_counts(status).to_pylist()})
-        return well, dict(sorted(counts.items()))
+    def _read(self, names: Sequence[str]) -> pa.Table:
+        """Some columns, in the order of the files."""
+        with self._readable():  # what a dataset caches of ten thousand files is two gigabytes
+            return self._data.scanner(columns=list(names), cache_metadata=False).to_table()
+
+    @contextlib.contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Turn what is wrong with a file into a `DirectoryError`."""
+        try:
+            yield
+        except (OSError, pa.ArrowException) as error:
+            path = next((path for path in self._files if parquet_table(path) is None), "the table")
+            raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
+
+
+def chunk_files(out: str | os.PathLike[str]) -> dict[int, Path]:
+    """The files of a directory's chunks by their numbers, in order, whatever is in them."""
+    found = ((re.fullmatch(r"chunk-(\d+)\.parquet", path.name), path) for path in Path(out).glob("results/*"))
+    return dict(sorted((int(name[1]), path) for name, path in found if name))
 
 
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
@@ -113,37 +104,18 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     Raises:
         DirectoryError: no readable chunk is there.
     """
-    tables = [read_chunk(path) for path in sorted(Path(out).glob("results/chunk-*.parquet"))]
-    chunks = [table for table in tables if table is not None]
+    chunks = [table for path in chunk_files(out).values() if (table := parquet_table(path)) is not None]
     if not chunks:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(chunks[0].schema)
-    chunks = [chunk.replace_schema_metadata(metadata) for chunk in chunks]
-    return pa.concat_tables(chunks, promote_options="default").sort_by("row").combine_chunks()
+    table = pa.concat_tables((chunk.replace_schema_metadata(metadata) for chunk in chunks), promote_options="default")
+    del chunks
+    order = pc.sort_indices(table.column("row"))
+    for place, field in enumerate(table.schema):  # column by column, so that none but one is there twice
+        table = table.set_column(place, field, table.column(place).combine_chunks().take(order))
+    return table
 
 
 def _common(schema: pa.Schema) -> dict[bytes, bytes]:
     """Metadata of the table, whatever its chunks were."""
     return {key: value for key, value in (schema.metadata or {}).items() if key not in CHUNK_KEYS}
-
-
-def _whole(table: pa.Table, names: Sequence[str]) -> Part:
-    return Part(np.arange(table.num_rows), table.select(list(names)))
-
-
-def _read(files: Sequence[Path], names: Sequence[str]) -> Iterator[Part]:
-    for path in files:
-        with _clear(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
-            table = file.read(columns=[*names, "row"], use_threads=False)
-        for name in set(names) - set(table.column_names):  # an earlier release made this chunk, and did not know it
-            table = table.append_column(name, pa.nulls(len(table), pa.float64()))
-        yield Part(table.column("row").to_numpy(), table)
-
-
-@contextlib.contextmanager
-def _clear(path: Path) -> Iterator[None]:
-    """Turn what is wrong with a file into a `DirectoryError`."""
-    try:
-        yield
-    except (OSError, pa.ArrowException) as error:
-        raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None

@@ -12,22 +12,23 @@ from typing import Any
 import pyarrow as pa
 
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.files import clear_errors, replace_file
 from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
-from nermo_mjx.sweep.plots import draw_plots
-from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
-from nermo_mjx.sweep.summary import summarize, to_json
-from nermo_mjx.sweep.tally import Progress, Tally
+from nermo_mjx.sweep.summary import summarize
+from nermo_mjx.sweep.tally import SweepProgress, Tally
 
 #: How often a chunk is run that is damaged each time it is read again.
 ATTEMPTS = 2
@@ -71,7 +72,7 @@ def run_sweep(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[SweepProgress], None] | None = None,
     notify: Callable[[str], None] | None = None,
     warn: Callable[[str], None] | None = None,
     chunk: int | None = None,
@@ -89,7 +90,7 @@ def run_sweep(
         spec: a `Sweep`, a dict with the fields of a sweep file, or the path of one.
         out: the directory; see `nermo_mjx.sweep.store`.
         engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
-        progress: called now and then with a `Progress`.
+        progress: called now and then with a `SweepProgress`.
         notify: called with a sentence when something takes long (compilation).
         warn: called with a sentence when something in the directory is damaged, and is run again.
         chunk: rows simulated and stored together; a directory keeps the size it was begun with.
@@ -115,7 +116,7 @@ def run_sweep(
     size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), parts)
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
 
-        def report(share: Progress) -> None:
+        def report(share: SweepProgress) -> None:
             interruption.check()
             if progress is not None:
                 progress(share)
@@ -171,14 +172,12 @@ def _finish(
 def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
-    files = [store.chunk_path(k) for k in range(len(work.layout))]
-    results = Results.of_files(files, len(work.rows))
+    results = Results([store.chunk_path(k) for k in range(len(work.layout))])
     summary = {**summarize(results), **work.effort()}
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []
-    with clear_errors(store.out):
-        return summary, draw_plots(results, store.plots, write=replace_file)
+    return summary, write_figures(figures_of(results), store.plots)
 
 
 def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:

@@ -8,22 +8,66 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any, ClassVar
+
+from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
 from nermo_mjx.rollout import all_parameters
-from nermo_mjx.sweep import sections
-from nermo_mjx.sweep.axes import Axis, Draw
-from nermo_mjx.sweep.reading import Document, describe, dump, nearest, read_file, read_mapping, read_text
-from nermo_mjx.sweep.sections import SETUP_FIELDS
-from nermo_mjx.sweep.walk_spec import WalkSpec, check_sources
-from nermo_mjx.sweep.workspace import check_workspace
+from nermo_mjx.rollout.start import START_SPREAD
+from nermo_mjx.specs.fields import Fields, OneOf, optional, read
+from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.values import ByParameter, Choice, Whole, by_parameter, refuse_parameter
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
+from nermo_mjx.specs.workspace import check_workspace
+from nermo_mjx.sweep.axes import Axis, AxisForm, Draw, DrawForm, read_axis, read_draw
 
-#: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
-START_SPREAD = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
 LARGEST_SWEEP = 10_000_000
 
-_FIELDS = (*SETUP_FIELDS, "pilot", "run", "set", "vary", "sample", "randomize", "seed", "chunk", "plots")
+
+class Sampler(OneOf):
+    """Where the variants lie between the values of the axes."""
+
+    expected: ClassVar = "grid, {sobol: N} or {latin_hypercube: N}"
+    other: ClassVar = "is not a sampler"
+    alone: ClassVar = ("grid",)
+    short: ClassVar = ({"enum": [*alone]},)
+    grid: None = optional("every combination of the listed values")
+    sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of a Sobol sequence")
+    latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of one")
+
+
+def _list_parameters(schema: dict[str, Any]) -> None:
+    """Tell an editor the names of what is randomized, beside the fields."""
+    listed = by_parameter(schema.pop("additionalProperties"))
+    schema["properties"] |= listed["properties"]
+    schema["additionalProperties"] = False
+
+
+class Randomized(Fields):
+    """Repeats, where bodies are drawn from, and the randomized parameters by name."""
+
+    __pydantic_extra__: dict[str, DrawForm]
+    model_config = ConfigDict(extra="allow", json_schema_extra=_list_parameters)
+    repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
+    bodies: Annotated[str, Choice(("identified",))] = optional("draw whole bodies", alias="from")
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        refuse_parameter(key)
+
+
+class SweepFile(WalkFields):
+    """A file for `nermo-mjx sweep`."""
+
+    what: ClassVar = "a field of a sweep"
+    sources: ClassVar = "'vary', 'set' or 'randomize'"
+    vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({}, description="varied parameters")
+    sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
+    randomize: Randomized = Field(Randomized.model_validate({}), description="what is left to chance in each run")
+    seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
+    chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
+    plots: bool = Field(True, description="whether figures are drawn when the table is complete")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,35 +149,26 @@ class Sweep(WalkSpec):
 
 
 def _read(doc: Document) -> Sweep:
-    data = doc.data
-    setup, pilot = sections.read_setup(doc)
-    parameters = all_parameters(setup)
-    for key in data:
-        if key in parameters and key not in _FIELDS:
-            doc.fail((key,), "is a parameter, not a field of a sweep: put it under 'vary', 'set' or 'randomize'.")
-        if key not in _FIELDS:
-            doc.fail((key,), f"is not a field of a sweep; allowed are {', '.join(_FIELDS)}{nearest(key, _FIELDS)}")
-    sampler, samples = sections.read_sampler(doc)
-    repeats, bodies, draws = sections.read_draws(doc, parameters)
-    if not isinstance(data.get("plots", True), bool):
-        doc.fail(("plots",), f"is {describe(data['plots'])}: expected true or false.")
+    file = read(doc, SweepFile)
+    walk = read_walk(doc, file)
+    parameters = all_parameters(walk["setup"])
+    sampler, samples = file.sample.chosen
+    axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in file.vary.items()]
+    drawn = file.randomize.model_extra or {}
     sweep = Sweep(
-        setup=setup,
-        run=sections.read_run(doc, pilot),
-        fixed=sections.read_fixed(doc, parameters),
-        pilot=pilot,
-        axes=sections.read_axes(doc, parameters, grid=sampler == "grid"),
+        **walk,
+        axes=tuple(axes),
         sampler=sampler,
-        samples=samples,
-        draws=draws,
-        repeats=repeats,
-        bodies=bodies,
-        seed=sections.read_whole(doc, ("seed",), 0, 2**53) if "seed" in data else 0,
-        chunk=sections.read_whole(doc, ("chunk",), 1, LARGEST_SWEEP) if "chunk" in data else None,
-        plots=data.get("plots", True),
+        samples=samples or 0,
+        draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
+        repeats=file.randomize.repeats,
+        bodies=file.randomize.bodies,
+        seed=file.seed,
+        chunk=file.chunk,
+        plots=file.plots,
     )
     _check_together(doc, sweep)
-    return sweep if repeats == 1 else dataclasses.replace(sweep, draws=(*draws, *_start_draws(sweep)))
+    return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
 
 
 def _check_together(doc: Document, sweep: Sweep) -> None:
@@ -148,8 +183,9 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
     if rows > LARGEST_SWEEP:
         doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
                             "as sample: {sobol: 4096}.")  # fmt: skip
-    entries: dict[str, tuple[Axis | Draw, ...]] = {"vary": sweep.axes, "randomize": sweep.draws}
-    check_workspace(doc, sweep.setup, sweep.fixed, entries, grid=sweep.sampler == "grid")
+    tried = {"vary": {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes},
+             "randomize": {draw.name: draw.tried() for draw in sweep.draws}}  # fmt: skip
+    check_workspace(doc, sweep.setup, sweep.fixed, tried)
 
 
 def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 from pathlib import Path
 
@@ -10,7 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs.status import Status
-from nermo_mjx.sweep.reading import SpecError
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
 
@@ -22,9 +22,7 @@ def status(out: Path) -> Status:
         rows = len(Sample(Sweep.from_file(out / "sweep.yaml")))
     except (SpecError, OSError) as error:
         notes.append(f"Its sweep cannot be read: {error}")
-    for path in sorted(out.glob("results/chunk-*.parquet")):
-        if not re.fullmatch(r"chunk-\d+", path.stem):
-            continue
+    for path in chunk_files(out).values():
         try:
             about = pq.read_metadata(path)
         except (OSError, pa.ArrowException, ValueError):

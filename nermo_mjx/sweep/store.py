@@ -3,7 +3,8 @@
 DIR/sweep.yaml                    the resolved sweep
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
-DIR/results.aside/                chunks that other defaults made, when they are run again
+DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it; each shard has a file of its own
+DIR/results.aside/                chunks that were damaged, or that other defaults made, when they are run again
 DIR/summary.json, DIR/plots/      made from the table when it is complete
 """
 
@@ -11,11 +12,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import os
-import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -23,12 +25,14 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file, parquet_bytes
-from nermo_mjx.sweep.difference import differences
+from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, create_file, parquet_bytes, parquet_table
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import rows_digest
-from nermo_mjx.sweep.reading import SpecError
-from nermo_mjx.sweep.seal import is_intact, seal
+from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.spec import Sweep
+
+#: Fields that a sentence names where two sweeps differ.
+_NAMED = 3
 
 
 class ChunkNote(NamedTuple):
@@ -40,14 +44,10 @@ class ChunkNote(NamedTuple):
 
 
 class ChunkState(NamedTuple):
-    """A chunk's note if it is finished; else what is wrong with its file, empty if there is none.
-
-    `foreign` tells a whole file that is not this sweep's from a damaged one.
-    """
+    """A chunk's note if it is finished; else what is wrong with its file, empty if there is none."""
 
     note: ChunkNote | None
     flaw: str = ""
-    foreign: bool = False
 
 
 class Store:
@@ -66,6 +66,7 @@ class Store:
         self.out, self.sweep, self.shard = Path(out), sweep, shard
         self.directory = RunDirectory(out, "sweep", shard)
         self.results, self.plots = self.out / "results", self.out / "plots"
+        self._manifest = "manifest{}.sha256".format("" if shard is None else "-{}-of-{}".format(*shard))
         self._digest = sweep.digest().encode()
 
     def __enter__(self) -> Store:
@@ -91,13 +92,27 @@ class Store:
     def present(self) -> set[int]:
         """The chunks that have a file, whatever is in it."""
         with clear_errors(self.out):
-            names = (re.fullmatch(r"chunk-(\d+)\.parquet", entry.name) for entry in os.scandir(self.results))
-            return {int(name[1]) for name in names if name}
+            return set(chunk_files(self.out))
 
-    def inspect(self, chunk: int, rows: np.ndarray) -> ChunkState:
+    def digests(self) -> dict[str, str]:
+        """File by digest, as all manifests have them; of a chunk that was run again there are several digests."""
+        with clear_errors(self.out):
+            texts = [path.read_text(errors="replace") for path in self.out.glob("manifest*.sha256")]
+        lines = (line.partition("  ") for text in texts for line in text.splitlines())
+        return {digest: name for digest, _, name in lines}
+
+    def states(self, layout: Sequence[np.ndarray]) -> Iterator[tuple[int, ChunkState]]:
+        """The state of each chunk that has a file, in order, for the rows that it is to hold."""
+        digests = self.digests()
+        for k in sorted(self.present()):
+            if k < len(layout):
+                yield k, self.inspect(k, layout[k], digests)
+
+    def inspect(self, chunk: int, rows: np.ndarray, digests: Mapping[str, str]) -> ChunkState:
         """Whether a chunk is there, undamaged to the last bit, and holds exactly these rows of this sweep.
 
-        Its numbers are not read, only its bytes.
+        A chunk that no manifest names was written by an earlier release, which sealed it in a form of its own. All its
+        pages are read, and their checksums count; its footer, which these do not cover, has to be one that can be read.
         """
         try:
             content = self.chunk_path(chunk).read_bytes()
@@ -105,22 +120,26 @@ class Store:
             return ChunkState(None)
         except OSError as error:
             return ChunkState(None, f"cannot be read ({error.strerror})")
-        if not is_intact(content):
+        about: Mapping[bytes, bytes] | None = None
+        if _digest(content) in digests:
+            about = pq.read_metadata(pa.BufferReader(content)).metadata
+        elif f"results/{_name(chunk)}" not in digests.values() and (table := parquet_table(content)) is not None:
+            about = table.schema.metadata or {}
+        if about is None:
             return ChunkState(None, "is damaged")
-        about = pq.read_metadata(pa.BufferReader(content)).metadata
-        if about[b"sweep"] != self._digest:
-            return ChunkState(None, "was made by another sweep, or with other defaults", foreign=True)
+        if about.get(b"sweep") != self._digest:
+            return ChunkState(None, "was made by another sweep, or with other defaults")
         if about[b"rows"].decode() != rows_digest(rows):
-            return ChunkState(None, "holds other rows", foreign=True)
+            return ChunkState(None, "holds other rows")
         return ChunkState(ChunkNote(about[b"engine"].decode(), float(about[b"steps"]), float(about[b"wall_seconds"])))
 
     def write_chunk(self, chunk: int, table: pa.Table) -> None:
-        """Store a chunk whole: whoever looks sees all of it or nothing of it."""
-        self.directory.write(f"results/{_name(chunk)}", seal(parquet_bytes(table)))
-
-    def move_chunk_aside(self, chunk: int) -> None:
-        """Take a chunk's file out of the table, and keep it."""
-        self.directory.move_aside(f"results/{_name(chunk)}", "results.aside")
+        """Store a chunk whole: whoever looks sees all of it or nothing of it. What is in its place is kept aside."""
+        content, name = parquet_bytes(table), f"results/{_name(chunk)}"
+        with clear_errors(self.out):  # first its digest: a chunk without one is an earlier release's
+            append_line(self.out / self._manifest, f"{_digest(content)}  {name}")
+        self.directory.move_aside(name, "results.aside")
+        self.directory.write(name, content)
 
     def take_code(self, stamp: CodeStamp, *, accept: bool) -> None:
         """See `RunDirectory.take_code`."""
@@ -140,7 +159,7 @@ class Store:
             raise self._foreign(f"a sweep that cannot be read ({error}); choose another directory") from None
         if begun.digest() != self.sweep.digest():
             raise self._foreign(
-                f"the results of another sweep: {differences(begun, self.sweep)}; choose another directory, or go on "
+                f"the results of another sweep: {_differences(begun, self.sweep)}; choose another directory, or go on "
                 f"with {path}"
             )
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
@@ -149,12 +168,32 @@ class Store:
         return DirectoryError(f"{self.out} holds {content}.")
 
 
-def read_chunk(path: Path) -> pa.Table | None:
-    """A chunk file, every page checked; None where it is absent or damaged."""
-    try:
-        return pq.read_table(path, page_checksum_verification=True, partitioning=None)
-    except (OSError, pa.ArrowException, ValueError):
-        return None
+def _differences(begun: Sweep, wanted: Sweep) -> str:
+    """In what two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
+    there, here = _fields(begun.resolved()), _fields(wanted.resolved())
+    names = [name for name in {**there, **here} if there.get(name) != here.get(name)]
+    names = [name for name in names if name not in ("chunk", "plots")]  # which rows there are does not depend on them
+    shown = [f"{name} is {_text(there.get(name))} there and {_text(here.get(name))} here" for name in names[:_NAMED]]
+    if not names:  # the same values, but another row 0
+        return "the parameters under vary or randomize stand in another order"
+    return "; ".join(shown) + (f"; and {len(names) - _NAMED} more fields" if len(names) > _NAMED else "")
+
+
+def _fields(data: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Dotted names and values of all fields; lists are values."""
+    fields: dict[str, Any] = {}
+    for key, value in data.items():
+        fields |= _fields(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
+    return fields
+
+
+def _text(value: Any) -> str:
+    text = "absent" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def _name(chunk: int) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -38,8 +37,8 @@ def cost(metric: str, values: np.ndarray) -> np.ndarray:
 
 def summarize(table: pa.Table | Results) -> dict[str, Any]:
     """The summary of a complete table; few of its columns are in memory at once."""
-    results = table if isinstance(table, Results) else Results.of_table(table)
-    well, counts = results.statuses()
+    results = table if isinstance(table, Results) else Results(table)
+    well = results.well
     varied, metrics = columns_of(results, "varied"), columns_of(results, "metric")
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied", "randomized")])
     variants = Variants.of(next(columns)[1], well)
@@ -52,19 +51,18 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
     for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
         spreads[name] = _spread(values[well])
         if name in OBJECTIVES:
-            best[name] = _best(variants, values[well], OBJECTIVES[name])
-    grid = (results.schema.metadata or {}).get(b"sampler") == b"grid"
+            best[name] = _best(variants, name, values[well])
     mean, _ = variants.means(speed)
     return {
         "rows": results.rows,
         "variants": variants.all,
         "repeats": results.rows // variants.all,
-        "status": counts,
+        "status": results.statuses,
         "metrics": spreads,
         "best": {name: best[name] for name in OBJECTIVES if name in best},
-        "marginal_means": {name: _marginal(variants.values[name], mean) for name in varied} if grid else {},
+        "marginal_means": {name: _marginal(variants.values[name], mean) for name in varied} if results.is_grid else {},
         "rank_correlations": correlations,
-        "spine_gain": _spine_gain(variants.values, mean) if grid else [],
+        "spine_gain": _spine_gain(variants.values, mean) if results.is_grid else [],
     }
 
 
@@ -75,18 +73,13 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
         One entry a variant with a run that went well: the varied parameters, `ratio` (speed over the mean speed at
         amplitude 0, all else but the spine's phase alike; nan without such a run), and `base` (that mean speed).
     """
-    well, _ = results.statuses()
+    well = results.well
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied")])
     variants = Variants.of(next(columns)[1], well)
     mean, _ = variants.means(next(columns)[1][well])
     values = {name: column[well][variants.first] for name, column in columns}
     ratio, base = _spine_ratio(values, mean)
     return {**values, "ratio": ratio, "base": base}
-
-
-def to_json(summary: Mapping[str, Any]) -> bytes:
-    """JSON text; what is not finite becomes null."""
-    return (json.dumps(_finite(summary), indent=2, allow_nan=False) + "\n").encode()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,27 +116,19 @@ class Variants:
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
-    values = np.asarray(values, dtype=float)
     values = values[np.isfinite(values)]
-    if not len(values):
-        return {}
-    return {
-        "mean": float(values.mean()),
-        "std": float(values.std()),
-        "min": float(values.min()),
-        "max": float(values.max()),
-    }
+    return {word: float(getattr(values, word)()) for word in ("mean", "std", "min", "max")} if len(values) else {}
 
 
-def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
+def _best(variants: Variants, metric: str, values: np.ndarray) -> dict[str, Any] | None:
     """The variant with the best mean over its repeats of a metric (runs,)."""
     mean, std = variants.means(values)
-    score = {"max": -mean, "min": mean, "nearest zero": np.abs(mean)}[side]
+    score = cost(metric, mean)
     if not np.isfinite(score).any():
         return None
     at = int(np.nanargmin(score))
     return {
-        "side": side,
+        "side": OBJECTIVES[metric],
         "variant": int(variants.number[at]),
         "mean": float(mean[at]),
         "std": float(std[at]),
@@ -202,11 +187,3 @@ def _spine_gain(values: Mapping[str, np.ndarray], speed: np.ndarray) -> list[dic
                 }
         lines += [line] if here.any() else []
     return lines
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy import stats
 
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_AXES, MOST_LINES, chosen_lines, parallel
-from nermo_mjx.sweep.points import Points, points_of
+from nermo_mjx.sweep.points import Points, points_of, thinned, titled
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
 from nermo_mjx.sweep.trade_off import front, named_points, trade_off
@@ -23,17 +24,16 @@ _MOST_POINTS: Final = 20_000
 _MOST_TOLD: Final = 6
 
 
-def survey_figures(results: Results, metric: str, remark: str = "") -> list[tuple[str, Figure]]:
+def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[tuple[str, Figure]]:
     """(file name, figure) of the figures over all variants of a table; none where one parameter or none differs."""
     weighed = AGAINST if metric == LEADING and AGAINST in results.schema.names else None
     points = points_of(results, [metric, *([weighed] if weighed else [])])
     names = points.differing
     if len(names) < 2 or len(points.rows) < 4:
-        return []
-    figures = [(f"{metric}-parallel", _parallel(points, names, metric, remark))]
+        return
+    yield f"{metric}-parallel", _parallel(points, names, metric, remark)
     if weighed:
-        figures.append((f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)))
-    return figures
+        yield f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)
 
 
 def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, ...], remark: str) -> Figure:
@@ -52,14 +52,13 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     drawn = np.flatnonzero(np.isfinite(x.values) & np.isfinite(y.values))
     note = f"{remark}{points.what}; "
     if len(drawn) > _MOST_POINTS:
-        thin = drawn[np.linspace(0, len(drawn) - 1, _MOST_POINTS).round().astype(int)]
-        drawn = np.union1d(thin, best)
+        drawn = thinned(drawn, _MOST_POINTS, best)
         note = f"{remark}{_MOST_POINTS:,} of {points.what}, and the whole front; "
     place = {int(row): i for i, row in enumerate(drawn)}
     x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
     best = np.array([place[int(row)] for row in best], int)
     lines = [(place[row], text) for row, text in lines]
-    return trade_off(x, y, best, sides, lines, f"{_title(first)} against {second}", note)
+    return trade_off(x, y, best, sides, lines, f"{titled(first)} against {second}", note)
 
 
 def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) -> Figure:
@@ -81,14 +80,10 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
     at = ", ".join(f"{each.name} {each.shown(each.values[-1])}" for each in parameters)
     word = "best" if metric in OBJECTIVES else "highest"
     note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
-    return parallel(parameters, z, f"{_title(metric)}: all parameters side by side", note)
+    return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
 
 
-def _influence(parameter: Quantity, z: Quantity) -> float:
+def _influence(parameter: ShownValues, z: ShownValues) -> float:
     if np.ptp(parameter.values) == 0 or np.ptp(z.values) == 0:
         return 0.0
     return float(stats.spearmanr(parameter.values, z.values).statistic)
-
-
-def _title(metric: str) -> str:
-    return metric.replace("_", " ").capitalize()

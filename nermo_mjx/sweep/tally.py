@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclasses.dataclass(frozen=True)
-class Progress:
+class SweepProgress:
     """How far a sweep is.
 
     Attributes:
@@ -40,7 +40,7 @@ class Tally:
         layout: Sequence[np.ndarray],
         seconds: np.ndarray,
         counted: Iterable[int],
-        listener: Callable[[Progress], None] | None,
+        listener: Callable[[SweepProgress], None] | None,
     ) -> None:
         # A chunk costs as long as its longest row, all its rows.
         self._cost = {k: len(layout[k]) * float(seconds[layout[k][-1]]) for k in counted}
@@ -66,4 +66,4 @@ class Tally:
         current = 0.0 if chunk is None else self._cost[chunk] * min(max(float(share), 0.0), 1.0)
         complete = len(self._finished) == len(self._cost)
         fraction = 1.0 if complete else (self._done + current) / self._all
-        self._listener(Progress(fraction, self._rows_done, self._all_rows, self._resumed))
+        self._listener(SweepProgress(fraction, self._rows_done, self._all_rows, self._resumed))

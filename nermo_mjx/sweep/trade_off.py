@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.page import around, blank, note_lines
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BEST, GRID, INK, set_scales
 
 #: Points of the front that are named.
@@ -45,8 +45,8 @@ def named_points(x: np.ndarray, y: np.ndarray, most: int = NAMED) -> np.ndarray:
 
 
 def trade_off(
-    x: Quantity,
-    y: Quantity,
+    x: ShownValues,
+    y: ShownValues,
     best: np.ndarray,
     sides: tuple[str, str],
     named: Sequence[tuple[int, str]],

@@ -6,7 +6,7 @@ from nermo_mjx.tune.evaluation import Evaluation, Problem
 from nermo_mjx.tune.history import read_history
 from nermo_mjx.tune.landscape import LandscapeResult, run_landscape
 from nermo_mjx.tune.objective import Objective, Term
-from nermo_mjx.tune.run import Progress, TuningFailed, TuningInterrupted, TuningResult, run_tuning
+from nermo_mjx.tune.run import TuningFailed, TuningInterrupted, TuningProgress, TuningResult, run_tuning
 from nermo_mjx.tune.spec import Tuning
 
 __all__ = [
@@ -14,11 +14,11 @@ __all__ = [
     "LandscapeResult",
     "Objective",
     "Problem",
-    "Progress",
     "Term",
     "Tuning",
     "TuningFailed",
     "TuningInterrupted",
+    "TuningProgress",
     "TuningResult",
     "load_tuning",
     "read_history",

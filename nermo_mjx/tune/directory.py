@@ -24,8 +24,8 @@ from typing import Any, Final
 
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
-from nermo_mjx.sweep.reading import SpecError
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs.text import to_json
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.tune.checkpoints import Checkpoints
 from nermo_mjx.tune.history import FILE, Log, history_table
 from nermo_mjx.tune.outcome import best_of, tuned_sweep

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MISSING, MUTED, SERIES, horizontal_grid, set_scales
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Term
 from nermo_mjx.tune.sections import Tuned
@@ -210,7 +210,9 @@ def _draw_bounds(ax: Axes, traces: Traces, tuned: Tuned, values: np.ndarray) -> 
         ax.set_ylim(min(low, least) - 0.06 * span, max(high, most) + 0.06 * span)
     first, last = ax.get_ylim()
     unit = traces.quantity(tuned.name).unit
-    set_scales(ax, Quantity("iteration", "", traces.iterations), Quantity(tuned.name, unit, np.array([first, last])))
+    set_scales(
+        ax, ShownValues("iteration", "", traces.iterations), ShownValues(tuned.name, unit, np.array([first, last]))
+    )
     if tuned.periodic:
         turns = range(math.floor((first - low) / span), math.ceil((last - low) / span) + 1)
         bounds: Sequence[float] = [low + turn * span for turn in turns]

@@ -30,7 +30,7 @@ WALL: Final = "wall_seconds"
 
 
 @dataclasses.dataclass(frozen=True)
-class Column:
+class HistoryColumn:
     """One column of the history."""
 
     name: str
@@ -95,30 +95,32 @@ def empty_log(tuning: Tuning, metrics: tuple[str, ...]) -> Log:
     return Log(tuple(known), np.empty((0, tuning.starts, len(columns(tuning, known)))))
 
 
-def columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> list[Column]:
+def columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> list[HistoryColumn]:
     """The columns of a tuning's history, but for the index."""
     return list(_columns(tuning, metrics))
 
 
-def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[Column]:
+def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[HistoryColumn]:
     parameters, estimator = tuning.parameters, tuning.estimator
-    yield Column("objective", "objective", "1", "value that is minimized; NaN where the robot did not walk to the end")
+    yield HistoryColumn(
+        "objective", "objective", "1", "value that is minimized; NaN where the robot did not walk to the end"
+    )
     for name in tuning.names:
-        yield Column(name, "parameter", parameters[name].unit, parameters[name].doc)
+        yield HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc)
     for name in tuning.names:
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
-        yield Column(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}")
+        yield HistoryColumn(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}")
         if estimator.samples:
-            yield Column(f"gradient_error.{name}", "error", unit, f"standard error of gradient.{name}")
+            yield HistoryColumn(f"gradient_error.{name}", "error", unit, f"standard error of gradient.{name}")
         if estimator.name == "mixture":
-            yield Column(f"first_order.{name}", "weight", "1", f"share of the first order in gradient.{name}")
+            yield HistoryColumn(f"first_order.{name}", "weight", "1", f"share of the first order in gradient.{name}")
     for name in metrics:
         about = METRICS.get(name) or OBJECTIVE_METRICS[name]
-        yield Column(name, "metric", about.unit, about.doc)
-    yield Column("ok", "status", "1", "whether the robot walked to the end")
-    yield Column("discarded", "status", "1", "worlds of the start that are not in the gradient")
-    yield Column("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost")
-    yield Column(WALL, "effort", "s", "wall time so far, over all sessions; never twice the same")
+        yield HistoryColumn(name, "metric", about.unit, about.doc)
+    yield HistoryColumn("ok", "status", "1", "whether the robot walked to the end")
+    yield HistoryColumn("discarded", "status", "1", "worlds of the start that are not in the gradient")
+    yield HistoryColumn("simulated_seconds", "effort", "s", "simulated by all starts so far, gradients at their cost")
+    yield HistoryColumn(WALL, "effort", "s", "wall time so far, over all sessions; never twice the same")
 
 
 def history_table(tuning: Tuning, log: Log) -> pa.Table:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import optax
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.sweep.reading import describe, nearest
+from nermo_mjx.specs.reading import describe, did_you_mean
 
 #: The learning rate of an optimizer that is named without one, in coordinates u (`nermo_mjx.tune.bounds`) a step.
 LEARNING_RATE: Final = 0.1
@@ -53,7 +53,7 @@ class Optimizer:
         make = optimizers().get(self.name)
         if make is None:
             raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {', '.join(optimizers())}"
-                                 f"{nearest(self.name, optimizers())}")  # fmt: skip
+                                 f"{did_you_mean(self.name, optimizers())}")  # fmt: skip
         values = {key: _schedule(key, value) if isinstance(value, Mapping) else value
                   for key, value in self.options.items()}  # fmt: skip
         chosen = _call("optimizer", self.name, make, values)
@@ -95,7 +95,9 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
     known = schedules()
     full = next((name + ending for ending in _SCHEDULE_ENDINGS if name + ending in known), None)
     if full is None:
-        raise ParameterError(f"{field} is the schedule {name!r}: allowed are {', '.join(known)}{nearest(name, known)}")
+        raise ParameterError(
+            f"{field} is the schedule {name!r}: allowed are {', '.join(known)}{did_you_mean(name, known)}"
+        )
     # {10: 0.5}: steps are whole numbers, though every key of a file is a text.
     values = {option: {int(step): scale for step, scale in value.items()} if isinstance(value, Mapping) else value
               for option, value in values.items()}  # fmt: skip
@@ -113,7 +115,7 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
     for option in values:
         if option not in options:
             raise ParameterError(f"{field}.{option} is not an option of {name}; allowed are {', '.join(options)}"
-                                 f"{nearest(option, options)}")  # fmt: skip
+                                 f"{did_you_mean(option, options)}")  # fmt: skip
     for option, about in inspect.signature(make).parameters.items():
         if about.default is about.empty and option in options and option not in values:
             raise ParameterError(f"{field} is {name} without {option}: it has no default there.")

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.sweep.reading import dump
+from nermo_mjx.specs.reading import dump
 from nermo_mjx.tune.history import Log, columns
 from nermo_mjx.tune.spec import Tuning
 

@@ -15,7 +15,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.quantity import Quantity
+from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BEST, COLOURS, GRID, INK, MISSING, MUTED, horizontal_grid, set_scales
 from nermo_mjx.tune.background import Background
 from nermo_mjx.tune.figures import start_styles
@@ -55,7 +55,7 @@ def _plane(traces: Traces, background: Background | None) -> Figure:
             _draw_path(ax, path, copies, spans, leading=start == traces.best[1])
     best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in (x, y)]
     ax.scatter(best[0], best[1], s=230, marker="*", fc=BEST, ec="white", lw=1.2, zorder=8, clip_on=False)
-    quantities = [Quantity(each.name, traces.quantity(each.name).unit, pair)
+    quantities = [ShownValues(each.name, traces.quantity(each.name).unit, pair)
                   for each, pair in zip((x, y), ends, strict=True)]  # fmt: skip
     set_scales(ax, *quantities)
     ax.set(xlabel=quantities[0].label, ylabel=quantities[1].label, xlim=ends[0], ylim=ends[1])
@@ -77,7 +77,7 @@ def _line(traces: Traces, background: Background | None) -> Figure:
         ax.scatter(place[:, start], value[:, start], s=np.linspace(8, 40, len(place)), color=style["color"],
                    ec="white", lw=0.4, zorder=style["zorder"], label=style["label"])  # fmt: skip
     ax.scatter(place[traces.best], value[traces.best], s=150, marker="*", fc=BEST, ec="white", zorder=8)
-    quantity = Quantity(each.name, traces.quantity(each.name).unit,
+    quantity = ShownValues(each.name, traces.quantity(each.name).unit,
                         traces.in_shown_unit(each.name, np.array([each.low, each.high])))  # fmt: skip
     set_scales(ax, quantity)
     ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)

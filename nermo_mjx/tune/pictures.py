@@ -56,15 +56,13 @@ class Painter:
         tuning, notes = self.directory.tuning, []
         plots: list[Path] = []
         if tuning.plots:
-            from nermo_mjx.tune.plots import draw_plots
+            from nermo_mjx.plotting.files import write_figures
+            from nermo_mjx.tune.plots import figures_of
 
             landscape, problem = self._landscape(best["parameters"])
             notes += problem
             self.drawing("plots", 0.0)
-            plots = draw_plots(
-                tuning, history, self.directory.out / "plots", background=landscape,
-                write=lambda path, content: self.directory.write(self._name(path), content),
-            )  # fmt: skip
+            plots = write_figures(figures_of(tuning, history, landscape), self.directory.out / "plots")
         video = None
         if tuning.video and self.simulator is not None:
             video, problem = self._video(start, best)
@@ -105,6 +103,3 @@ class Painter:
                          lambda share: self.drawing("video", share)), []  # fmt: skip
         except (VideoError, RecordingError) as error:
             return None, [f"There is no video. {error}"]
-
-    def _name(self, path: Path) -> str:
-        return path.relative_to(self.directory.out).as_posix()

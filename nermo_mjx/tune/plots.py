@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
-from nermo_mjx.plotting.style import STYLE
-from nermo_mjx.runs.files import DirectoryError, clear_errors, make_writable, replace_file
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.tune import background as behind
 from nermo_mjx.tune.background import LANDSCAPE, Background
 from nermo_mjx.tune.directory import load_tuning
@@ -24,67 +22,34 @@ from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.traces import Traces
 
 
-def draw_plots(
-    tuning: Tuning,
-    history: pa.Table,
-    folder: Path,
-    *,
-    background: Background | None = None,
-    write: Callable[[Path, bytes], None] | None = None,
-    formats: Sequence[str] = FORMATS,
-) -> list[Path]:
-    """Draw the figures of a tuning as PNG and SVG: `objective`, `parameters`, `gradients` and `path`.
+def figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Iterator[tuple[str, Figure]]:
+    """The figures of a tuning: `objective`, `parameters`, `gradients` and `path`.
 
     Args:
         tuning: that was run.
         history: its table, as `read_history` returns it; in some iteration the robot walked to the end.
-        folder: where the files go.
         background: the objective's landscape behind the paths.
-        write: how a file is written; `Path.write_bytes` if it is None.
-        formats: of `png` and `svg`.
-
-    Returns:
-        The files, in the order drawn. The same history gives the same bytes.
     """
     traces = Traces(tuning, history)
-    files: list[Path] = []
-    folder.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context(STYLE):
-        drawn = {
-            "objective": objective_figure(traces),
-            "parameters": parameters_figure(traces),
-            "gradients": gradients_figure(traces),
-            "path": path_figure(traces, background),
-        }
-        for name, figure in drawn.items():
-            lay_out(figure)
-            files += write_figure(figure, folder, name, write, formats)
-    return files
+    yield "objective", objective_figure(traces)
+    yield "parameters", parameters_figure(traces)
+    yield "gradients", gradients_figure(traces)
+    yield "path", path_figure(traces, background)
 
 
-def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Draw the figures of a tuning's directory, as far as it is finished; nothing is simulated.
-
-    Args:
-        out: the directory.
-        folder: where the files go; by default its `plots/`.
-        formats: of `png` and `svg`.
+def figures(out: Path) -> Figures:
+    """The figures of a tuning's directory, as far as it is finished.
 
     Raises:
         SpecError: its tuning.yaml cannot be read.
-        DirectoryError: there is nothing to draw, or it cannot be read or written.
+        DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    out = Path(out)
     tuning, history = load_tuning(out), read_history(out)
     if not pc.any(pc.is_finite(history.column("objective"))).as_py():
         raise DirectoryError(
             f"there is nothing to draw of {out}: the robot walked to the end at no point of this tuning."
         )
-    folder = out / "plots" if folder is None else folder
-    make_writable(folder)
-    with clear_errors(folder):
-        return draw_plots(tuning, history, folder, background=_kept(out, tuning, Traces(tuning, history)),
-                          write=replace_file, formats=formats)  # fmt: skip
+    return figures_of(tuning, history, _kept(out, tuning, Traces(tuning, history)))
 
 
 def _kept(out: Path, tuning: Tuning, traces: Traces) -> Background | None:

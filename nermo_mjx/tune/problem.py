@@ -28,8 +28,12 @@ _LEAST_SPREAD: Final = (1e-3, 1e-2)
 class WalkProblem:
     """Implements `evaluation.Problem` for a tuning file; one world a point."""
 
-    def __init__(self, tuning: Tuning) -> None:
+    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
         """
+        Args:
+            tuning: what is tuned.
+            reference: stands in for the tuning's recording, whose file need not be there then.
+
         Raises:
             ParameterError: the tuning's recording cannot be compared with its walk.
         """
@@ -39,12 +43,16 @@ class WalkProblem:
         lowest = dict(zip(self.names, map(float, tuning.bounds.low), strict=True))
         self.rollout = Rollout(tuning.setup, tuning.run, slowest=lowest.get("frequency"))
         self.simulated_seconds = self.rollout.seconds(tuning.constants | lowest)
-        self.reference: Reference | None = None
-        if tuning.recording is not None:
+        self.reference = reference
+        if reference is None and tuning.recording is not None:
             self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
         self._value = jax.jit(jax.vmap(self._walk), compiler_options=compiler_options())
         gradient = jax.vmap(value_and_gradient(self._walk, self.mode))
         self._gradient = jax.jit(gradient, compiler_options=compiler_options())
+
+    def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
+        """For another machine, where the recording is not, and all else is made again."""
+        return WalkProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
         """See `evaluation.Problem.evaluate`."""

@@ -16,6 +16,7 @@ import pyarrow as pa
 
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.workers import LocalWorkers, Workers, WorkersLost
 from nermo_mjx.tune.background import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
@@ -23,6 +24,7 @@ from nermo_mjx.tune.history import empty_log, history_table
 from nermo_mjx.tune.outcome import start_of
 from nermo_mjx.tune.pictures import Painter, Pictures
 from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.spreading import SharedProblem
 from nermo_mjx.tune.state import TuneState
 from nermo_mjx.tune.tuner import Tuner
 
@@ -32,11 +34,11 @@ class TuningInterrupted(KeyboardInterrupt):
 
 
 class TuningFailed(RuntimeError):
-    """Nothing to tune from: no robot walks; the message says what to change."""
+    """No robot walks, or nobody is left who computes; the message says how to go on."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Progress:
+class TuningProgress:
     """How far a tuning is.
 
     Attributes:
@@ -88,10 +90,11 @@ def run_tuning(
     *,
     problem: Problem | None = None,
     simulator: SimulatorLike | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[TuningProgress], None] | None = None,
     drawing: Callable[[str, float], None] | None = None,
     warn: Callable[[str], None] | None = None,
     accept_new_code: bool = False,
+    workers: Workers | None = None,
 ) -> TuningResult:
     """Tune parameters by gradient into a directory, or go on with what it holds.
 
@@ -109,12 +112,14 @@ def run_tuning(
         drawing: called with what is being drawn in the end, and the share of it.
         warn: called with a sentence on each thing that is moved aside.
         accept_new_code: go on in a directory that other code began.
+        workers: who evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
+            several workers numbers differ in their last digits from those of one.
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
             other code, or other defaults, made what it holds.
-        TuningFailed: no robot walks to the end.
+        TuningFailed: no robot walks to the end, or all workers are lost.
         TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
@@ -124,9 +129,9 @@ def run_tuning(
         goes_on = log is None or len(log) <= tuning.iterations
         code = directory.take_code(log, accept=accept_new_code) if goes_on else ""
         report = progress or (lambda _: None)
-        report(Progress(min(resumed, tuning.iterations), tuning.iterations, resumed))
+        report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
         if goes_on:
-            tuner = Tuner(tuning, problem or simulation_of(tuning))
+            tuner = Tuner(tuning, SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers()))
         directory.claim(log)
         tuning = directory.tuning
         if goes_on:
@@ -180,11 +185,11 @@ def _reached(
     value: np.ndarray,
     metrics: Mapping[str, np.ndarray],
     best: Mapping[str, Any] | None,
-) -> Progress:
-    """Progress after `done` evaluations, the last of which gave these values (starts,)."""
+) -> TuningProgress:
+    """TuningProgress after `done` evaluations, the last of which gave these values (starts,)."""
     alive = bool(np.isfinite(value).any())
     at = int(np.nanargmin(value)) if alive else 0
-    return Progress(
+    return TuningProgress(
         iteration=min(done - 1, tuning.iterations),
         iterations=tuning.iterations,
         resumed=resumed,
@@ -197,10 +202,12 @@ def _reached(
 
 @contextlib.contextmanager
 def _explained(directory: Directory) -> Iterator[Interruption]:
-    """Turn Ctrl-C and SIGTERM into a `TuningInterrupted` that says how to go on."""
+    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to go on."""
     try:
         with interruptible() as interruption:
             yield interruption
+    except WorkersLost as lost:
+        raise TuningFailed(f"{lost} What is finished is kept in {directory.out}: run the same command again.") from None
     except KeyboardInterrupt:
         raise TuningInterrupted(
             f"stopped; what is finished is kept in {directory.out}. To go on, run the same command again, or: "

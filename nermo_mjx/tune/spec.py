@@ -8,18 +8,19 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, ClassVar, Final
 
 import jax.numpy as jnp
 import numpy as np
+from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
 from nermo_mjx.rollout import all_parameters
-from nermo_mjx.sweep.axes import Axis
-from nermo_mjx.sweep.reading import Document, SpecError, describe, dump, nearest, read_file, read_mapping, read_text
-from nermo_mjx.sweep.sections import SETUP_FIELDS, read_fixed, read_run, read_setup, read_whole
-from nermo_mjx.sweep.walk_spec import WalkSpec, check_sources
-from nermo_mjx.sweep.workspace import check_workspace
+from nermo_mjx.specs.fields import Refused, optional, read
+from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.values import ByParameter, Choice, Whole
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
+from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.tune import sections
 from nermo_mjx.tune.bounds import Bounds
 from nermo_mjx.tune.objective import Objective
@@ -31,12 +32,33 @@ from nermo_mjx.tune.sections import Tuned
 MODES: Final = ("auto", "forward", "reverse")
 #: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
-_FIELDS: Final = (
-    *SETUP_FIELDS, "pilot", "run", "set", "tune", "objective", "recording", "optimizer", "estimator", "starts",
-    "iterations", "seed", "mode", "plots", "video",
-)  # fmt: skip
 #: Fields that do not change what an iteration computes: a tuning may go on with others.
 FREE: Final = ("iterations", "plots", "video")
+
+
+class TuningFile(WalkFields):
+    """A file for `nermo-mjx tune` and `nermo-mjx landscape`."""
+
+    model_config = ConfigDict(json_schema_extra={"required": ["tune", "objective"]})
+    what: ClassVar = "a field of a tuning"
+    sources: ClassVar = "'tune' or 'set'"
+    tune: Annotated[dict[str, sections.TunedFields | None], ByParameter()] = Field({}, description="tuned parameters")
+    objective: list[sections.TermFields] = optional("terms whose sum is minimized", minItems=1)
+    recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
+    optimizer: sections.OptimizerFields = optional("how an iteration steps")
+    estimator: sections.EstimatorFields = Field(sections.EstimatorFields(exact=None), description="of gradients")
+    starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned side by side")
+    iterations: Annotated[int, Whole(1, 1_000_000)] = Field(40, description="steps")
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of the other starts, and of perturbations")
+    mode: Annotated[str, Choice(MODES)] = Field("auto", description="how a derivative is taken")
+    plots: bool = Field(True, description="whether figures are made in the end")
+    video: bool = Field(False, description="whether a video of the best is made in the end")
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        if key in ("vary", "randomize", "sample"):
+            raise Refused("is a field of a sweep, not of a tuning: what is to change stands under 'tune'.", key)
+        super().refuse(key)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,42 +183,20 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def _read(doc: Document, *, recorded: bool = True) -> Tuning:
-    data = doc.data
-    setup, pilot = read_setup(doc)
-    parameters = all_parameters(setup)
-    for key in data:
-        if key in parameters and key not in _FIELDS:
-            doc.fail((key,), "is a parameter, not a field of a tuning: put it under 'tune' or 'set'.")
-        if key in ("vary", "randomize", "sample"):
-            doc.fail((key,), "is a field of a sweep, not of a tuning: what is to change stands under 'tune'.")
-        if key not in _FIELDS:
-            doc.fail((key,), f"is not a field of a tuning; allowed are {', '.join(_FIELDS)}{nearest(key, _FIELDS)}")
-    for key in ("plots", "video"):
-        if not isinstance(data.get(key, True), bool):
-            doc.fail((key,), f"is {describe(data[key])}: expected true or false.")
-    if data.get("mode", "auto") not in MODES:
-        doc.fail(("mode",), f"is {describe(data['mode'])}: allowed are {', '.join(MODES)}"
-                            f"{nearest(str(data['mode']), MODES)}")  # fmt: skip
-    if "distance" in pilot:
-        doc.fail(("pilot", setup.pilot, "distance"), "ends each run at a distance: such a length jumps by whole cycles "
+    file = read(doc, TuningFile)
+    walk = read_walk(doc, file)
+    if "distance" in walk["pilot"]:
+        doc.fail(("pilot", "straight", "distance"), "ends each run at a distance: such a length jumps by whole cycles "
                  "and has no derivative; give run: {cycles: 8}.")  # fmt: skip
-    objective = sections.read_objective(doc)
+    objective = sections.read_objective(doc, file.objective)
     tuning = Tuning(
-        setup=setup,
-        run=read_run(doc, pilot),
-        fixed=read_fixed(doc, parameters),
-        pilot=pilot,
-        tuned=sections.read_tuned(doc, parameters),
+        **walk,
+        tuned=sections.read_tuned(doc, file.tune, all_parameters(walk["setup"])),
         objective=objective,
-        recording=sections.read_recording(doc, objective, needed=recorded),
+        recording=sections.read_recording(doc, file.recording, objective, needed=recorded),
         optimizer=sections.read_optimizer(doc),
-        estimator=sections.read_estimator(doc),
-        starts=read_whole(doc, ("starts",), 1, 100_000) if "starts" in data else 1,
-        iterations=read_whole(doc, ("iterations",), 1, 1_000_000) if "iterations" in data else 40,
-        seed=read_whole(doc, ("seed",), 0, 2**32 - 1) if "seed" in data else 0,
-        mode=data.get("mode", "auto"),
-        plots=data.get("plots", True),
-        video=data.get("video", False),
+        estimator=sections.read_estimator(file.estimator),
+        **{name: getattr(file, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")},
     )
     _check_together(doc, tuning)
     return tuning
@@ -206,8 +206,8 @@ def _check_together(doc: Document, tuning: Tuning) -> None:
     """What no field shows alone: a parameter with two sources or without effect, a run too long, a leg too short."""
     check_sources(doc, tuning, {"tune": list(tuning.names)})
     _check_length(doc, tuning)
-    ranges = [Axis(each.name, "values", tuple(np.linspace(each.low, each.high, 5))) for each in tuning.tuned]
-    check_workspace(doc, tuning.setup, tuning.fixed, {"tune": ranges}, grid=False)
+    ranges = {each.name: np.linspace(each.low, each.high, 5) for each in tuning.tuned}
+    check_workspace(doc, tuning.setup, tuning.fixed, {"tune": ranges})
 
 
 def _check_length(doc: Document, tuning: Tuning) -> None:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.plotting.quantity import Quantity, shown
+from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.sweep.table import columns_of, meta
 from nermo_mjx.tune.objective import Term
 from nermo_mjx.tune.sections import Tuned
@@ -62,7 +62,7 @@ class Traces:
         """Values of a column (n, starts), in its own unit."""
         return self.table.column(name).to_numpy(zero_copy_only=False).reshape(-1, self.starts)
 
-    def quantity(self, name: str) -> Quantity:
+    def quantity(self, name: str) -> ShownValues:
         """Values of a column (n, starts) as figures show them; of a metric, only where the robot walked to the end."""
         about = meta(self.table.schema.field(name))
         values = self.column(name)

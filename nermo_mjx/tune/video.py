@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.plotting.quantity import shown
+from nermo_mjx.plotting.shown import shown
 from nermo_mjx.rollout import Run
 from nermo_mjx.tune.background import SimulatorLike
 from nermo_mjx.tune.objective import OBJECTIVE_METRICS

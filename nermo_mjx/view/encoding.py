@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 #: Called with (frames done, frames in all).
-Progress = Callable[[int, int], None]
+CountDone = Callable[[int, int], None]
 SUFFIXES: Final = (".mp4", ".gif")
 
 
@@ -31,7 +31,7 @@ def write_video(
     fps: int,
     width: int,
     height: int,
-    progress: Progress | None = None,
+    progress: CountDone | None = None,
 ) -> Path:
     """Encode frames as they come; the file appears only when it is whole.
 

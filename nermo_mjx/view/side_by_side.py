@@ -15,7 +15,7 @@ from jaxtyping import Float, UInt8
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import ink
 from nermo_mjx.view.camera import smooth_path
-from nermo_mjx.view.encoding import Progress, write_video
+from nermo_mjx.view.encoding import CountDone, write_video
 from nermo_mjx.view.overlays import check_overlays
 from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.video import check_video, draw, frame_samples, root_path
@@ -51,7 +51,7 @@ def render_side_by_side(
     camera: str = "three_quarter",
     speed: float = 1.0,
     overlays: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: CountDone | None = None,
 ) -> Path:
     """Render recordings of one model into one video; it is as long as the shortest of them.
 

@@ -17,7 +17,7 @@ _LIMB_TITLES: Final = tuple(limb.replace("_", " ") for limb in LIMBS)
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
+class Curve:
     """One curve.
 
     Attributes:
@@ -40,7 +40,7 @@ class Plot:
     key: str
     title: str
     unit: str
-    lines: tuple[Line, ...]
+    lines: tuple[Curve, ...]
     bars: bool = False
 
 
@@ -54,8 +54,8 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
         stance, forces = _per_limb((force > STANDING).astype(float)), _per_limb(force)
         if "tail_force" in sensors:
             tail = sensors["tail_force"]
-            stance += (Line("tail", "tail", (tail > STANDING).astype(float)),)
-            forces += (Line("tail", "tail", tail),)
+            stance += (Curve("tail", "tail", (tail > STANDING).astype(float)),)
+            forces += (Curve("tail", "tail", tail),)
         plots.append(Plot("stance", "Feet and tail on the ground", "", stance, bars=True))
         plots.append(Plot("force", "Force on feet and tail", "N", forces))
     if {"position", "orientation"} <= sensors.keys():
@@ -66,19 +66,19 @@ def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
     return plots
 
 
-def _per_limb(values: np.ndarray, faint: np.ndarray | None = None) -> tuple[Line, ...]:
+def _per_limb(values: np.ndarray, faint: np.ndarray | None = None) -> tuple[Curve, ...]:
     lines = []
     for i, (limb, title) in enumerate(zip(LIMBS, _LIMB_TITLES, strict=True)):
-        lines.append(Line(title, limb, values[:, i]))
+        lines.append(Curve(title, limb, values[:, i]))
         if faint is not None:
-            lines.append(Line(f"{title}, commanded", limb, faint[:, i], faint=True))
+            lines.append(Curve(f"{title}, commanded", limb, faint[:, i], faint=True))
     return tuple(lines)
 
 
 def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]) -> list[Plot]:
     angles = _attitude(sensors["orientation"])
     orientation = tuple(
-        Line(name, colour, angles[:, i])
+        Curve(name, colour, angles[:, i])
         for i, (name, colour) in enumerate((("roll", "first"), ("pitch", "second"), ("yaw", "third")))
     )
     place = 1e3 * sensors["position"]
@@ -89,10 +89,10 @@ def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]
         forward = velocity[:, 0] * np.sin(yaw) - velocity[:, 1] * np.cos(yaw)
         parameters = recording.metadata.get("parameters") or {}
         period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(parameters.get("frequency") or 1.0)
-        lines = (Line("over a cycle", "first", _over_cycle(forward, time, period)),
-                 Line("at once", "first", forward, faint=True))  # fmt: skip
+        lines = (Curve("over a cycle", "first", _over_cycle(forward, time, period)),
+                 Curve("at once", "first", forward, faint=True))  # fmt: skip
         plots.append(Plot("speed", "Forward speed", "mm/s", lines))
-    way = (Line("forward", "first", -place[:, 1]), Line("to the left", "second", place[:, 0]))
+    way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
     return [*plots, Plot("place", "Position of the torso", "mm", way)]
 
 
@@ -120,14 +120,14 @@ def _tensions(motion: Motion) -> list[Plot]:
     for tendon in motion.tendons:
         limb = next((i for i, name in enumerate(LIMBS) if tendon.name.startswith(name)), None)
         if limb is not None:
-            knees.append(Line(_LIMB_TITLES[limb], LIMBS[limb], tendon.tension))
+            knees.append(Curve(_LIMB_TITLES[limb], LIMBS[limb], tendon.tension))
         else:
             others.append(tendon)
     plots = [Plot("knee_tension", "Tension, leg tendons", "N", tuple(knees))] if knees else []
     for part in dict.fromkeys(tendon.name.split("_")[0] for tendon in others):
         mine = [tendon for tendon in others if tendon.name.split("_")[0] == part]
         lines = tuple(
-            Line(tendon.name.removeprefix(f"{part}_").replace("_", " "), colour, tendon.tension)
+            Curve(tendon.name.removeprefix(f"{part}_").replace("_", " "), colour, tendon.tension)
             for tendon, colour in zip(mine, ("first", "second", "third"), strict=False)
         )
         plots.append(Plot(f"{part}_tension", f"Tension, {part} tendons", "N", lines))
@@ -140,9 +140,9 @@ def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
     for kind in ("hip", "knee"):
         chosen = [names.index(f"{limb}_{kind}") for limb in LIMBS]
         plots.append(Plot(kind, f"{kind.capitalize()} servos", "°", _per_limb(angle[:, chosen], command[:, chosen])))
-    single: list[Line] = []
+    single: list[Curve] = []
     for name, colour in (("spine", "first"), ("neck", "second"), ("tail", "third")):
         if name in names:
             i = names.index(name)
-            single += [Line(name, colour, angle[:, i]), Line(f"{name}, commanded", colour, command[:, i], faint=True)]
+            single += [Curve(name, colour, angle[:, i]), Curve(f"{name}, commanded", colour, command[:, i], faint=True)]
     return [*plots, Plot("body_servos", "Body servos, + left", "°", tuple(single))]

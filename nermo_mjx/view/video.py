@@ -18,7 +18,7 @@ from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import sun
 from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
-from nermo_mjx.view.encoding import SUFFIXES, Progress, VideoError, require_encoder, write_video
+from nermo_mjx.view.encoding import SUFFIXES, CountDone, VideoError, require_encoder, write_video
 from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
 from nermo_mjx.view.recording import Recording, RecordingError
 
@@ -40,7 +40,7 @@ def render(
     camera: str = "three_quarter",
     speed: float = 1.0,
     overlays: Sequence[str] = (),
-    progress: Progress | None = None,
+    progress: CountDone | None = None,
 ) -> Path:
     """Render a recording into a video file; the suffix chooses the format, `.mp4` or `.gif`.
 

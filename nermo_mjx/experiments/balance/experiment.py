@@ -15,7 +15,7 @@ import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES, PUBLISHED_CLOCK_RATIO, ControlParameters, Spine, choice
+from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO, ControlParameters, Spine, choice
 from nermo_mjx.experiments.balance import measures
 from nermo_mjx.experiments.balance.protocol import (
     DURATION,
@@ -26,14 +26,14 @@ from nermo_mjx.experiments.balance.protocol import (
     BalanceParameters,
 )  # fmt: skip
 from nermo_mjx.experiments.balance.start import Nudge, nudge, start_pose
-from nermo_mjx.experiments.cases import body_count
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
+from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.experiments.theory import stability
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.physics import Engine, Trace, Variation, make_engine
 from nermo_mjx.physics.variation import compile_model
-from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Robot, load_robot
+from nermo_mjx.robot import LIMBS, ModelParameters, Robot, load_robot
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
 from nermo_mjx.rollout.simulator import BLOCK, History
 from nermo_mjx.view.recording import Recording, recording_of
@@ -61,7 +61,7 @@ THEORY_COLUMN: Final = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Case:
+class Lift:
     """One world: profile, lifted limb (index in `LIMBS`), SBC or not, number of the repeat and of the body.
 
     The body is 0 where there is one only.
@@ -93,54 +93,31 @@ class Case:
         return nudge(seed, 2 * self.limb + self.sbc, self.repeat)
 
 
-def run(
-    engine: str = "auto",
-    profiles: Sequence[str] = PROFILES,
-    repeats: int = 3,
-    seed: int = 0,
-    quick: bool = False,
-    values: Mapping[str, float] | None = None,
-    bodies: Mapping[str, np.ndarray] | None = None,
-    progress: Callable[[float], None] | None = None,
-    scene: str = SCENE,
-) -> Outcome:
+def run(settings: Settings, scene: str = SCENE) -> Outcome:
     """Run the balance experiment.
 
     Args:
-        engine: `auto`, `c` or `mjx`.
-        profiles: of `exact` and `as_published`; of the latter only the clock applies (see `protocol`).
-        repeats: of each case, each from its own start.
-        seed: of the repeats' starts.
-        quick: one repeat only.
-        values: parameter name -> number: body parameters such as `contact.friction`, and `SPINE_NAMES`.
-        bodies: parameter name -> (n,) values of n bodies, each of which does all cases; they override `values`, and no
-            run is kept as a recording.
-        progress: called with the share done, in [0, 1].
+        settings: of the profile `as_published` only the clock applies (see `protocol`); quick: one repeat; values:
+            body parameters such as `contact.friction`, and `SPINE_NAMES`.
         scene: see `RobotConfig`.
 
     Raises:
-        ParameterError: an unknown name, or a value out of range.
+        ParameterError: a parameter that has no meaning here.
     """
-    cases = list(_cases(profiles, 1 if quick else repeats, 0 if bodies is None else body_count(bodies)))
-    values = dict(values or {})
-    for name, value in values.items():
-        if isinstance(value, str) or np.ndim(value):
-            raise ParameterError(f"{name} is {value!r}: allowed is one number for all cases.")
+    cases, values, bodies = list(_cases(settings)), settings.values, settings.bodies
     which = np.array([case.body - 1 for case in cases])
-    everything = values | {name: np.asarray(of, float)[which] for name, of in (bodies or {}).items()}
+    everything = {**values} | {name: np.asarray(of, float)[which] for name, of in (bodies or {}).items()}
     model_parameters, spine = _parameters(everything)
-    if not (isinstance(seed, int | np.integer) and seed >= 0):
-        raise ParameterError(f"seed is {seed!r}: allowed is a whole number that is not negative.")
     robot = load_robot(scene=scene)
     loop = BalanceLoop(robot)
-    runner = make_engine(engine, robot, loop)
-    starts = [case.nudge(seed) for case in cases]
+    runner = make_engine(settings.engine, robot, loop)
+    starts = [case.nudge(settings.seed) for case in cases]
     params = _batch(cases, starts, spine, np.broadcast_to(model_parameters.servo.speed, len(cases)))
     qpos = np.stack([start_pose(robot, start) for start in starts])
     fields = Variation(robot).batch(model_parameters, len(cases), everything)
     ticks = [round(DURATION * case.clock_ratio / loop.dt) for case in cases]
     margins = _theory(loop, params, len(cases))
-    history = _simulate(runner, loop, params, qpos, fields, max(ticks), progress)
+    history = _simulate(runner, loop, params, qpos, fields, max(ticks), settings.progress)
 
     models = [compile_model(robot, body) for body in _measured_bodies(values, bodies)]
     rows, recordings = [], {}
@@ -172,19 +149,14 @@ def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[f
     return [stability(loop.robot.mass_model, feet, limbs[i], float(bends[i])) for i in range(worlds)]
 
 
-def _cases(profiles: Sequence[str], repeats: int, bodies: int) -> Iterator[Case]:
+def _cases(settings: Settings) -> Iterator[Lift]:
     """All worlds; the profile `exact` first, whose runs are recorded."""
-    if isinstance(profiles, str) or not profiles:
-        raise ParameterError(f"profiles is {profiles!r}: allowed is a list of {' and '.join(PROFILES)}.")
-    chosen = {choice("profile", profile, PROFILES) for profile in profiles}
-    if isinstance(repeats, bool) or not isinstance(repeats, int | np.integer) or repeats < 1:
-        raise ParameterError(f"repeats is {repeats!r}: allowed is a whole number of at least 1.")
-    ordered = sorted(chosen, key=PROFILES.index)
-    numbers = range(1, bodies + 1) if bodies else (0,)
+    numbers = range(1, body_count(settings.bodies) + 1) or (0,)
+    repeats = range(1 if settings.quick else settings.repeats)
     for body, profile, limb, sbc, repeat in itertools.product(
-        numbers, ordered, range(4), (False, True), range(repeats)
+        numbers, settings.profiles, range(4), (False, True), repeats
     ):
-        yield Case(profile, limb, sbc, repeat, body)
+        yield Lift(profile, limb, sbc, repeat, body)
 
 
 def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
@@ -201,7 +173,7 @@ def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
     return model, controller
 
 
-def _batch(cases: Sequence[Case], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
+def _batch(cases: Sequence[Lift], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
     """Parameters of all worlds, every leaf with a leading axis, in JAX's default precision."""
     spines = [jax.tree.map(lambda leaf, i=i: np.broadcast_to(leaf, len(cases))[i], spine) for i in range(len(cases))]
     worlds = [
@@ -245,7 +217,7 @@ def _one(history: History, world: int, ticks: int) -> History:
     return History(history.time[:ticks], qpos, qvel, ctrl, {k: v[one, :ticks] for k, v in history.sensors.items()})
 
 
-def _evaluate(case: Case, world: History, robot: Robot, model: mujoco.MjModel) -> tuple[dict[str, Any], Recording]:
+def _evaluate(case: Lift, world: History, robot: Robot, model: mujoco.MjModel) -> tuple[dict[str, Any], Recording]:
     """A world's row of the table, and its recording.
 
     The recording also holds `measures.readings` as sensors, and in its metadata `phases`: begin and end of each phase

@@ -9,10 +9,10 @@ import numpy as np
 
 from nermo_mjx.experiments.identification.ensemble import Bodies
 from nermo_mjx.experiments.identification.space import ALL
-from nermo_mjx.experiments.report_page import table
-from nermo_mjx.experiments.table import MISSING, number
+from nermo_mjx.experiments.table import number
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.runs.text import MISSING, table
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
 #: Correlations that are worth a line.

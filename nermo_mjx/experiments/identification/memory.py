@@ -13,8 +13,9 @@ import numpy as np
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import clear_errors
 
-#: The file in an identification's directory.
+#: Files of an identification's directory: what was tried, and what a finished search found.
 FILE: Final = "candidates.jsonl"
+RESULT: Final = "identification.json"
 
 
 class CandidateFile:

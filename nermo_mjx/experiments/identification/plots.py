@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,29 +11,34 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.experiments.identification.ensemble_plot import ensemble_figure
-from nermo_mjx.plotting.files import FORMATS, write_figures
+from nermo_mjx.experiments.identification.memory import RESULT
+from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE
-from nermo_mjx.runs.files import replace_file
+from nermo_mjx.runs.files import DirectoryError
 
 #: Costs above this share of the start's are cut off: candidates that fell say only that they fell.
 _SHOWN: Final = 2.0
 
 
-def draw(content: Mapping[str, Any], folder: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Draw the pictures of identification.json as PNG and SVG.
-
-    Raises:
-        OSError: they cannot be written.
-    """
-    return write_figures(_figures(content), folder, replace_file, formats)
-
-
-def _figures(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
+def figures_of(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
+    """The figures of identification.json's content."""
     yield "identification-search", _search(content)
     yield "identification-residuals", _residuals(content)
     if (ensemble := content.get("ensemble")) and ensemble["size"]:
         yield "identification-ensemble", ensemble_figure(ensemble)
+
+
+def figures(out: Path) -> Figures:
+    """The figures of an identification's directory.
+
+    Raises:
+        DirectoryError: its result cannot be read.
+    """
+    try:
+        return figures_of(json.loads((out / RESULT).read_text(encoding="utf-8")))
+    except (OSError, ValueError):
+        raise DirectoryError(f"{out / RESULT} cannot be read: run the identification again.") from None
 
 
 def _search(content: Mapping[str, Any]) -> Figure:

@@ -20,6 +20,7 @@ from nermo_mjx.experiments.identification.candidates import Candidates, Memory
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE, Bodies, find_bodies
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS
+from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Setup, Simulator
 
@@ -50,16 +51,42 @@ def walks() -> Setup:
     return Setup(pilot="straight", spine="stride_extension")
 
 
+@dataclasses.dataclass(frozen=True)
+class Search:
+    """What is tried.
+
+    Attributes:
+        samples: of the Sobol sequence.
+        generations, population: of CMA-ES; as many candidates as a population are simulated together throughout.
+        bodies: of the ensemble, the best one included; 0 leaves it out.
+        sweeps: of the ensemble, at most; each tries as many candidates as there are to be bodies.
+        tolerance: objective that a body of the ensemble may have.
+        seed: of all three; the start of the walks is the same for all candidates.
+
+    Raises:
+        ParameterError: a number is too small.
+    """
+
+    samples: int = 64
+    generations: int = 25
+    population: int = 12
+    bodies: int = 256
+    sweeps: int = 5
+    tolerance: float = TOLERANCE
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        least = {"samples": 1, "generations": 1, "population": 4, "sweeps": 1, "bodies": 8 if self.bodies else 0}
+        for name, number in least.items():
+            if getattr(self, name) < number:
+                raise ParameterError(f"{name} is {getattr(self, name)}: allowed is {number} or more.")
+        if not self.tolerance > 0:
+            raise ParameterError(f"tolerance is {self.tolerance:g}: allowed is more than 0.")
+
+
 def identify(
-    *,
+    wanted: Search,
     engine: str = "auto",
-    samples: int = 64,
-    generations: int = 25,
-    population: int = 12,
-    bodies: int = 256,
-    sweeps: int = 5,
-    tolerance: float = TOLERANCE,
-    seed: int = 0,
     memory: Memory | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Identified:
@@ -67,32 +94,17 @@ def identify(
 
     Args:
         engine: of the simulations.
-        samples: of the Sobol sequence.
-        generations, population: of CMA-ES; as many candidates as a population are simulated together throughout.
-        bodies: of the ensemble, the best one included; 0 leaves it out.
-        sweeps: of the ensemble, at most; each tries as many candidates as there are to be bodies.
-        tolerance: objective that a body of the ensemble may have.
-        seed: of all three; the start of the walks is the same for all candidates.
         memory: of what was simulated before, which is not simulated again.
         progress: called with the share done.
-
-    Raises:
-        ParameterError: a number is too small.
     """
     import cma
 
-    for name, number, least in (
-        ("samples", samples, 1), ("generations", generations, 1), ("population", population, 4), ("sweeps", sweeps, 1),
-        ("bodies", bodies, 8 if bodies else 0),
-    ):  # fmt: skip
-        if number < least:
-            raise ParameterError(f"{name} is {number}: allowed is {least} or more.")
-    if not tolerance > 0:
-        raise ParameterError(f"tolerance is {tolerance:g}: allowed is more than 0.")
+    population, bodies, seed = wanted.population, wanted.bodies, wanted.seed
     simulator = Simulator(walks(), engine=engine)
     defaults = simulator.setup.defaults()
-    cases = worlds(CASES, defaults, profiles=("exact",), seed=seed).values
-    batches = -(-(samples + 1) // population) + generations + (sweeps + 1) * -(-bodies // population)
+    cases = worlds(CASES, defaults, Settings(("exact",), repeats=1, seed=seed)).values
+    first, swept = -(-(wanted.samples + 1) // population), (wanted.sweeps + 1) * -(-bodies // population)
+    batches = first + wanted.generations + swept
     done = 0
 
     def report() -> None:
@@ -102,19 +114,19 @@ def identify(
             progress(done / batches)
 
     search = Candidates(simulator, cases, FREE, population, memory, report)
-    design = qmc.Sobol(len(FREE), rng=seed).random_base2((samples - 1).bit_length())[:samples]
+    design = qmc.Sobol(len(FREE), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
     search.evaluate(np.vstack([point_of(START), design]))
     options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed + 1, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(search.best_point, 0.15, options)
-    for _ in range(generations):
+    for _ in range(wanted.generations):
         points = np.array(strategy.ask())
         strategy.tell(list(points), search.evaluate(points).tolist())
     best = {name: float(value) for name, value in parameters_of(search.best_point).items()}
     ensemble = None
     if bodies:
         wide = Candidates(simulator, cases, ALL, population, memory, report)
-        ensemble = find_bodies(wide, best, search.best, search.near(tolerance), defaults=defaults, bodies=bodies,
-                               sweeps=sweeps, tolerance=tolerance, seed=seed)  # fmt: skip
+        ensemble = find_bodies(wide, best, search.best, search.near(wanted.tolerance), defaults=defaults,
+                               bodies=bodies, sweeps=wanted.sweeps, tolerance=wanted.tolerance, seed=seed)  # fmt: skip
     if progress:
         progress(1.0)
     return Identified(

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import FAIL, PASS, SPINE, profiles, shade_phases, shown, stroke, swatch
+from nermo_mjx.experiments.plots.marks import FAIL, PASS, SPINE, profiles, shade_phases, shown, stroke, swatch
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, GRID, INK, SHADE, horizontal_grid
 from nermo_mjx.robot import LIMBS
@@ -37,10 +37,8 @@ def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figu
     """(name, figure) of each picture; None where the outcome has nothing for it."""
     yield "verdicts", _verdicts(outcome, lines)
     yield "pitch", _over_time(outcome, "pitch", "Pitch while a leg is lifted and swung", "pitch [deg]", 180 / np.pi)
-    yield (
-        "stability",
-        _over_time(outcome, "com_margin", "Centre of mass inside of the support diagonal", "distance inside [mm]", 1e3),
-    )
+    title = "Centre of mass inside of the support diagonal"
+    yield "stability", _over_time(outcome, "com_margin", title, "distance inside [mm]", 1e3)
     yield "forces", _forces(outcome)
     yield "forces-by-phase", _forces_by_phase(outcome)
 
@@ -182,9 +180,8 @@ def _forces_by_phase(outcome: Outcome) -> Figure | None:
                 ]
                 for phase in phases
             }
-            draw_bars(ax, groups)
+            drawn += draw_bars(ax, groups)
             ax.set_title(f"{_name(limb)} leg,\n{_WITH[sbc]}")
-            drawn += [bar for bars in groups.values() for bar in bars]
         row[0].set_ylabel("force [N]")
     handles: list[Artist] = [*(swatch(f"{_name(foot)} foot", FOOT[foot]) for foot in LIMBS), *bar_entries(drawn)]
     return page.finish(handles, f"{shown(profile)}; {spread_note(drawn)}")

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots.page import Published, mark_published, published_entry, swatch
-from nermo_mjx.plotting.quantity import shown as in_shown_unit
+from nermo_mjx.experiments.plots.marks import Published, mark_published, published_entry, swatch
+from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import INK, MUTED, horizontal_grid
 
 #: Share of a group's width that its bars fill.
@@ -75,8 +75,8 @@ def axis_label(outcome: Outcome, column: str, name: str) -> str:
     return in_shown_unit(name, outcome.about[column].unit, np.zeros(0)).label
 
 
-def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | None = None) -> None:
-    """Draw groups of bars side by side.
+def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | None = None) -> list[Bar]:
+    """Draw groups of bars side by side, and return all bars; without a group, nothing.
 
     A bar is the mean of the repeats, with one standard deviation up and down where there are several. A cross at the
     foot of a bar, or in its place, says that a repeat gave no value.
@@ -85,6 +85,8 @@ def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | Non
         groups: name on the axis -> its bars.
         slots: bars for which a group has room; by default that of the longest group.
     """
+    if not groups:
+        return []
     slots = slots or max(len(bars) for bars in groups.values())
     width = _FILLED / slots
     for i, bars in enumerate(groups.values()):
@@ -97,6 +99,7 @@ def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | Non
     ax.set_xlim(-0.55, len(groups) - 0.45)
     ax.margins(y=0.08)
     horizontal_grid(ax)
+    return [bar for bars in groups.values() for bar in bars]
 
 
 def _draw(ax: Axes, x: float, width: float, bar: Bar) -> None:

@@ -17,7 +17,7 @@ from nermo_mjx.experiments.maze import FREQUENCY, box_outlines
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     CLOCK,
     SPINE,
     angles,
@@ -41,10 +41,7 @@ from nermo_mjx.view.recording import Recording
 NUMBERS: Final = {
     (column, on): f"{name} {'with' if on else 'without'} spine"
     for column, name in (
-        ("time", "time"),
-        ("mean_speed", "mean speed"),
-        ("roll_std", "roll std"),
-        ("pitch_std", "pitch std"),
+        (column, column.replace("_", " ")) for column in ("time", "mean_speed", "roll_std", "pitch_std")
     )
     for on in (False, True)
 }
@@ -161,7 +158,7 @@ def _walk(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
     for ax, (column, title) in zip(page.axes[0], _TITLES.items(), strict=True):
         groups = {}
         for on in (False, True):
-            groups["with" if on else "without"] = bars = [
+            groups["with" if on else "without"] = [
                 Bar(
                     _clocked(column, profile) * repeats(outcome, column, profile=profile, spine=on),
                     tone(SPINE[on], profile),
@@ -169,8 +166,7 @@ def _walk(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
                 )
                 for profile in names
             ]
-            drawn += bars
-        draw_bars(ax, groups)
+        drawn += draw_bars(ax, groups)
         ax.set(xlabel="spine", ylabel=axis_label(outcome, column, title))
     note = f"{spread_note(drawn)}; {CLOCK}; the published path is another one of about 5 m"
     return page.finish([*profile_swatches(names), *bar_entries(drawn)], note)

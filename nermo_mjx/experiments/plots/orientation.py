@@ -6,13 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     ANGLES,
     COMPENSATED,
     GAIT,
@@ -121,8 +120,7 @@ def _spread(outcome: Outcome) -> Figure | None:
                     for profile in names
                 ]
                 groups[f"{f:g}"] = [bar for bar in bars if bar.ran]
-                drawn += groups[f"{f:g}"]
-            draw_bars(ax, groups, slots=2 * len(names))
+            drawn += draw_bars(ax, groups, slots=2 * len(names))
         row[0].set_ylabel(axis_label(outcome, f"{angle}_std", f"{angle}, std"))
     for ax, gait in zip(page.axes[0], gaits, strict=True):
         ax.set_title(GAIT[gait])
@@ -144,32 +142,20 @@ def _compensation(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
         for profile in names:
             off, on = (_roll(outcome, measure, profile, compensated) for compensated in (False, True))
             reported = change * Bar(off, "").mean if isinstance(change, float) and len(off) else None
-            bars = [
-                Bar(off, tone(SPINE[True], profile)),
-                Bar(on, tone(COMPENSATED, profile), published=reported if reported and np.isfinite(reported) else None),
-            ]
-            groups[shown(profile)] = bars
-            drawn += bars
-        draw_bars(ax, groups)
+            reported = reported if reported and np.isfinite(reported) else None
+            groups[shown(profile)] = [
+                Bar(off, tone(SPINE[True], profile)), Bar(on, tone(COMPENSATED, profile), published=reported),
+            ]  # fmt: skip
+        drawn += draw_bars(ax, groups)
         ax.set_ylabel(axis_label(outcome, "roll_std", f"roll, {measure}"))
-    handles: list[Artist] = [
-        swatch("not compensated", SPINE[True]),
-        swatch("compensated", COMPENSATED),
-        *bar_entries(drawn),
-    ]
+    swatches = [swatch("not compensated", SPINE[True]), swatch("compensated", COMPENSATED)]
     note = f"published: its relative change, applied to the bar on the left; {spread_note(drawn)}"
-    return page.finish(handles, note)  # fmt: skip
+    return page.finish([*swatches, *bar_entries(drawn)], note)
 
 
 def _roll(outcome: Outcome, measure: str, profile: str, compensated: bool) -> np.ndarray:
-    case = {
-        "profile": profile,
-        "gait": "trt",
-        "frequency": 0.67,
-        "spine": True,
-        "compensated": compensated,
-        "stride": 1.0,
-    }
+    case = {"profile": profile, "gait": "trt", "frequency": 0.67, "spine": True, "compensated": compensated,
+            "stride": 1.0}  # fmt: skip
     if measure == "std":
         return repeats(outcome, "roll_std", **case)
     return 0.5 * (repeats(outcome, "roll_max", **case) - repeats(outcome, "roll_min", **case))

@@ -13,8 +13,7 @@ from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots import orientation
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.orientation import gait_page, walked_gaits
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     CLOCK,
     GAIT,
     SPINE,
@@ -28,6 +27,7 @@ from nermo_mjx.experiments.plots.page import (
     stroke,
     tone,
 )
+from nermo_mjx.experiments.plots.orientation import gait_page, walked_gaits
 from nermo_mjx.experiments.published.measure import clock
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import INK, horizontal_grid
@@ -83,8 +83,7 @@ def _speed(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
                 for profile in names
             ]
             groups[f"{f:g}"] = [bar for bar in bars if bar.ran]
-            drawn += groups[f"{f:g}"]
-        draw_bars(ax, groups, slots=2 * len(names))
+        drawn += draw_bars(ax, groups, slots=2 * len(names))
         ax.set(title=GAIT[gait], xlabel="gait frequency [Hz]")
     page.axes[0][0].set_ylabel(axis_label(outcome, "speed", "speed"))
     handles: list[Artist] = [*spine_swatches(), *profile_swatches(names), *bar_entries(drawn)]
@@ -120,16 +119,8 @@ def _speed_over_stride(outcome: Outcome, lines: Sequence[Line]) -> Figure | None
             if profile == names[0]:
                 ax.plot(strides, theory, ":", color=SPINE[on], lw=1.3, zorder=2)
             lost = [s for s, run in zip(strides, runs, strict=True) if run.ran and run.failed]
-            ax.plot(
-                lost,
-                [0.02] * len(lost),
-                "x",
-                ms=6,
-                mew=1.6,
-                color=colour,
-                transform=ax.get_xaxis_transform(),
-                gid="failed",
-            )
+            ax.plot(lost, [0.02] * len(lost), "x", ms=6, mew=1.6, color=colour, transform=ax.get_xaxis_transform(),
+                    gid="failed")  # fmt: skip
     reported = [value for (gait, _, _), value in published_speeds(lines).items() if gait == "trt"]
     for value in reported:
         mark_published(ax, 1.0, value)

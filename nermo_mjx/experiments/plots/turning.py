@@ -16,7 +16,7 @@ from nermo_mjx.experiments import turning
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.plots.bars import Bar, axis_label, bar_entries, draw_bars, repeats, spread_note
-from nermo_mjx.experiments.plots.page import (
+from nermo_mjx.experiments.plots.marks import (
     CLOCK,
     GAIT,
     STRATEGY,
@@ -92,9 +92,7 @@ def _speed(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
                     for strategy in turning.STRATEGIES
                     for profile in names
                 ]
-                drawn += groups[f"{f:g}"]
-            if groups:
-                draw_bars(ax, groups)
+            drawn += draw_bars(ax, groups)
             ax.set_title(f"{GAIT[gait]}, R = {1e3 * radius:g} mm")
         row[0].set_ylabel(axis_label(outcome, "speed", "speed"))
     for ax in page.axes[-1]:
@@ -128,16 +126,14 @@ def _time(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
     for ax, side in zip(page.axes[0], turning.SIDES, strict=True):
         groups: dict[str, list[Bar]] = {}
         for strategy in turning.STRATEGIES:
-            groups[_NAMES[strategy]] = bars = []
+            bars = groups.setdefault(_NAMES[strategy], [])
             for profile in names:
                 wanted = {"profile": profile, "strategy": strategy, "side": side, **case}
                 values = repeats(outcome, "time", **wanted) / clock(profile)
                 reported = published(lines, TIME[strategy]) if profile == names[0] else None
-                bars.append(
-                    Bar(values, tone(STRATEGY[strategy], profile), _strayed(outcome, wanted), published=reported)
-                )
-            drawn += bars
-        draw_bars(ax, groups)
+                colour = tone(STRATEGY[strategy], profile)
+                bars.append(Bar(values, colour, _strayed(outcome, wanted), published=reported))
+        drawn += draw_bars(ax, groups)
         ax.set_title(f"to the {side}")
     page.axes[0, 0].set_ylabel(axis_label(outcome, "time", "time"))
     handles: list[Artist] = [*profile_swatches(names), *bar_entries(drawn, hatched=_NOT_FOLLOWED)]
@@ -154,7 +150,7 @@ def _smallest_radius(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
         groups: dict[str, list[Bar]] = {}
         for f in _frequencies(outcome, radius=turning.FULL_LOCK, gait=gait, side="left"):
             case = {"gait": gait, "frequency": f, "radius": turning.FULL_LOCK, "side": "left"}
-            groups[f"{f:g}"] = bars = []
+            bars = groups.setdefault(f"{f:g}", [])
             for strategy in turning.STRATEGIES:
                 for profile in names:
                     wanted = {"profile": profile, "strategy": strategy, **case}
@@ -168,9 +164,7 @@ def _smallest_radius(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
                             published=_metres(published(lines, RADIUS.get(strategy, "")) if first else None),
                         )
                     )
-            drawn += bars
-        if groups:
-            draw_bars(ax, groups)
+        drawn += draw_bars(ax, groups)
         ax.set(title=GAIT[gait], xlabel="gait frequency [Hz]")
     page.axes[0, 0].set_ylabel(axis_label(outcome, "turning_radius", "radius"))
     # A robot that hardly turns, on metres, must not flatten the others.

@@ -6,15 +6,14 @@ these forces and the height: no line is predicted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 
-from nermo_mjx.experiments.judgement import Judgement, Number, Same, gain
-from nermo_mjx.experiments.line import Figure
+from nermo_mjx.experiments.judgement import Number as Size
+from nermo_mjx.experiments.judgement import Same, gain
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.published.measure import HARDWARE, Measure
+from nermo_mjx.experiments.published.measure import HARDWARE, Measure, Number, below, column, figures_of, whether
 from nermo_mjx.robot.parameters import LIMBS
 
 
@@ -28,24 +27,14 @@ def _verdict(limb: str, sbc: bool) -> Measure:
 
 def _pitch_reduction(end: str) -> Measure:
     """Share of the resting pitch's size that balance compensation takes away, mean of left and right."""
-
-    def measure(outcome: Outcome, profile: str) -> float:
-        off, on = (
-            np.mean(
-                [
-                    abs(outcome.mean("pitch_rest", profile=profile, leg=f"{end}_{side}", sbc=sbc))
-                    for side in ("left", "right")
-                ]
-            )
-            for sbc in (False, True)
-        )
-        return float(1.0 - on / off) if off else float("nan")
-
-    return measure
+    sizes = (
+        [column("pitch_rest", leg=f"{end}_{side}", sbc=sbc) for side in ("left", "right")] for sbc in (True, False)
+    )
+    return below(*(_mean_size(each) for each in sizes))
 
 
-def _published_verdict(limb: str, sbc: bool) -> str:
-    return "pass" if sbc or limb.startswith("front") else "fail"
+def _mean_size(measures: list[Number]) -> Number:
+    return lambda outcome, profile: float(np.mean([abs(each(outcome, profile)) for each in measures]))
 
 
 #: The other leg of a pair.
@@ -53,7 +42,7 @@ _MIRROR: Final = {limb: limb.replace(side, other) for side, other in (("left", "
                   for limb in LIMBS if side in limb}  # fmt: skip
 
 
-def _force(foot: str, lifted: str, sbc: bool) -> Callable[[Outcome, str], float]:
+def _force(foot: str, lifted: str, sbc: bool) -> Number:
     """Force of a foot [N] on four feet, just before a leg is lifted; mean of the case and its mirror image."""
 
     def measure(outcome: Outcome, profile: str) -> float:
@@ -63,67 +52,38 @@ def _force(foot: str, lifted: str, sbc: bool) -> Callable[[Outcome, str], float]
     return measure
 
 
-def _diagonal_carries_most(outcome: Outcome, profile: str) -> bool | None:
-    """Whether front left and rear right carry more than the others together, before the rear left leg is lifted."""
-    force = {limb: _force(limb, "rear_left", True)(outcome, profile) for limb in LIMBS}
-    if not np.isfinite(list(force.values())).all():
-        return None
-    return force["front_left"] + force["rear_right"] > force["front_right"] + force["rear_left"]
-
-
-def _chosen(name: str, reported: Judgement, measure: Measure, unit: str = "", source: str = "6.2.3") -> Figure:
-    return Figure(name, "chosen", reported, measure, unit, source)
-
-
+#: Whether front left and rear right carry more than the others together, before the rear left leg is lifted.
+_diagonal_carries_most: Final = whether(
+    lambda front_left, front_right, rear_left, rear_right: front_left + rear_right > front_right + rear_left,
+    *(_force(limb, "rear_left", True) for limb in LIMBS),
+)
 _FOUR_FEET: Final = "6.2.3, Figure 6.16: four feet, before the lift"
+_READ: Final = f"{_FOUR_FEET}; read as that of the rear left leg's case"
+_CASES: Final = [(sbc, limb) for sbc in (False, True) for limb in LIMBS]
+_WITH: Final = {False: "without", True: "with"}
+_figure: Final = figures_of("chosen", "6.2.3")
 FIGURES: Final = (
     *(
-        _chosen(
-            f"{limb.replace('_', ' ')} lifted, {'with' if sbc else 'without'} balance compensation",
-            Same(_published_verdict(limb, sbc)),
-            _verdict(limb, sbc),
-        )
-        for sbc in (False, True)
-        for limb in LIMBS
+        _figure(f"{limb.replace('_', ' ')} lifted, {_WITH[sbc]} balance compensation",
+                Same("pass" if sbc or limb.startswith("front") else "fail"), _verdict(limb, sbc))
+        for sbc, limb in _CASES
     ),
-    _chosen("resting pitch reduced by compensation, front legs", gain(0.30), _pitch_reduction("front")),
-    _chosen("resting pitch reduced by compensation, rear legs", gain(0.73), _pitch_reduction("rear")),
-    _chosen("height of the centre of mass", Number(57.0), lambda o, p: 1e3 * o.mean("com_height", profile=p), "mm"),
-    _chosen(
-        "force of the rear left foot, without compensation",
-        Number(0.73),
-        _force("rear_left", "rear_left", False),
-        "N",
-        _FOUR_FEET,
-    ),
-    _chosen(
-        "force of the rear left foot, with compensation",
-        Number(0.16),
-        _force("rear_left", "rear_left", True),
-        "N",
-        _FOUR_FEET,
-    ),
-    _chosen(
-        "force of the front right foot, with compensation",
-        Number(0.35),
-        _force("front_right", "rear_left", True),
-        "N",
-        f"{_FOUR_FEET}; read as that of the rear left leg's case",
-    ),
-    _chosen(
-        "front left and rear right carry most, with compensation",
-        Same(True),
-        _diagonal_carries_most,
-        source=_FOUR_FEET,
-    ),
+    _figure("resting pitch reduced by compensation, front legs", gain(0.30), _pitch_reduction("front")),
+    _figure("resting pitch reduced by compensation, rear legs", gain(0.73), _pitch_reduction("rear")),
+    _figure("height of the centre of mass", Size(57.0), column("com_height", 1e3), "mm"),
     *(
-        _chosen(
-            f"hardware: {limb.replace('_', ' ')} lifted, {'with' if sbc else 'without'} compensation",
-            Same("pass" if sbc else "fail"),
-            _verdict(limb, sbc),
-            source=HARDWARE,
+        _figure(f"force of the {foot.replace('_', ' ')} foot, {_WITH[sbc]} compensation", Size(force),
+                _force(foot, "rear_left", sbc), "N", source)
+        for foot, sbc, force, source in (
+            ("rear_left", False, 0.73, _FOUR_FEET), ("rear_left", True, 0.16, _FOUR_FEET),
+            ("front_right", True, 0.35, _READ),
         )
-        for sbc in (False, True)
-        for limb in LIMBS
     ),
-)
+    _figure("front left and rear right carry most, with compensation", Same(True), _diagonal_carries_most,
+            source=_FOUR_FEET),
+    *(
+        _figure(f"hardware: {limb.replace('_', ' ')} lifted, {_WITH[sbc]} compensation",
+                Same("pass" if sbc else "fail"), _verdict(limb, sbc), source=HARDWARE)
+        for sbc, limb in _CASES
+    ),
+)  # fmt: skip

@@ -2,82 +2,78 @@
 
 from __future__ import annotations
 
+import operator
 from typing import Final
 
-import numpy as np
-
-from nermo_mjx.experiments.judgement import Effect, Judgement, Same, gain
+from nermo_mjx.experiments.judgement import Effect, Same, gain
 from nermo_mjx.experiments.judgement import Number as Size
-from nermo_mjx.experiments.line import Figure
-from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.published.measure import HARDWARE, Measure, Number, below, clock, degrees, quotient
+from nermo_mjx.experiments.published.measure import (
+    HARDWARE,
+    Number,
+    below,
+    clock,
+    column,
+    degrees,
+    figures_of,
+    quotient,
+    whether,
+)
 
 
-def _maze(column: str, spine: bool) -> Number:
-    return lambda outcome, profile: outcome.mean(column, profile=profile, spine=spine)
+def _time(spine: bool) -> Number:
+    time = column("time", spine=spine)
+    return lambda outcome, profile: time(outcome, profile) / clock(profile)
 
 
-def _maze_time(spine: bool) -> Number:
-    return lambda outcome, profile: outcome.mean("time", profile=profile, spine=spine) / clock(profile)
+def _speed(spine: bool) -> Number:
+    speed = column("mean_speed", spine=spine)
+    return lambda outcome, profile: 1e3 * clock(profile) * speed(outcome, profile)
 
 
-def _maze_speed(spine: bool) -> Number:
-    return lambda outcome, profile: 1e3 * clock(profile) * outcome.mean("mean_speed", profile=profile, spine=spine)
-
-
-def _reached(spine: bool) -> Measure:
-    def measure(outcome: Outcome, profile: str) -> bool | None:
-        share = outcome.mean("reached", profile=profile, spine=spine)
-        return None if np.isnan(share) else share == 1.0
-
-    return measure
-
-
-def _untouched(spine: bool) -> Measure:
-    def measure(outcome: Outcome, profile: str) -> bool | None:
-        touched = outcome.mean("touched", profile=profile, spine=spine)
-        return None if np.isnan(touched) else touched == 0.0
-
-    return measure
-
-
-def _noisier_in_maze(angle: str) -> Measure:
-    def measure(outcome: Outcome, profile: str) -> bool | None:
-        with_it, without = (outcome.mean(f"{angle}_std", profile=profile, spine=spine) for spine in (True, False))
-        return None if np.isnan([with_it, without]).any() else with_it > without
-
-    return measure
-
-
-def _predicted(name: str, reported: Judgement, measure: Measure, unit: str = "", source: str = "6.2.4") -> Figure:
-    return Figure(name, "predicted", reported, measure, unit, source)
-
-
-def _over(column: str) -> Number:
+def _over(name: str) -> Number:
     """With the spine over without."""
-    return quotient(_maze(column, True), _maze(column, False))
+    return quotient(column(name, spine=True), column(name, spine=False))
 
 
 _PATH: Final = "6.2.4, on another path of about 5 m"
 _SPINE: Final = {False: "without spine", True: "with spine"}
+_STD: Final = {
+    ("roll", False): 3.09, ("roll", True): 4.13, ("pitch", False): 0.75, ("pitch", True): 1.25,
+}  # fmt: skip
+_figure: Final = figures_of("predicted", "6.2.4")
 FIGURES: Final = (
-    *(_predicted(f"end reached {name}", Same(True), _reached(spine)) for spine, name in _SPINE.items()),
-    *(_predicted(f"no box touched {name}", Same(True), _untouched(spine)) for spine, name in _SPINE.items()),
-    _predicted("time without spine", Size(85.7), _maze_time(False), "s", _PATH),
-    _predicted("time with spine", Size(61.1), _maze_time(True), "s", _PATH),
-    _predicted("time with spine over without", Effect(0.713, digits=3), quotient(_maze_time(True), _maze_time(False))),
-    _predicted("mean speed without spine", Size(60.0), _maze_speed(False), "mm/s"),
-    _predicted("mean speed with spine", Size(82.0), _maze_speed(True), "mm/s"),
-    _predicted("mean speed with spine over without", Effect(1.37), _over("mean_speed")),
-    _predicted("roll std higher with the spine", Same(True), _noisier_in_maze("roll")),
-    _predicted("pitch std higher with the spine", Same(True), _noisier_in_maze("pitch")),
-    _predicted("roll std without spine", Size(3.09), degrees(_maze("roll_std", False)), "deg"),
-    _predicted("roll std with spine", Size(4.13), degrees(_maze("roll_std", True)), "deg"),
-    _predicted("roll std with spine over without", Effect(1.34), _over("roll_std")),
-    _predicted("pitch std without spine", Size(0.75), degrees(_maze("pitch_std", False)), "deg"),
-    _predicted("pitch std with spine", Size(1.25), degrees(_maze("pitch_std", True)), "deg"),
-    _predicted("pitch std with spine over without", Effect(1.67), _over("pitch_std")),
-    _predicted(
-        "hardware: time saved with the spine", gain(0.32), below(_maze_time(True), _maze_time(False)), source=HARDWARE
+    *(
+        _figure(f"end reached {name}", Same(True), whether(lambda share: share == 1.0, column("reached", spine=spine)))
+        for spine, name in _SPINE.items()
     ),
-)
+    *(
+        _figure(f"no box touched {name}", Same(True), whether(operator.not_, column("touched", spine=spine)))
+        for spine, name in _SPINE.items()
+    ),
+    _figure("time without spine", Size(85.7), _time(False), "s", _PATH),
+    _figure("time with spine", Size(61.1), _time(True), "s", _PATH),
+    _figure("time with spine over without", Effect(0.713, digits=3), quotient(_time(True), _time(False))),
+    _figure("mean speed without spine", Size(60.0), _speed(False), "mm/s"),
+    _figure("mean speed with spine", Size(82.0), _speed(True), "mm/s"),
+    _figure("mean speed with spine over without", Effect(1.37), _over("mean_speed")),
+    *(
+        _figure(
+            f"{angle} std higher with the spine", Same(True),
+            whether(operator.gt, *(column(f"{angle}_std", spine=spine) for spine in (True, False))),
+        )
+        for angle in ("roll", "pitch")
+    ),
+    *(
+        figure
+        for angle, ratio in (("roll", 1.34), ("pitch", 1.67))
+        for figure in (
+            *(
+                _figure(f"{angle} std {name}", Size(_STD[angle, spine]), degrees(column(f"{angle}_std", spine=spine)),
+                        "deg")
+                for spine, name in _SPINE.items()
+            ),
+            _figure(f"{angle} std with spine over without", Effect(ratio), _over(f"{angle}_std")),
+        )
+    ),
+    _figure("hardware: time saved with the spine", gain(0.32), below(_time(True), _time(False)), source=HARDWARE),
+)  # fmt: skip

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
-from nermo_mjx.experiments.line import Value
+from nermo_mjx.experiments.judgement import Judgement
+from nermo_mjx.experiments.line import Figure, Kind, Value
 from nermo_mjx.experiments.outcome import Outcome
 
 Measure = Callable[[Outcome, str], Value]
@@ -17,9 +18,35 @@ Number = Callable[[Outcome, str], float]
 HARDWARE: Final = "hardware, 7.1"
 
 
+class Maker(Protocol):
+    """Makes figures of one kind; arguments as of `line.Figure`."""
+
+    def __call__(
+        self, name: str, reported: Judgement, measure: Measure, unit: str = "", source: str | None = None
+    ) -> Figure:
+        """A figure."""
+
+
+def figures_of(kind: Kind, source: str) -> Maker:
+    """Makes figures of a kind; their source is this one, if they name no other."""
+    own = source
+
+    def figure(
+        name: str, reported: Judgement, measure: Measure, unit: str = "", source: str | None = None
+    ) -> Figure:  # fmt: skip
+        return Figure(name, kind, reported, measure, unit, own if source is None else source)
+
+    return figure
+
+
 def clock(profile: str) -> float:
     """Simulated seconds per second of the controller's clock."""
     return PUBLISHED_CLOCK_RATIO if profile == "as_published" else 1.0
+
+
+def column(name: str, scale: float = 1.0, **case: object) -> Number:
+    """A column's mean over the repeats of a case, times a factor."""
+    return lambda outcome, profile: scale * outcome.mean(name, profile=profile, **case)
 
 
 def quotient(above: Number, below: Number) -> Number:
@@ -41,3 +68,23 @@ def below(one: Number, other: Number) -> Number:
 def degrees(measure: Number) -> Number:
     """A figure in radians as degrees."""
     return lambda outcome, profile: float(np.degrees(measure(outcome, profile)))
+
+
+def largest(*measures: Number) -> Number:
+    """The largest of those that were measured; NaN where none was."""
+
+    def measure(outcome: Outcome, profile: str) -> float:
+        found = [each(outcome, profile) for each in measures]
+        return float(np.nanmax(found)) if np.isfinite(found).any() else float("nan")
+
+    return measure
+
+
+def whether(test: Callable[..., object], *measures: Number) -> Measure:
+    """Whether figures pass a test; None where one of them was not measured."""
+
+    def measure(outcome: Outcome, profile: str) -> bool | None:
+        found = [each(outcome, profile) for each in measures]
+        return bool(test(*found)) if np.isfinite(found).all() else None
+
+    return measure

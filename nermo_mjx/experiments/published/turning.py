@@ -11,28 +11,31 @@ from typing import Final
 import numpy as np
 
 from nermo_mjx.experiments import turning
-from nermo_mjx.experiments.judgement import Asked, Effect, Judgement, Range, Same, Shown, gain
+from nermo_mjx.experiments.judgement import Asked, Effect, Range, Same, Shown, gain
 from nermo_mjx.experiments.judgement import Number as Size
 from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.published.measure import HARDWARE, Measure, Number, below, clock, quotient
+from nermo_mjx.experiments.published.measure import (
+    HARDWARE,
+    Measure,
+    Number,
+    below,
+    clock,
+    column,
+    figures_of,
+    quotient,
+)
 from nermo_mjx.experiments.turning import FULL_LOCK, OTHER_STRIDE, STRIDE
 
 _SIDE: Final = "left"
 
 
-def _turn(
-    column: str, gait: str, frequency: float, radius: float, strategy: str, *, stride: float = STRIDE
-) -> Number:  # fmt: skip
-    def measure(outcome: Outcome, profile: str) -> float:
-        wanted = {"gait": gait, "frequency": frequency, "radius": radius, "strategy": strategy, "stride": stride}
-        return outcome.mean(column, profile=profile, side=_SIDE, **wanted)
-
-    return measure
+def _turn(name: str, gait: str, frequency: float, radius: float, strategy: str, stride: float = STRIDE) -> Number:
+    return column(name, side=_SIDE, gait=gait, frequency=frequency, radius=radius, strategy=strategy, stride=stride)
 
 
 def _time(strategy: str, stride: float = STRIDE) -> Number:
-    time = _turn("time", "trt", 0.67, 0.5, strategy, stride=stride)
+    time = _turn("time", "trt", 0.67, 0.5, strategy, stride)
     return lambda outcome, profile: float(time(outcome, profile)) / clock(profile)
 
 
@@ -47,7 +50,7 @@ def _followed(
     outcome: Outcome, profile: str, circle: tuple[str, float, float], strategy: str, stride: float = STRIDE
 ) -> bool:
     """Whether all repeats followed a quarter circle."""
-    return _turn("followed", *circle, strategy, stride=stride)(outcome, profile) == 1.0
+    return _turn("followed", *circle, strategy, stride)(outcome, profile) == 1.0
 
 
 def _compared(outcome: Outcome, profile: str, strategies: tuple[str, ...]) -> list[tuple[float, ...]]:
@@ -95,7 +98,7 @@ def _failed(stride: float) -> Measure:
 
 
 def _radius(gait: str, strategy: str, frequency: float = 0.67, stride: float = STRIDE) -> Number:
-    return _turn("turning_radius", gait, frequency, FULL_LOCK, strategy, stride=stride)
+    return _turn("turning_radius", gait, frequency, FULL_LOCK, strategy, stride)
 
 
 def _best_radius(stride: float) -> Number:
@@ -107,9 +110,13 @@ def _best_radius(stride: float) -> Number:
     return measure
 
 
+def _full_lock(name: str, strategy: str) -> Number:
+    return _turn(name, "trt", 0.67, FULL_LOCK, strategy)
+
+
 def _beyond_theory(strategy: str) -> Number:
     """By what share the smallest radius of the trot lies above that of theory."""
-    ratio = quotient(_radius("trt", strategy), _turn("theory_radius", "trt", 0.67, FULL_LOCK, strategy))
+    ratio = quotient(_radius("trt", strategy), _full_lock("theory_radius", strategy))
     return lambda outcome, profile: ratio(outcome, profile) - 1.0
 
 
@@ -129,9 +136,9 @@ def _mirrored(outcome: Outcome, profile: str) -> bool:
     for row in np.flatnonzero(sides["right"]):
         names = ("profile", "gait", "frequency", "radius", "strategy", "stride")
         labels = {name: outcome.columns[name][row] for name in names}
-        for column in ("speed",) if labels["radius"] > 0 else ("speed", "turning_radius"):
+        for name in ("speed",) if labels["radius"] > 0 else ("speed", "turning_radius"):
             values = {
-                side: np.asarray(outcome.columns[column], float)[outcome.where(side=side, **labels)] for side in sides
+                side: np.asarray(outcome.columns[name], float)[outcome.where(side=side, **labels)] for side in sides
             }
             spread = max(np.ptp(each) for each in values.values())
             gap = abs(values["left"].mean() - values["right"].mean())
@@ -144,135 +151,87 @@ def _did_follow(strategy: str) -> Measure:
     return lambda outcome, profile: _followed(outcome, profile, ("trt", 0.67, 0.5), strategy)
 
 
-def _chosen(name: str, reported: Judgement, measure: Measure, unit: str = "", source: str = "6.2.2") -> Figure:
-    return Figure(name, "chosen", reported, measure, unit, source)
-
-
 _TIMES: Final = {"spine": 13.0, "leg": 18.4, "mix": 14.5}
 _LOST: Final = Same("lat, 0.8 Hz, spine, 0.5 m")
+_figure: Final = figures_of("chosen", "6.2.2")
+_theory: Final = figures_of("theory", "(5.40-5.42)")
 
 
 def _read_at(stride: float) -> tuple[Figure, ...]:
     """What is shown for both readings of the stride."""
-    where, source = ("", "6.2.2") if stride == STRIDE else (f" at stride {stride:.1f}", "6.2.2, other reading of A.4.2")
+    where, source = ("", None) if stride == STRIDE else (f" at stride {stride:.1f}", "6.2.2, other reading of A.4.2")
     return (
-        _chosen(f"paths not followed{where}", _LOST, _failed(stride), source=source),
+        _figure(f"paths not followed{where}", _LOST, _failed(stride), source=source),
         *(
-            _chosen(f"time for 0.5 m, trt, 0.67 Hz, {name}-based{where}", Size(time), _time(name, stride), "s", source)
+            _figure(f"time for 0.5 m, trt, 0.67 Hz, {name}-based{where}", Size(time), _time(name, stride), "s", source)
             for name, time in _TIMES.items()
         ),
         *(
-            _chosen(
-                f"smallest radius of trt, {name}-based{where}",
-                Size(radius),
-                _radius("trt", name, stride=stride),
-                "m",
-                source,
-            )
+            _figure(f"smallest radius of trt, {name}-based{where}", Size(radius), _radius("trt", name, stride=stride),
+                    "m", source)
             for name, radius in (("leg", 0.174), ("mix", 0.135))
         ),
-        _chosen(f"smallest radius of all, mix-based{where}", Size(0.12), _best_radius(stride), "m", source),
-    )
+        _figure(f"smallest radius of all, mix-based{where}", Size(0.12), _best_radius(stride), "m", source),
+    )  # fmt: skip
+
+
+def _tighter(gait: str, strategy: str) -> Number:
+    """By what share the smallest radius of mix-based turning is below another's."""
+    return below(_radius(gait, "mix"), _radius(gait, strategy))
 
 
 _SPEED: Final = (
-    _chosen("spine-based turning fastest wherever it follows the path", Same(True), _spine_fastest),
-    _chosen("mix-based turning between leg- and spine-based", Same(True), _mix_between),
-    _chosen(
-        "speed, spine- over leg-based, mean of all paths",
-        Range(1.18, 1.43),
-        _spine_over_leg,
-        source="6.2.2: 15 to 30 %, which contradicts Table 6.4 (1.42) as a ratio; as time saved it is 1.18 to 1.43",
-    ),
-    _chosen("largest gain in speed, spine- over leg-based", gain(0.40), _largest_gain, source="7.1.1: up to 40 %"),
+    _figure("spine-based turning fastest wherever it follows the path", Same(True), _spine_fastest),
+    _figure("mix-based turning between leg- and spine-based", Same(True), _mix_between),
+    _figure("speed, spine- over leg-based, mean of all paths", Range(1.18, 1.43), _spine_over_leg,
+            source="6.2.2: 15 to 30 %, which contradicts Table 6.4 (1.42) as a ratio; as time saved it is 1.18 to "
+            "1.43"),
+    _figure("largest gain in speed, spine- over leg-based", gain(0.40), _largest_gain, source="7.1.1: up to 40 %"),
     *(
-        _chosen(
-            f"speed, spine- over mix-based, {gait}, 1.0 m, 0.5 Hz",
-            Effect(ratio),
-            quotient(_turn("speed", gait, 0.5, 1.0, "spine"), _turn("speed", gait, 0.5, 1.0, "mix")),
-        )
+        _figure(f"speed, spine- over mix-based, {gait}, 1.0 m, 0.5 Hz", Effect(ratio),
+                quotient(_turn("speed", gait, 0.5, 1.0, "spine"), _turn("speed", gait, 0.5, 1.0, "mix")))
         for gait, ratio in (("trt", 1.01), ("trt1", 1.03))
     ),
     *(
-        _chosen(
-            f"time for 0.5 m, trt, 0.67 Hz, {name}- over leg-based",
-            Effect(ratio),
-            quotient(_time(name), _time("leg")),
-            source="6.2.2, Table 6.4",
-        )
+        _figure(f"time for 0.5 m, trt, 0.67 Hz, {name}- over leg-based", Effect(ratio),
+                quotient(_time(name), _time("leg")), source="6.2.2, Table 6.4")
         for name, ratio in (("spine", 0.71), ("mix", 0.79))
     ),
-)
+)  # fmt: skip
 _THEORY: Final = (
     *(
-        Figure(
-            f"theory: smallest radius, {name}-based",
-            "theory",
-            Size(radius),
-            _turn("theory_radius", "trt", 0.67, FULL_LOCK, name),
-            "m",
-            "(5.40-5.42)",
-        )
+        _theory(f"theory: smallest radius, {name}-based", Size(radius), _full_lock("theory_radius", name), "m")
         for name, radius in (("leg", 0.151), ("mix", 0.134))
     ),
-    Figure(
-        "theory: spine-based full lock (5.43)",
-        "theory",
-        Shown(),
-        _turn("theory_radius", "trt", 0.67, FULL_LOCK, "spine"),
-        "m",
-        "no number is published; (5.43) presumes shorter inner strides",
-    ),
-    Figure(
-        "theory: spine-based full lock, two feet with equal strides",
-        "theory",
-        Shown(),
-        _turn("theory_equal_strides", "trt", 0.67, FULL_LOCK, "spine"),
-        "m",
-        "this project: least slip of the two feet that stand",
-    ),
-)
+    _theory("theory: spine-based full lock (5.43)", Shown(), _full_lock("theory_radius", "spine"), "m",
+            "no number is published; (5.43) presumes shorter inner strides"),
+    _theory("theory: spine-based full lock, two feet with equal strides", Shown(),
+            _full_lock("theory_equal_strides", "spine"), "m", "this project: least slip of the two feet that stand"),
+)  # fmt: skip
 _RADII: Final = (
-    _chosen(
-        "smallest radius of trt, mix-based below leg-based",
-        gain(0.22),
-        below(_radius("trt", "mix"), _radius("trt", "leg")),
-    ),
+    _figure("smallest radius of trt, mix-based below leg-based", gain(0.22), _tighter("trt", "leg")),
     *(
-        _chosen(
-            f"smallest radius of {gait}, mix-based below leg-based",
-            Range(0.25, 0.30),
-            below(_radius(gait, "mix"), _radius(gait, "leg")),
-        )
+        _figure(f"smallest radius of {gait}, mix-based below leg-based", Range(0.25, 0.30), _tighter(gait, "leg"))
         for gait in ("trt1", "lat")
     ),
     *(
-        _chosen(
-            f"smallest radius of {gait}, mix-based below spine-based",
-            Asked(0.50, 1.0),
-            below(_radius(gait, "mix"), _radius(gait, "spine")),
-            source="this project",
-        )
+        _figure(f"smallest radius of {gait}, mix-based below spine-based", Asked(0.50, 1.0), _tighter(gait, "spine"),
+                source="this project")
         for gait in turning.GAITS
     ),
-    _chosen("smallest radius of trt above theory, leg-based", gain(0.15), _beyond_theory("leg"), source="7.2.1"),
-    _chosen(
-        "smallest radius of trt above theory, mix-based", gain(0.0, digits=1), _beyond_theory("mix"), source="7.2.1"
-    ),
-    _chosen(
-        "smallest radius off theory, mean of all cases",
-        gain(0.20),
-        _off_theory,
-        source="7.2.1: all 20 %; read as the mean deviation of all gaits, frequencies and strategies",
-    ),
-)
+    _figure("smallest radius of trt above theory, leg-based", gain(0.15), _beyond_theory("leg"), source="7.2.1"),
+    _figure("smallest radius of trt above theory, mix-based", gain(0.0, digits=1), _beyond_theory("mix"),
+            source="7.2.1"),
+    _figure("smallest radius off theory, mean of all cases", gain(0.20), _off_theory,
+            source="7.2.1: all 20 %; read as the mean deviation of all gaits, frequencies and strategies"),
+)  # fmt: skip
 _ON_HARDWARE: Final = (
     *(
-        _chosen(f"hardware: time for 0.5 m, trt, 0.67 Hz, {name}-based", Size(time), _time(name), "s", HARDWARE)
+        _figure(f"hardware: time for 0.5 m, trt, 0.67 Hz, {name}-based", Size(time), _time(name), "s", HARDWARE)
         for name, time in (("spine", 15.5), ("leg", 22.0), ("mix", 16.3))
     ),
     *(
-        _chosen(f"hardware: 0.5 m, trt, 0.67 Hz, followed, {name}-based", Same(did), _did_follow(name), source=HARDWARE)
+        _figure(f"hardware: 0.5 m, trt, 0.67 Hz, followed, {name}-based", Same(did), _did_follow(name), source=HARDWARE)
         for name, did in (("spine", False), ("leg", True), ("mix", True))
     ),
 )
@@ -281,7 +240,7 @@ FIGURES: Final = (
     *_read_at(STRIDE),
     *_THEORY,
     *_RADII,
-    _chosen("right turns as left turns", Same(True), _mirrored, source="this project: symmetry"),
+    _figure("right turns as left turns", Same(True), _mirrored, source="this project: symmetry"),
     *_ON_HARDWARE,
     *_read_at(OTHER_STRIDE),
 )

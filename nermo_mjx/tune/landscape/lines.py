@@ -56,7 +56,7 @@ class Secants:
 
 
 @dataclasses.dataclass(frozen=True)
-class Line:
+class Slice:
     """One parameter's line through the start.
 
     Attributes:
@@ -83,7 +83,7 @@ class Line:
         return _root_mean_square([_residual(self.x[part], self.value[part]) for part in windows])
 
 
-def lines_of(tuning: Tuning, table: pa.Table) -> list[Line]:
+def lines_of(tuning: Tuning, table: pa.Table) -> list[Slice]:
     """The lines of a landscape's table, one a tuned parameter."""
     names = np.array(table.column("line").to_pylist())
     columns = {name: table.column(name).to_numpy() for name in ("centre", "width", "side", "objective")}
@@ -92,14 +92,14 @@ def lines_of(tuning: Tuning, table: pa.Table) -> list[Line]:
         here = names == tuned.name
         of_line = here & (columns["side"] == 0)
         x, slope = (table.column(name).to_numpy() for name in (tuned.name, f"gradient.{tuned.name}"))
-        line = Line(tuned, x[of_line], columns["objective"][of_line], slope[of_line], ())
+        line = Slice(tuned, x[of_line], columns["objective"][of_line], slope[of_line], ())
         ends = {name: column[here & ~of_line] for name, column in (columns | {"x": x}).items()}
         secants = tuple(_secants(line, ends, share) for share in WIDTHS)
         lines.append(dataclasses.replace(line, secants=secants))
     return lines
 
 
-def _secants(line: Line, ends: dict[str, np.ndarray], share: float) -> Secants:
+def _secants(line: Slice, ends: dict[str, np.ndarray], share: float) -> Secants:
     """The secants of one width from the ends (m,) of all of a line's secants."""
     found, ripple = [], []
     bounds = line.tuned.high - line.tuned.low

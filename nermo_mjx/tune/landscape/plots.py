@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import FORMATS, lay_out, write_figure
+from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.quantity import Quantity, shown
-from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, STYLE, horizontal_grid, set_scales
-from nermo_mjx.tune.landscape.lines import Line
+from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, horizontal_grid, set_scales
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.tune.landscape.lines import Slice, lines_of
+from nermo_mjx.tune.landscape.points import TABLE, TUNING, read
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.spec import Tuning
 
@@ -27,35 +28,27 @@ _TANGENT: Final = 0.8
 _CUT: Final = 2.5
 
 
-def draw_plots(
-    tuning: Tuning,
-    lines: Sequence[Line],
-    folder: Path,
-    *,
-    write: Callable[[Path, bytes], None] | None = None,
-    formats: Sequence[str] = FORMATS,
-) -> list[Path]:
-    """Draw a figure for each line, as PNG and SVG; a line on which the robot nowhere walks has none.
+def figures_of(tuning: Tuning, lines: Sequence[Slice]) -> Iterator[tuple[str, Figure]]:
+    """A figure for each line; one on which the robot nowhere walks has none."""
+    for line in lines:
+        if line.ok.any():
+            yield f"line-{line.tuned.name}", line_figure(tuning, line)
 
-    Args:
-        write: how a file is written; `Path.write_bytes` if it is None.
-        formats: of `png` and `svg`.
 
-    Returns:
-        The files, in the order drawn.
+def figures(out: Path) -> Figures:
+    """The figures of a landscape's directory, from its table.
+
+    Raises:
+        SpecError: its landscape.yaml cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    files: list[Path] = []
-    with matplotlib.rc_context(STYLE):
-        for line in lines:
-            if line.ok.any():
-                figure = line_figure(tuning, line)
-                lay_out(figure)
-                files += write_figure(figure, folder, f"line-{line.tuned.name}", write, formats)
-    return files
+    tuning, table = Tuning.from_file(out / TUNING, recorded=False), read(out / TABLE)
+    if table is None or not set(tuning.names) <= set(table.column_names):
+        raise DirectoryError(f"{out / TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")
+    return figures_of(tuning, lines_of(tuning, table))
 
 
-def line_figure(tuning: Tuning, line: Line) -> Figure:
+def line_figure(tuning: Tuning, line: Slice) -> Figure:
     """One line: the objective with a tangent at each point; below it the slope, and each secant over its width."""
     others = [f"{each.name} {_text(tuning, each)}" for each in tuning.tuned if each is not line.tuned]
     note = "above: objective with its exact tangents, star: lowest; below: exact slope, and secants over their width"
@@ -80,11 +73,11 @@ def _text(tuning: Tuning, tuned: Tuned) -> str:
     return quantity.shown(float(quantity.values))
 
 
-def _about(tuning: Tuning, name: str, values: np.ndarray) -> Quantity:
+def _about(tuning: Tuning, name: str, values: np.ndarray) -> ShownValues:
     return shown(name, tuning.parameters[name].unit, values)
 
 
-def _draw_objective(ax: Axes, line: Line, x: Quantity) -> None:
+def _draw_objective(ax: Axes, line: Slice, x: ShownValues) -> None:
     """Points with tangents, their lowest a star, and a cross where the robot fell."""
     per_shown = np.ptp(line.x) / np.ptp(x.values)
     half = 0.5 * _TANGENT * np.ptp(x.values) / (len(line.x) - 1)
@@ -106,7 +99,7 @@ def _draw_objective(ax: Axes, line: Line, x: Quantity) -> None:
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
 
 
-def _draw_slopes(ax: Axes, line: Line, x: Quantity) -> None:
+def _draw_slopes(ax: Axes, line: Slice, x: ShownValues) -> None:
     """Exact slopes as a line, each secant as a bar over its width."""
     per_shown = np.ptp(line.x) / np.ptp(x.values)
     slope = line.slope * per_shown

@@ -10,8 +10,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.plotting.quantity import shown
-from nermo_mjx.tune.landscape.lines import Line
+from nermo_mjx.plotting.shown import shown
+from nermo_mjx.runs.text import MISSING, listed, table
+from nermo_mjx.tune.landscape.lines import Slice
 from nermo_mjx.tune.spec import Tuning
 
 #: Where slopes and secants of `JUDGED` agree so far, exact gradients lead the right way.
@@ -22,10 +23,9 @@ HEADINGS: Final = (
     ("parameter", "left"), ("width", "right"), ("of the bounds", "right"), ("secants", "right"),
     ("median error", "right"), ("same sign", "right"), ("ripple", "right"),
 )  # fmt: skip
-_MISSING: Final = "–"
 
 
-def content_of(tuning: Tuning, table: pa.Table, lines: Sequence[Line]) -> dict[str, Any]:
+def content_of(tuning: Tuning, points: pa.Table, lines: Sequence[Slice]) -> dict[str, Any]:
     """Content of landscape.json, in SI units and radians.
 
     `parameters`: by name `bounds`, `start`, the line `from` and `to`, the lowest and highest objective on it and where
@@ -34,11 +34,11 @@ def content_of(tuning: Tuning, table: pa.Table, lines: Sequence[Line]) -> dict[s
     `median_relative_error` of the slope, `sign_agreement`, `ripple`; and `follows`: whether slope and secants of 2 and
     5 % agree.
     """
-    notes = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+    notes = {key.decode(): value.decode() for key, value in (points.schema.metadata or {}).items()}
     return {
         "objective": [term.written() for term in tuning.objective.terms],
         "parameters": {line.tuned.name: _about(tuning, line) for line in lines},
-        "evaluations": table.num_rows,
+        "evaluations": points.num_rows,
         "batch": int(notes["batch"]),
         "precision": notes["precision"],
         "wall_seconds": float(notes["wall_seconds"]),
@@ -84,7 +84,7 @@ def _page(content: Mapping[str, Any]) -> Iterator[str]:
         "rounding and contacts leave is larger than the difference of the two ends.\n"
     )
     sides = "".join(side[0] for _, side in HEADINGS)
-    yield _table([heading for heading, _ in HEADINGS], rows_of(content), sides)
+    yield table([heading for heading, _ in HEADINGS], rows_of(content), sides)
     yield (
         "Median error: |slope - secant| / |secant|. Same sign: share of the places where both go the same way. Ripple: "
         "standard deviation of the objective about a parabola through all points within the width.\n"
@@ -109,11 +109,11 @@ def _page(content: Mapping[str, Any]) -> Iterator[str]:
         f"{content['wall_seconds']:.0f} s, begun on {content['started']}"
     )
     yield f"- Command: `{content['command']}`"
-    yield f"- Versions: {', '.join(f'{package} {version}' for package, version in content['versions'].items())}"
-    yield f"- Machine: {', '.join(f'{key} {value}' for key, value in content['machine'].items())}"
+    yield f"- Versions: {listed(content['versions'])}"
+    yield f"- Machine: {listed(content['machine'])}"
 
 
-def _about(tuning: Tuning, line: Line) -> dict[str, Any]:
+def _about(tuning: Tuning, line: Slice) -> dict[str, Any]:
     tuned, good = line.tuned, line.value[line.ok]
     widths = [
         {
@@ -160,16 +160,11 @@ def _sentence(name: str, about: Mapping[str, Any]) -> str:
     return f"{name}: {verdict}. The slope differs by {found}."
 
 
-def _table(headings: Sequence[str], rows: Sequence[Sequence[str]], sides: str) -> str:
-    rules = ["---" if side == "l" else "--:" for side in sides]
-    return "\n".join(f"| {' | '.join(row)} |" for row in (headings, rules, *rows)) + "\n"
-
-
 def _percent(share: float) -> str:
     if not math.isfinite(share):
-        return _MISSING
+        return MISSING
     return f"{100 * share:.2g} %" if 0 < share < 0.0995 else f"{100 * share:.0f} %"
 
 
 def _number(value: float) -> str:
-    return f"{value + 0.0:.3g}" if math.isfinite(value) else _MISSING
+    return f"{value + 0.0:.3g}" if math.isfinite(value) else MISSING

@@ -15,31 +15,28 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
-from nermo_mjx.plotting.files import FORMATS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs import DirectoryError, RunDirectory, session, stamp
-from nermo_mjx.runs.files import clear_errors, make_writable, parquet_bytes, replace_file
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs import RunDirectory, Written, session, stamp
+from nermo_mjx.runs.files import clear_errors, parquet_bytes
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.tune.directory import ENGINE, keep_recording, set_aside, write_tuning
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches, any_batch
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import Plan, plan
+from nermo_mjx.tune.landscape.points import IDENTITY, KEY, TABLE, TUNING, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.landscape.report import content_of, page
-from nermo_mjx.tune.landscape.table import IDENTITY, KEY, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.run import as_tuning, simulation_of
 from nermo_mjx.tune.spec import Tuning
 
 #: Points of a line: with the secants about nine of them, 131 walks a parameter.
 POINTS = 41
-_TABLE = "landscape.parquet"
-_TUNING = "landscape.yaml"
 #: What is made from the table.
 _MADE = ("landscape.json", "report.md")
 
@@ -51,7 +48,7 @@ class LandscapeResult:
     Attributes:
         out: its directory.
         tuning: whose objective it is.
-        table: all points, see `nermo_mjx.tune.landscape.table`.
+        table: all points, see `nermo_mjx.tune.landscape.points`.
         content: of landscape.json.
         plots: files of the figures.
         evaluated: points that this call evaluated; 0 if the directory held them.
@@ -107,7 +104,7 @@ def run_landscape(
     say = warn or (lambda _: None)
     with RunDirectory(out, "landscape") as held, clear_errors(held.out):
         wanted = identity(tuning, points, span)
-        table, evaluated = read(held.out / _TABLE, wanted), 0
+        table, evaluated = read(held.out / TABLE, wanted), 0
         if table is None:
             made_by, begun = stamp(tuning.setup.load().fingerprint, ENGINE), any_batch(held.out)
             # A directory without any point is anyone's.
@@ -120,11 +117,15 @@ def run_landscape(
             held.note_session(here)
             about = {KEY: key(wanted), IDENTITY: json.dumps(wanted), "session": to_json(here).decode()}
             table, evaluated = _evaluate(tuning, problem, chosen, progress, about, batches)
-            held.write(_TABLE, parquet_bytes(table))  # before anything that can still fail
+            held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
             batches.clear()
         tuning = keep_recording(held, tuning, say)
-        write_tuning(held, _TUNING, tuning, say)
-        return _publish(held, tuning, table, evaluated)
+        write_tuning(held, TUNING, tuning, say)
+        with Written(held) as written:
+            result = _publish(written, tuning, table, evaluated)
+        if written.aside:
+            say(written.sentence())
+        return result
 
 
 def _evaluate(
@@ -152,40 +153,14 @@ def _evaluate(
         ) from None
 
 
-def _publish(held: RunDirectory, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
-    """Make everything else from the table."""
-    from nermo_mjx.tune.landscape.plots import draw_plots
+def _publish(written: Written, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
+    """Make everything else from the table; landscape.json comes last, and says that all is there."""
+    from nermo_mjx.plotting.files import write_figures
+    from nermo_mjx.tune.landscape.plots import figures_of
 
-    lines = lines_of(tuning, table)
-    content = content_of(tuning, table, lines)
-    held.write("landscape.json", to_json(content))
-    plots = draw_plots(tuning, lines, held.out / "plots", write=replace_file)
-    content["plots"] = [path.relative_to(held.out).as_posix() for path in plots]
-    held.write("landscape.json", to_json(content))
-    held.write("report.md", page(content).encode())
-    return LandscapeResult(held.out, tuning, table, content, tuple(plots), evaluated)
-
-
-def redraw(out: str | os.PathLike[str], folder: Path | None = None, *, formats: Sequence[str] = FORMATS) -> list[Path]:
-    """Draw the figures of a landscape's directory from its table; nothing is simulated.
-
-    Args:
-        out: the directory.
-        folder: where the files go; by default its `plots/`.
-        formats: of `png` and `svg`.
-
-    Raises:
-        SpecError: its landscape.yaml cannot be read.
-        DirectoryError: there is nothing to draw, or it cannot be read or written.
-    """
-    from nermo_mjx.tune.landscape.plots import draw_plots
-
-    out = Path(out)
-    tuning = Tuning.from_file(out / _TUNING, recorded=False)
-    table = read(out / _TABLE)
-    if table is None or not set(tuning.names) <= set(table.column_names):
-        raise DirectoryError(f"{out / _TABLE} is missing, or another landscape's: run nermo-mjx landscape again.")
-    folder = out / "plots" if folder is None else folder
-    make_writable(folder)
-    with clear_errors(folder):
-        return draw_plots(tuning, lines_of(tuning, table), folder, write=replace_file, formats=formats)
+    out, lines = written.held.out, lines_of(tuning, table)
+    plots = write_figures(figures_of(tuning, lines), out / "plots", written.write)
+    content = content_of(tuning, table, lines) | {"plots": [written.name(path) for path in plots]}
+    written.write(out / "report.md", page(content).encode())
+    written.write(out / "landscape.json", to_json(content))
+    return LandscapeResult(out, tuning, table, content, tuple(plots), evaluated)

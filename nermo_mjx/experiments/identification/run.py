@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import os
 import time
@@ -10,22 +11,21 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.experiments.identification.ensemble import TOLERANCE
 from nermo_mjx.experiments.identification.ensemble_report import csv_text, ensemble_content, ensemble_section
-from nermo_mjx.experiments.identification.memory import FILE, CandidateFile
-from nermo_mjx.experiments.identification.plots import draw
-from nermo_mjx.experiments.identification.search import Identified, identify, walks
+from nermo_mjx.experiments.identification.memory import FILE, RESULT, CandidateFile
+from nermo_mjx.experiments.identification.plots import figures_of
+from nermo_mjx.experiments.identification.search import Identified, Search, identify, walks
 from nermo_mjx.experiments.identification.space import FREE, START
 from nermo_mjx.experiments.identification.targets import TARGETS, Target
 from nermo_mjx.experiments.report import published
-from nermo_mjx.experiments.report_page import table
-from nermo_mjx.experiments.table import MISSING, number
+from nermo_mjx.experiments.table import number
 from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs import RunDirectory, codes_of, engine_of, session, stamp
-from nermo_mjx.runs.files import clear_errors
-from nermo_mjx.sweep.summary import to_json
+from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session, stamp
+from nermo_mjx.runs.files import clear_errors, content_of
+from nermo_mjx.runs.text import MISSING, listed, table, to_json
 
 FORMULA: Final = (
     "root of the mean over all targets of r^2, where r = ln(value / published) / tolerance, of an interval its nearer "
@@ -39,8 +39,6 @@ TARGET_HEADINGS: Final = (
 PARAMETER_HEADINGS: Final = (
     ("parameter", "left"), ("start", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
 )  # fmt: skip
-#: The file that a finished identification has.
-RESULT: Final = "identification.json"
 #: Nearer to a bound than this share of the range of its logarithm, a parameter lies at it.
 _AT_BOUND: Final = 0.01
 
@@ -49,15 +47,10 @@ def run_identification(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    samples: int = 64,
-    generations: int = 25,
-    population: int = 12,
-    bodies: int = 256,
-    sweeps: int = 5,
-    tolerance: float = TOLERANCE,
-    seed: int = 0,
     accept_new_code: bool = False,
     progress: Callable[[float], None] | None = None,
+    notify: Callable[[str], None] | None = None,
+    **wanted: Any,
 ) -> dict[str, Any]:
     """Identify, and write the result into a directory; a search that was stopped there goes on.
 
@@ -65,8 +58,9 @@ def run_identification(
         out: the directory.
         engine: of the simulations; `auto` is the one that the directory was begun with, if it was.
         accept_new_code: go on with candidates of other code; the file's `code` tells them apart.
-
-    The others are those of `identification.identify`.
+        progress: called with the share done.
+        notify: called with a sentence on files that were in the way.
+        wanted: of `search.Search`.
 
     Returns:
         Content of identification.json.
@@ -78,11 +72,14 @@ def run_identification(
     """
     resolve_engine(engine)
     folder = Path(out)
-    search = {"samples": samples, "generations": generations, "population": population, "seed": seed}
-    settings: dict[str, Any] = {**search, "bodies": bodies, "sweeps": sweeps, "tolerance": tolerance}
-    with RunDirectory(folder, "identification") as held:
-        if (folder / RESULT).exists():
-            raise ParameterError(f"{folder} holds an identification; choose another directory.")
+    search = Search(**wanted)
+    settings = dataclasses.asdict(search)
+    with RunDirectory(folder, "identification") as held, Written(held) as written:
+        if found := content_of(folder / RESULT):
+            content = json.loads(found)
+            if "plots" in content or content["settings"] != settings:
+                raise ParameterError(f"{folder} holds an identification; choose another directory.")
+            return _publish(written, content, notify)
         if engine == "auto":
             engine = engine_of(folder) or engine
         model, defaults = walks().load().fingerprint, walks().defaults()
@@ -90,21 +87,31 @@ def run_identification(
         held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
-        begun = time.monotonic()
+        started = time.monotonic()
+        # What decides the candidates' course; the ensemble's settings only say how far it goes.
+        begun = {name: settings[name] for name in ("samples", "generations", "population", "seed")}
         with clear_errors(folder):
-            memory = CandidateFile(folder / FILE, {**search, "defaults": defaults}, code.id)
-        found = identify(engine=code.engine, **settings, memory=memory, progress=progress)
+            memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
+        identified = identify(search, code.engine, memory, progress)
         made = {"model": model, "defaults": defaults, "codes": list(codes_of(folder))}
-        content = {**_content(found), **made, **about, "wall_seconds": time.monotonic() - begun}
+        content = {**_content(identified), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))
-        if content["ensemble"] and content["ensemble"]["size"]:
-            held.write("ensemble.csv", csv_text(content).encode())
-        with clear_errors(folder):
-            content["plots"] = [path.relative_to(folder).as_posix() for path in draw(content, folder / "plots")]
-        held.write(RESULT, to_json(content))
-        held.write("identification.md", _page(content).encode())
-        return content
+        return _publish(written, content, notify)
+
+
+def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], None] | None) -> dict[str, Any]:
+    """Make the rest of the directory from its result, which has `plots` when all is there."""
+    folder = written.held.out
+    if content["ensemble"] and content["ensemble"]["size"]:
+        written.write(folder / "ensemble.csv", csv_text(content).encode())
+    plots = write_figures(figures_of(content), folder / "plots", written.write)
+    content = content | {"plots": [written.name(path) for path in plots]}
+    written.write(folder / "identification.md", _page(content).encode())
+    written.held.write(RESULT, to_json(content))
+    if notify and written.aside:
+        notify(written.sentence())
+    return content
 
 
 def target_rows(content: Mapping[str, Any]) -> list[list[str]]:
@@ -182,8 +189,6 @@ def _page(content: Mapping[str, Any]) -> str:
     pictures = "\n".join(
         f"![{Path(path).stem.replace('-', ' ')}]({path})\n" for path in content["plots"] if path.endswith(".png")
     )
-    versions = ", ".join(f"{package} {version}" for package, version in content["versions"].items())
-    machine = ", ".join(f"{key} {value}" for key, value in content["machine"].items())
     return f"""\
 # Identification of what the publication does not give
 
@@ -220,8 +225,8 @@ In a sweep file:
   {search["population"]} by CMA-ES from the best of them; both in the logarithms of the parameters.
 - Seed {search["seed"]}, engine {content["engine"]}, {content["wall_seconds"]:.0f} s, begun on {content["started"]}.
 - Command: `{content["command"]}`
-- Model {content["model"]}, code {", ".join(content["codes"])}; versions: {versions}
-- Machine: {machine}
+- Model {content["model"]}, code {", ".join(content["codes"])}; versions: {listed(content["versions"])}
+- Machine: {listed(content["machine"])}
 """
 
 

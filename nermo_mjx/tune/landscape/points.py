@@ -27,6 +27,9 @@ from nermo_mjx.tune.optimizer import Optimizer
 from nermo_mjx.tune.sampling import Estimator
 from nermo_mjx.tune.spec import Tuning, changes
 
+#: Files of a directory: all points, and the resolved tuning whose objective they are of.
+TABLE: Final = "landscape.parquet"
+TUNING: Final = "landscape.yaml"
 #: Worlds of a batch at most: a minute of gradients on two cores, and what a device holds.
 CPU_BATCH, DEVICE_BATCH = 64, 1024
 #: In the metadata of the table: its key, and what that is of.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import difflib
 import io
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,6 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
@@ -119,13 +119,10 @@ def describe(value: Any) -> str:
     return f"{kinds.get(type(value), type(value).__name__)} {shown if len(shown) <= 60 else shown[:57] + '...'}"
 
 
-def nearest(name: str, allowed: Iterable[str]) -> str:
+def did_you_mean(name: str, allowed: Iterable[str]) -> str:
     """`; did you mean 'x'?` for the nearest allowed name, or a full stop where none is near."""
-    names = list(allowed)
-    found = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
-    if not found:  # `amplitude` for `spine.amplitude`
-        found = [full for full in names if full.rpartition(".")[2] == name.rpartition(".")[2]][:1]
-    return f"; did you mean '{found[0]}'?" if found else "."
+    found = nearest(name, allowed)
+    return f"; did you mean '{found}'?" if found else "."
 
 
 class _NodeReader:

@@ -17,7 +17,7 @@ _SHOWN_UNITS = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Quantity:
+class ShownValues:
     """Values of one column as a figure shows them: angles in degrees, lengths in mm, speeds in mm/s.
 
     Attributes:
@@ -41,7 +41,7 @@ class Quantity:
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
 
-def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False) -> Quantity:
-    """A column in SI units as a `Quantity`."""
+def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False) -> ShownValues:
+    """A column in SI units as a `ShownValues`."""
     unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
-    return Quantity(name, unit, np.asarray(values, dtype=float) * factor, log)
+    return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log)

@@ -1,14 +1,11 @@
-"""The figures of a recording as files."""
+"""Which figures a recording gives."""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 from matplotlib.figure import Figure
 
-from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view.plots.body import ground_path, orientation
 from nermo_mjx.view.plots.feet import leg_paths, over_ground
@@ -19,42 +16,22 @@ from nermo_mjx.view.recorded_robot import robot_of
 from nermo_mjx.view.recording import Recording, RecordingError
 
 
-@dataclasses.dataclass(frozen=True)
-class Drawn:
-    """The files, and a sentence on each figure that could not be drawn."""
-
-    files: list[Path]
-    notes: list[str]
-
-
-def draw_recording(
-    recording: Recording,
-    folder: Path,
-    *,
-    robot: Robot | None = None,
-    write: Callable[[Path, bytes], None] | None = None,
-    formats: Sequence[str] = FORMATS,
-) -> Drawn:
-    """Draw the figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
+def figures_of(
+    recording: Recording, notify: Callable[[str], None], robot: Robot | None = None
+) -> Iterator[tuple[str, Figure]]:
+    """The figures of a recording: `gait-diagram`, `orientation`, `foot-paths`, `foot-paths-over-ground`,
     `servo-angles` and `ground-path`.
 
     Args:
         recording: what it does not have is left out.
-        folder: where the files go.
+        notify: called with a sentence on each figure that cannot be drawn.
         robot: that was recorded; by default assembled from the recording's setup.
-        write: how a file is written; `Path.write_bytes` if it is None.
-        formats: of `png` and `svg`.
     """
-    notes: list[str] = []
-
-    def figures() -> Iterator[tuple[str, Figure]]:
-        for name, figure in _figures(Walk(recording), robot):
-            if isinstance(figure, str):
-                notes.append(f"There is no {name}: {figure}")
-            else:
-                yield name, figure
-
-    return Drawn(write_figures(figures(), folder, write, formats), notes)
+    for name, figure in _figures(Walk(recording), robot):
+        if isinstance(figure, str):
+            notify(f"There is no {name}: {figure}")
+        else:
+            yield name, figure
 
 
 def _figures(walk: Walk, robot: Robot | None) -> Iterator[tuple[str, Figure | str]]:

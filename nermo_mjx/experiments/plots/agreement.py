@@ -18,7 +18,7 @@ from matplotlib.ticker import FuncFormatter
 from nermo_mjx.experiments.judgement import AGREES, Value
 from nermo_mjx.experiments.line import Line
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots.page import published_entry, swatch, tone
+from nermo_mjx.experiments.plots.marks import published_entry, swatch, tone
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED
 

@@ -1,33 +1,48 @@
-"""Which files of an experiment the program wrote itself: it replaces and removes these, and no others."""
+"""Which files of a directory the program wrote itself: it replaces and removes these, and no others."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import TracebackType
 from typing import TypeVar
 
-from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.directory import RunDirectory, read_record
 from nermo_mjx.runs.files import clear_errors
 
 T = TypeVar("T")
 
 
 class Written:
-    """Writes files of one experiment; what stands in the way and is not the program's own is moved aside.
+    """Writes files of a directory; what stands in the way and is not the program's own is moved aside.
+
+    Use it in a `with` statement: what was written is noted in run.json, as `files`, path -> digest.
 
     Args:
         held: the directory.
-        known: path in the directory -> digest of what the program wrote there.
 
     Attributes:
-        known: the same, with what was written since; it belongs into the experiment's entry.
+        known: path in the directory -> digest of what the program wrote there.
         aside: new paths of the files that were moved aside.
     """
 
-    def __init__(self, held: RunDirectory, known: Mapping[str, str]) -> None:
-        self.held, self.known = held, dict(known)
+    def __init__(self, held: RunDirectory) -> None:
+        self.held = held
+        self.known: dict[str, str] = dict(read_record(held.out).get("files", {}))
         self.aside: list[str] = []
+
+    def __enter__(self) -> Written:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.note()
+
+    def note(self) -> None:
+        """Note now what was written: a process that is killed later knows its own files again."""
+        self.held.note_files(self.known)
 
     def write(self, path: Path, content: bytes) -> None:
         """Replace a file, by its path with the directory's; whole or not at all.
@@ -35,10 +50,10 @@ class Written:
         Raises:
             DirectoryError: it cannot be written.
         """
-        if self._digest_of(path) not in (None, self.known.get(self._name(path)), digest(content)):
+        if self._digest_of(path) not in (None, self.known.get(self.name(path)), digest(content)):
             self._move_aside(path)
-        self.held.write(self._name(path), content)
-        self.known[self._name(path)] = digest(content)
+        self.held.write(self.name(path), content)
+        self.known[self.name(path)] = digest(content)
 
     def make(self, path: Path, maker: Callable[[Path], T]) -> T:
         """Have a file made by a function that writes it, and return what that returns.
@@ -46,10 +61,10 @@ class Written:
         Raises:
             DirectoryError: what stands in the way cannot be moved.
         """
-        if self._digest_of(path) not in (None, self.known.get(self._name(path))):
+        if self._digest_of(path) not in (None, self.known.get(self.name(path))):
             self._move_aside(path)
         made = maker(path)
-        self.known[self._name(path)] = str(self._digest_of(path))
+        self.known[self.name(path)] = str(self._digest_of(path))
         return made
 
     def remove(self, names: Iterable[str]) -> None:
@@ -66,7 +81,7 @@ class Written:
         Raises:
             DirectoryError: it cannot be.
         """
-        self.remove([self._name(path)])
+        self.remove([self.name(path)])
         if path.exists():
             self._move_aside(path)
 
@@ -80,10 +95,14 @@ class Written:
         )  # fmt: skip
         return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
 
+    def name(self, path: Path) -> str:
+        """The path of a file from the directory, for links as well."""
+        return path.relative_to(self.held.out).as_posix()
+
     def _move_aside(self, path: Path) -> None:
-        moved = self.held.move_aside(self._name(path))
+        moved = self.held.move_aside(self.name(path))
         if moved is not None:
-            self.aside.append(self._name(moved))
+            self.aside.append(self.name(moved))
 
     def _digest_of(self, path: Path) -> str | None:
         """Digest of a file; None if there is none, or a folder's own word."""
@@ -91,9 +110,6 @@ class Written:
             if path.is_dir():
                 return "a folder"
             return digest(path.read_bytes()) if path.exists() else None
-
-    def _name(self, path: Path) -> str:
-        return path.relative_to(self.held.out).as_posix()
 
 
 def digest(content: bytes) -> str:

@@ -1,0 +1,61 @@
+"""Which pictures an experiment gives, in the form of the published figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from matplotlib.figure import Figure
+
+from nermo_mjx.experiments.catalogue import EXPERIMENTS
+from nermo_mjx.experiments.directory import Directory
+from nermo_mjx.experiments.line import Line, compare
+from nermo_mjx.experiments.outcome import Outcome
+from nermo_mjx.experiments.plots import agreement, balance, maze, straight_line, turning
+from nermo_mjx.experiments.published import REASONS
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.runs.files import DirectoryError
+
+Drawer = Callable[[Outcome, Sequence[Line]], Iterator[tuple[str, Figure | None]]]
+DRAWERS: Final[dict[str, Drawer]] = {
+    "straight-line": straight_line.figures,
+    "turning": turning.figures,
+    "balance": balance.figures,
+    "maze": maze.figures,
+    "body": lambda outcome, lines: iter(()),
+}
+
+
+def figures_of(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
+    """(EXPERIMENT-PICTURE, figure) of each picture of which the outcome has something to show.
+
+    What it does not have (a profile, a case, a recording) is left out of the pictures.
+
+    Args:
+        outcome: of the experiment.
+        lines: of its report; they hold what the publication says, which is drawn beside what was simulated.
+    """
+    lines = [line for line in lines if line.experiment == outcome.experiment]
+    for drawer in (DRAWERS[outcome.experiment], agreement.figures):
+        for name, figure in drawer(outcome, lines):
+            if figure is not None:
+                yield f"{outcome.experiment}-{name}", figure
+
+
+def figures(out: Path) -> Figures:
+    """The pictures of all experiments that a directory holds.
+
+    Raises:
+        DirectoryError: it holds no experiment that can be read.
+    """
+    directory = Directory(out)
+    found = [stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None]
+    if not found:
+        raise DirectoryError(f"{out} holds no experiment whose table and recordings can be read: run it again.")
+    return (named for outcome in found for named in figures_of(outcome, _lines(outcome)))
+
+
+def _lines(outcome: Outcome) -> list[Line]:
+    name = outcome.experiment
+    return compare(outcome, EXPERIMENTS[name].figures, REASONS.get(name, {}))

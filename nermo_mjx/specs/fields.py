@@ -1,0 +1,178 @@
+"""Declared fields of spec files: pydantic models that refuse each wrong value in one sentence, and describe themselves.
+
+Pydantic, because its errors are data (where, which value) of which a sentence can be made, because a validator can
+raise such a sentence itself, and because a field may be one of several forms that differ by a key.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, ClassVar, Final, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
+from pydantic_core import core_schema
+
+from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
+
+JsonSchema = dict[str, Any]
+M = TypeVar("M", bound="Fields")
+#: What is expected where pydantic finds another type, or a number out of range.
+_TYPES: Final = {
+    "float_type": "a number", "bool_type": "true or false", "string_type": "a name", "dict_type": "a mapping",
+    "list_type": "a list", "none_required": "nothing",
+}  # fmt: skip
+_RANGES: Final = {"greater_than": "a finite number above 0", "finite_number": "a finite number"}
+
+
+class Refused(ValueError):
+    """What a validator says of a wrong value.
+
+    Attributes:
+        path: keys from the checked value to the one that the message is about.
+        at: further keys, to the place in the file.
+    """
+
+    def __init__(self, message: str, *path: str | int, at: FieldPath = ()) -> None:
+        super().__init__(message)
+        self.path, self.at = path, at
+
+
+def read(doc: Document, model: type[M]) -> M:
+    """The document as a model; raises a `SpecError` about the first field that is wrong."""
+    try:
+        return model.model_validate(doc.data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    refused, path, given = first.get("ctx", {}).get("error"), _place(doc.data, first["loc"]), first["input"]
+    if isinstance(refused, Refused):
+        path, at, message = (*path, *refused.path), (*path, *refused.path, *refused.at), str(refused)
+    else:
+        shown = f"{given:g}" if first["type"] in _RANGES else describe(given)
+        at, message = path, f"is {shown}: expected {(_TYPES | _RANGES)[first['type']]}."
+    doc.fail(at, message, model.called(path))
+
+
+def _place(data: Any, place: FieldPath) -> FieldPath:
+    """As far as the document goes: what follows are types that a field may have, or belongs to a short form."""
+    for i, key in enumerate(place):
+        if not (key in data if isinstance(data, dict) else isinstance(data, list) and isinstance(key, int)):
+            return place[:i]
+        data = data[key]
+    return place
+
+
+def chosen(default: str, names: Iterable[str], description: str) -> Any:
+    """A field with one of these names; whoever takes it says whether it is."""
+    return Field(default=default, description=description, json_schema_extra={"enum": [*names]})
+
+
+def optional(description: str | None = None, *, alias: str | None = None, **schema: Any) -> Any:
+    """A field that may be missing: then it is None, which cannot stand in the file. `schema`: more for an editor."""
+    return Field(default=None, alias=alias, description=description, json_schema_extra=schema or None)
+
+
+class Fields(BaseModel):
+    """A mapping with known fields.
+
+    Attributes:
+        what: what one of them is, for messages: "a field of a run".
+        expected: instead of something that is no mapping.
+        example: where a field is missing that must be there.
+        short: JSON Schemas of the short forms.
+    """
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+    what: ClassVar[str]
+    expected: ClassVar[str] = ""
+    example: ClassVar[str] = ""
+    short: ClassVar[tuple[JsonSchema, ...]] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        given = cls.written_out(given)
+        names = cls.names()
+        if not isinstance(given, dict):
+            mapping = f"a mapping of {', '.join(names) or 'nothing'}"
+            raise Refused(f"is {describe(given)}: expected {cls.expected or mapping}.")
+        for key in given:
+            if key not in names:
+                cls.refuse(key)
+        for name, field in names.items():
+            if field.is_required() and name not in given:
+                raise Refused(f"has no '{name}': expected {cls.example}.")
+        return given
+
+    @classmethod
+    def names(cls) -> dict[str, Any]:
+        """The fields by their names in the file."""
+        return {field.alias or name: field for name, field in cls.model_fields.items()}
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        """The mapping that a short form stands for."""
+        return given
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        """Raise `Refused` about an unknown field; one that is allowed nevertheless passes."""
+        known = f"allowed are {', '.join(cls.names())}" if cls.names() else "it has none"
+        raise Refused(f"is not {cls.what}; {known}{did_you_mean(key, cls.names())}", key)
+
+    @classmethod
+    def called(cls, path: FieldPath) -> str:
+        """What messages about a file of these fields call the field at `path`."""
+        return ".".join(map(str, path))
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        reference = handler(schema)
+        if cls.short:
+            written = handler.resolve_ref_schema(reference)
+            mapping = dict(written)
+            written.clear()
+            written["anyOf"] = [*cls.short, mapping]
+        return reference
+
+
+class OneOf(Fields):
+    """A mapping of one field, such as {linspace: [0, 1, 5]}.
+
+    Attributes:
+        alone: names of fields that may stand without a mapping.
+        other: says of a field's name that there is no such field; with `{name}` in it, it is about the whole.
+        other_name: the same of a name that stands alone.
+    """
+
+    model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
+    alone: ClassVar[tuple[str, ...]] = ()
+    other: ClassVar[str]
+    other_name: ClassVar[str] = "is the text {name!r}"
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        """As a mapping, of exactly one field."""
+        if isinstance(given, str) and given in cls.alone:
+            return {given: None}
+        if isinstance(given, str) and given in cls.names():
+            model = cls.names()[given].annotation
+            needs = " and ".join(name for name, field in model.names().items() if field.is_required())
+            raise Refused(f"is '{given}' without {needs}: expected {model.example}.")
+        if isinstance(given, str):
+            raise Refused(
+                f"{cls.other_name.format(name=given)}: expected {cls.expected}{did_you_mean(given, cls.names())}"
+            )
+        if isinstance(given, dict) and len(given) != 1:
+            raise Refused(f"is {describe(given)}: expected {cls.expected}.")
+        return given
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        message = f"{cls.other.format(name=key)}: expected {cls.expected}{did_you_mean(key, cls.names())}"
+        raise Refused(message, at=(key,)) if "{name" in cls.other else Refused(message, key)
+
+    @property
+    def chosen(self) -> tuple[str, Any]:
+        """The name of the field that stands there, and its value."""
+        (name,) = self.model_fields_set
+        return name, getattr(self, name)

@@ -1,0 +1,169 @@
+"""Values of spec files: markers that check what stands in a file, and say to an editor what may."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Annotated, Any, Final
+
+from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import core_schema
+from pydantic_core.core_schema import CoreSchema
+
+from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
+from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.specs.fields import JsonSchema, Refused
+from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
+
+#: Every parameter, as a file without a setup has it; each setup has the same names.
+PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Checked:
+    """A marker whose function `check` follows pydantic's own check, and whose `schema` changes pydantic's own."""
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """What is checked before."""
+        return handler(source)
+
+    def check(self, value: Any) -> Any:
+        """The value; raises `Refused`."""
+        return value
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        """What an editor is told."""
+        return own
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_after_validator_function(self.check, self.inner(source, handler))
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        return self.schema(handler(schema))
+
+
+@dataclasses.dataclass(frozen=True)
+class Whole(Checked):
+    """A whole number within bounds; 8.0 is one."""
+
+    low: int
+    high: int
+    even: bool = False
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.float_schema(strict=True)
+
+    def check(self, value: float) -> int:
+        if not self.low <= value <= self.high or value != int(value):
+            raise Refused(f"is {value:g}: expected a whole number from {self.low} to {self.high:,}.")
+        if self.even and value % 2:
+            raise Refused(f"is {value:g}: expected an even number, because samples come in pairs.")
+        return int(value)
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        even = {"multipleOf": 2} if self.even else {}
+        return {"type": "integer", "minimum": self.low, "maximum": self.high, **even}
+
+
+@dataclasses.dataclass(frozen=True)
+class Choice(Checked):
+    """One of these names."""
+
+    names: tuple[str, ...]
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.any_schema()
+
+    def check(self, value: Any) -> str:
+        if not isinstance(value, str) or value not in self.names:
+            allowed = f"allowed {'are' if len(self.names) > 1 else 'is'} {', '.join(self.names)}"
+            raise Refused(f"is {describe(value)}: {allowed}{did_you_mean(str(value), self.names)}")
+        return value
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        return {"enum": list(self.names)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Numbers(Checked):
+    """A list of numbers, `written` such as "[low, high]"."""
+
+    written: str
+    least: int
+    most: int | None = None
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        numbers = core_schema.list_schema(core_schema.float_schema(strict=True))
+        return core_schema.no_info_before_validator_function(self._listed, numbers)
+
+    def _listed(self, value: Any) -> Any:
+        if not isinstance(value, list) or (self.most is not None and not self.least <= len(value) <= self.most):
+            raise Refused(f"is {describe(value)}: expected the list {self.written}.")
+        return value
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        most = {} if self.most is None else {"maxItems": self.most}
+        return {**own, "minItems": self.least, **most, "description": self.written}
+
+
+class ByParameter(Checked):
+    """A mapping whose keys are names of parameters.
+
+    Args:
+        numbers: whether its values are the parameters' own, so that an editor can know their ranges.
+    """
+
+    def __init__(self, *, numbers: bool = False) -> None:
+        self.numbers = numbers
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self._named, handler(source))
+
+    def _named(self, value: Any) -> Any:
+        for name in value if isinstance(value, dict) else ():
+            refuse_parameter(name)
+        return value
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        value = own.pop("additionalProperties")
+        return {**own, **by_parameter({} if self.numbers else value)}
+
+
+def by_parameter(value: JsonSchema) -> JsonSchema:
+    """What is said of a mapping by parameters: each with its description, and the given schema or that of a number."""
+    numbers = {name: number_of(name) for name in PARAMETERS}
+    names = {name: {**(value or number), "description": number["description"]} for name, number in numbers.items()}
+    return {"properties": names, "additionalProperties": False}
+
+
+def number_of(name: str) -> JsonSchema:
+    """The schema of a parameter's value: its range, and in words its meaning, unit and default."""
+    about = PARAMETERS[name]
+    unit = "" if about.unit == "1" else f" {about.unit}"
+    description = f"{about.doc}; default {about.default:g}{unit}, allowed {about.allowed()}"
+    bounds = (("Minimum", about.low, about.open_low), ("Maximum", about.high, about.open_high))
+    limits = {f"exclusive{end}" if is_open else end.lower(): float(bound)
+              for end, bound, is_open in bounds if math.isfinite(bound)}  # fmt: skip
+    return {"type": "number", **limits, "description": description}
+
+
+def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, value: Any) -> None:
+    """Fail at `path` unless every number is finite and within the parameter's range."""
+    try:
+        about.check(name, value)
+    except ParameterError as error:
+        doc.fail(path, str(error).removeprefix(f"{name} "), name)
+
+
+def refuse_parameter(name: str) -> None:
+    """Raise `Refused` unless there is such a parameter, with the names near it: of its group, or of all groups."""
+    if name in PARAMETERS:
+        return
+    group = name.rpartition(".")[0]
+    mates = [other for other in PARAMETERS if group and other.startswith(f"{group}.")]
+    if not mates:
+        mates = [other for other in PARAMETERS if "." not in other]
+        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in PARAMETERS if "." in other)
+    listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
+    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, PARAMETERS)}", name)

@@ -1,0 +1,255 @@
+"""What a sweep's and a tuning's file have in common: which walk it is about, how long it lasts, what is fixed in it."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Collection, Mapping
+from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
+
+from pydantic import BeforeValidator, Field
+
+from nermo_mjx.control.fusion import MODES
+from nermo_mjx.control.parameters import PROFILES, STEERING
+from nermo_mjx.control.trajectory import FORMS
+from nermo_mjx.robot import GAITS
+from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
+from nermo_mjx.robot.files import scenes
+from nermo_mjx.robot.parameters import ROUTINGS
+from nermo_mjx.robot.presets import PRESETS
+from nermo_mjx.robot.quantity import ParameterError, Quantity
+from nermo_mjx.rollout import Run, Setup, all_parameters
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
+from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
+from nermo_mjx.specs.values import PARAMETERS, ByParameter, check_value, number_of
+
+#: Parameters that nothing reads unless a choice of the setup turns them on.
+_NEEDS: Final = {
+    "spine.amplitude": ("spine", "stride_extension"),
+    "spine.phase": ("spine", "stride_extension"),
+    "spine.balance_lift": ("spine", "balance"),
+    "pilot.turn_rate": ("pilot", "open_loop"),
+    "pilot.radius": ("pilot", "arc"),
+    "pilot.direction": ("pilot", "arc"),
+}
+_SIDES: Final = {"left": 1.0, "right": -1.0}
+
+
+class SetupFields(Fields):
+    """The static choices; `Setup` says which names there are, and their defaults."""
+
+    robot: str = chosen(Setup.robot, ROBOTS, "which robot")
+    scene: str = chosen(Setup.scene, scenes(), "where it walks: a scene of mjcf/scenes")
+    tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
+    routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
+    cone: str = chosen(Setup.cone, CONES, "friction cone")
+    physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
+    timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
+                            "wins over that of physics")  # fmt: skip
+    gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
+    spine: str = chosen(Setup.spine, ("none", *MODES, "+".join(MODES)), "its modes")
+    steering: str = chosen(Setup.steering, STEERING, "what turns the robot")
+    profile: str = chosen(Setup.profile, PROFILES, "as_published moves as published")
+    trajectory: str = chosen(Setup.trajectory, FORMS, "form of the foot path")
+
+
+SETUP_FIELDS: Final = tuple(SetupFields.model_fields)
+
+
+class Straight(Fields):
+    what: ClassVar = "an option of the pilot 'straight'"
+    distance: float = optional("where measuring ends [m]", exclusiveMinimum=0)
+
+
+class Arc(Fields):
+    what: ClassVar = "an option of the pilot 'arc'"
+    radius: float = optional(**number_of("pilot.radius"))
+    direction: float | Literal["left", "right"] = optional("side of the circle; 1 is left, -1 right")
+
+
+def _rows(given: Any) -> Any:
+    for row in given if isinstance(given, list) else [given]:
+        if not isinstance(row, list) or len(row) != 2:
+            raise Refused(f"has {describe(row)}: expected {Waypoints.example}.")
+    return given
+
+
+class Waypoints(Fields):
+    what: ClassVar = "an option of the pilot 'waypoints'"
+    example: ClassVar = "points: [[x, y], ...] in metres"
+    points: Annotated[list[list[float]], BeforeValidator(_rows)] = Field(
+        description="(x, y) of each [m]; a smooth curve goes through them",
+        json_schema_extra={"minItems": 3, "items": {"type": "array", "items": {"type": "number"}, "minItems": 2,
+                                                    "maxItems": 2}},
+    )  # fmt: skip
+
+
+class OpenLoop(Fields):
+    what: ClassVar = "an option of the pilot 'open_loop'"
+    turn_rate: float = optional(**number_of("pilot.turn_rate"))
+
+
+class Pilot(OneOf):
+    alone: ClassVar = ("straight", "arc", "open_loop")
+    short: ClassVar = ({"enum": [*alone]},)
+    expected: ClassVar = "straight, arc, waypoints or open_loop as a name or {name: {option: value}}"
+    other: ClassVar = "is {name!r}"
+    other_name: ClassVar = other
+    straight: Straight | None = optional("along the y axis")
+    arc: Arc | None = optional("along a circle")
+    waypoints: Waypoints = optional("along a course")
+    open_loop: OpenLoop | None = optional("at a constant turn rate")
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        if given == "external" or (isinstance(given, dict) and list(given) == ["external"]):
+            raise Refused("is 'external', which takes its command from Python: use rollout.Simulator.")
+        return super().written_out(given)
+
+
+class RunFields(Fields):
+    what: ClassVar = "a field of a run"
+    cycles: float = optional("length in gait cycles, by default 8", exclusiveMinimum=0)
+    warmup_cycles: float = optional("of these not measured, by default 2", minimum=0)
+    duration: float = optional("length in simulated seconds", exclusiveMinimum=0)
+    warmup: float = optional("of these not measured, by default 0", minimum=0)
+
+
+class WalkFields(SetupFields):
+    """What a file about a walk may say of it."""
+
+    sources: ClassVar[str]  #: sections that give parameters their values, for messages
+    pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
+    run: RunFields = optional("how long a run lasts")
+    set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        if key in PARAMETERS:
+            raise Refused(f"is a parameter, not {cls.what}: put it under {cls.sources}.", key)
+        super().refuse(key)
+
+    @classmethod
+    def called(cls, path: FieldPath) -> str:
+        """Entries of a section by their parameter's name alone, but for what is inside of a tuned parameter."""
+        named = path[:1] in (("set",), ("vary",), ("randomize",)) or (path[:1] == ("tune",) and len(path) == 2)
+        return str(path[1]) if named and path[1:] and path[1] not in ("repeats", "from") else super().called(path)
+
+
+@dataclasses.dataclass(frozen=True)
+class WalkSpec:
+    """A walk whose parameters are to be changed.
+
+    Attributes:
+        setup: the static choices: robot, scene, gait, spine mode, pilot.
+        run: how long each run lasts, and how much of it is warm-up.
+        fixed: parameters set to one value for all runs (`set`).
+        pilot: options of the pilot, as given.
+    """
+
+    setup: Setup
+    run: Run
+    fixed: Mapping[str, float]
+    pilot: Mapping[str, Any]
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Every parameter with one value for all runs: `set` and the pilot's options."""
+        return dict(self.fixed) | self.pilot_parameters
+
+    @property
+    def pilot_parameters(self) -> dict[str, float]:
+        """The pilot's options that are parameters, by their names."""
+        return {f"pilot.{key}": value for key, value in self.pilot.items() if f"pilot.{key}" in PARAMETERS}
+
+    @property
+    def parameters(self) -> dict[str, Quantity]:
+        """Every parameter that this setup has, by name."""
+        return all_parameters(self.setup)
+
+    def walk_fields(self) -> dict[str, Any]:
+        """Setup, pilot, run and fixed parameters, as they stand in a file."""
+        data: dict[str, Any] = {field: getattr(self.setup, field) for field in SETUP_FIELDS}
+        data["timestep"] = float(self.setup.timestep)
+        data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
+        names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
+        data["run"] = {name: float(getattr(self.run, name)) for name in names}
+        data["set"] = dict(self.fixed)
+        return data
+
+
+def check_sources(
+    doc: Document, walk: WalkSpec, sections: Mapping[str, list[str]], bodies: Collection[str] = ()
+) -> None:
+    """Fail where a parameter has two sources, or no effect.
+
+    Args:
+        sections: names of the parameters that each section of the file changes.
+        bodies: names of the parameters that `randomize.from` draws together.
+    """
+    parameters, pilot = walk.parameters, walk.setup.pilot
+    sources = dict.fromkeys(bodies, "drawn by 'randomize.from'")
+    for name in walk.fixed:
+        if name in sources:
+            doc.fail(("set", name), f"is under 'set' and also {sources[name]}: give it one source.", name)
+    sources |= dict.fromkeys(walk.constants, f"set by 'pilot.{pilot}'")
+    sources |= dict.fromkeys(walk.fixed, "fixed under 'set'")
+    for section, names in sections.items():
+        for name in names:
+            if name in sources:
+                doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
+            sources[name] = f"under '{section}'"
+            choice, wanted = _NEEDS.get(name, ("", ""))
+            if choice and wanted not in (chosen := getattr(walk.setup, choice)).split("+"):
+                doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
+                                          f"{chosen}.", name)  # fmt: skip
+    for name, value in walk.pilot_parameters.items():
+        key = name.removeprefix("pilot.")
+        if name in walk.fixed:
+            doc.fail(("set", name), f"is under 'set' and also set by 'pilot.{pilot}.{key}': give it one source.", name)
+        check_value(doc, ("pilot", pilot, key), name, parameters[name], value)
+
+
+def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
+    """The arguments of a `WalkSpec`; raises a `SpecError` where setup or run say that something cannot be."""
+    given = doc.data.get("pilot", Setup.pilot)
+    pilot, options = fields.pilot.chosen
+    choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {"pilot": pilot}
+    if pilot == "waypoints":
+        choices["waypoints"] = tuple(map(tuple, options.points))
+    try:
+        setup = Setup(**choices)
+    except ParameterError as error:
+        _refuse_setup(doc, choices, str(error))
+    # In the order of the file: what a directory holds is known by it.
+    values = {key: getattr(options, key) for key in given[pilot] or ()} if isinstance(given, dict) else {}
+    values |= {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
+    parameters = all_parameters(setup)
+    for name, value in fields.set.items():
+        check_value(doc, ("set", name), name, parameters[name], value)
+    return {"setup": setup, "run": _read_run(doc, fields.run, values), "fixed": fields.set, "pilot": values}
+
+
+def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> NoReturn:
+    """Say what a setup says of its choices, about the field that it names."""
+    field, _, rest = message.partition(" ")
+    if field not in choices:
+        doc.fail(("pilot", "waypoints", "points"), f"is refused: {message}")
+    allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
+    hint = "" if "did you mean" in rest else did_you_mean(str(choices[field]), allowed)
+    doc.fail((field,), rest.rstrip(".") + (hint or "."))
+
+
+def _read_run(doc: Document, fields: RunFields | None, pilot: Mapping[str, Any]) -> Run:
+    """Length and warm-up of each run; the pilot's distance is one of its ends."""
+    values = {name: getattr(fields, name) for name in doc.data.get("run", ())}
+    try:
+        run = Run(**values, distance=pilot.get("distance"))
+    except ParameterError as error:
+        subject, _, message = str(error).partition(" ")
+        key = subject.removeprefix("run.")
+        doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
+    # Defaults are written out: what a run of frequency 1 Hz counts in seconds is its cycles.
+    warmup, length = (float(each) for each in run.seconds(1.0))
+    names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
+    return dataclasses.replace(run, **dict(zip(names, (length, warmup), strict=True)))

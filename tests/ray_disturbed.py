@@ -1,0 +1,177 @@
+"""A sweep of real walks on a Ray cluster of three nodes, one of which is killed, and another added, again and again.
+
+ray_disturbed.py OUT [--rows N] [--cycles C] [--chunk N] [--every SECONDS] [--kill-driver]: the table of one process and
+that of a cluster on this machine's loopback interface, in folders of OUT; what is there already is not computed again.
+With `--kill-driver` the process that writes is killed by SIGKILL after a third of the rows, and started again. Prints
+what happened as JSON, `same` and `in_flight` among it, and ends with 1 if the tables differ or a chunk was computed
+again that was not in flight on a node, or for a driver, that was lost.
+
+Nothing but loopback is needed; to show it: unshare -n sh -c 'ip link set lo up && python tests/ray_disturbed.py OUT'.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from nermo_mjx.runs import ray_workers
+
+WALK = {"physics": "fast", "spine": "stride_extension"}
+
+
+class Walks:
+    """Real walks in MuJoCo C; tells which batch it begins and ends, and on which node."""
+
+    engine = "c"
+
+    def __init__(self, log):
+        self.log, self._simulator = str(log), None
+
+    def __getstate__(self):
+        return self.__dict__ | {"_simulator": None}
+
+    def run(self, values, run, **more):
+        import ray
+
+        from nermo_mjx.rollout import Setup, Simulator
+
+        self._simulator = self._simulator or Simulator(Setup(**WALK), self.engine)
+        about = ray.get_runtime_context().get_node_id(), os.getpid(), float(values["spine.phase"][0])
+        told(self.log, "begun", *about)
+        result = self._simulator.run(values, run, **more)
+        told(self.log, "ended", *about)
+        return result
+
+
+def drive(asked, out):
+    """The process that hands out chunks and writes the table, on a cluster that is there, or alone."""
+    from nermo_mjx.sweep import run_sweep
+
+    vary = {"spine.phase": {"uniform": [-3.1, 3.1]}, "spine.amplitude": {"uniform": [0.0, 0.4]}}
+    sweep = WALK | {"run": {"cycles": asked.cycles}, "set": {"frequency": 2.0}, "plots": False}
+    sweep |= {"vary": vary, "sample": {"sobol": asked.rows}}
+    if asked.drive == "alone":
+        return run_sweep(sweep, out, engine="c", chunk=asked.chunk)
+    with ray_workers.RayWorkers(asked.drive, lambda sentence: print(sentence, file=sys.stderr, flush=True)) as workers:
+        return run_sweep(sweep, out, engine="c", chunk=asked.chunk, workers=workers, simulator=Walks(f"{out}.log"))
+
+
+def started(asked, address):
+    """A process that drives."""
+    of = [f"--{name}={getattr(asked, name)}" for name in ("rows", "chunk", "cycles")]
+    kill = ["--kill-driver"] * asked.kill_driver
+    return subprocess.Popen([sys.executable, __file__, asked.out, *of, *kill, "--drive", address])
+
+
+def told(log, *words):
+    """A line in the log."""
+    with open(log, "a") as file:
+        file.write(json.dumps(words) + "\n")
+
+
+def disturbed(asked, out, log):
+    """The sweep while nodes go and come, and the driver once if that is asked for."""
+    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)  # before Ray is imported
+    from ray.cluster_utils import Cluster
+
+    cluster, others = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}), []
+    told(log, "driver")
+    driver, looked, draw = started(asked, cluster.address), time.monotonic(), random.Random(0)
+    kill_driver = asked.kill_driver
+    try:
+        while driver.poll() is None:
+            while len(others) < 2:
+                try:
+                    others.append(cluster.add_node(num_cpus=1))
+                except Exception as error:  # a busy machine takes more than the 30 s that Ray gives a node
+                    print(f"a node did not start: {error}", file=sys.stderr)
+            time.sleep(0.2)
+            chunks = len(list(out.glob("results/*.parquet")))
+            if kill_driver and chunks * asked.chunk * 3 > asked.rows:
+                kill_driver = False
+                driver.kill()
+                driver.wait()
+                told(log, "driver")
+                driver = started(asked, cluster.address)
+            if chunks and time.monotonic() - looked > asked.every:
+                looked = time.monotonic()
+                node = others.pop(draw.randrange(len(others)))
+                told(log, "killed", node.node_id)
+                cluster.remove_node(node, allow_graceful=False)
+        if driver.returncode:
+            raise SystemExit(f"the driver ended with {driver.returncode}")
+    finally:
+        driver.terminate()
+        driver.wait()
+        cluster.shutdown()
+
+
+def account(log):
+    """What the log tells: chunks, how many were begun again, and how many of these no loss explains.
+
+    A beginning that was not its chunk's last is explained if its node was killed, or its driver, and it was the last
+    one of its process, or the last but one, whose result was on its way.
+    """
+    killed, drivers, ended, by_chunk, by_process = set(), 0, 0, {}, {}
+    for what, *about in map(json.loads, log.read_text().splitlines()):
+        drivers, ended = drivers + (what == "driver"), ended + (what == "ended")
+        if what == "killed":
+            killed.add(about[0])
+        if what == "begun":
+            node, process, chunk = about
+            by_chunk.setdefault(chunk, []).append((drivers, node, process))
+            by_process.setdefault((drivers, node, process), []).append(chunk)
+    again = [(chunk, each) for chunk, several in by_chunk.items() for each in several[:-1]]
+    unexplained = [
+        chunk for chunk, each in again
+        if not (each[1] in killed or each[0] < drivers) or chunk not in by_process[each][-2:]
+    ]  # fmt: skip
+    return {"nodes_killed": len(killed), "drivers_lost": drivers - 1, "chunks": len(by_chunk), "ended": ended,
+            "in_flight": len(again), "unexplained": len(unexplained), "processes": len(by_process)}  # fmt: skip
+
+
+def same(one, other):
+    """Whether two tables are the same bit for bit, NaN included."""
+    pairs = [(one.column(name), other.column(name)) for name in one.column_names]
+    return one.schema == other.schema and all(
+        a.equals(b) or a.to_numpy().tobytes() == b.to_numpy().tobytes() for a, b in pairs
+    )
+
+
+def main():
+    """See above."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--rows", type=int, default=100_000)
+    parser.add_argument("--chunk", type=int, default=250)
+    parser.add_argument("--cycles", type=float, default=1.0)
+    parser.add_argument("--every", type=float, default=20.0)
+    parser.add_argument("--kill-driver", action="store_true")
+    parser.add_argument("--drive", help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    one, out = asked.out / "one", asked.out / ("driver" if asked.kill_driver else "nodes")
+    if asked.drive:
+        drive(asked, one if asked.drive == "alone" else out)
+        return 0
+    from nermo_mjx.sweep import read_table
+
+    log, began = Path(f"{out}.log"), time.monotonic()
+    alone = started(asked, "alone").wait()
+    between = time.monotonic()
+    disturbed(asked, out, log)
+    found = {
+        "same": not alone and same(read_table(one), read_table(out)), "rows": asked.rows, **account(log),
+        "one_process_s": round(between - began, 1), "cluster_s": round(time.monotonic() - between, 1),
+    }  # fmt: skip
+    print(json.dumps(found))
+    return 0 if found["same"] and not found["unexplained"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

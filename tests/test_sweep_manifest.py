@@ -1,0 +1,194 @@
+"""The manifest of a sweep's chunks: a digest of each, by which any damage is seen."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from sweep_fake import SPEC, FakeSimulator
+
+from nermo_mjx.runs import files
+from nermo_mjx.sweep import DirectoryError, Results, Sweep, read_table, run_sweep
+from nermo_mjx.sweep.layout import layout_of, simulated_seconds
+from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.store import Store
+
+#: Four of nine walks, sealed: each chunk has a checksum of its own between its last page and its footer, and no
+#: manifest names it. A build between 0.1.0 and this one made it.
+SEALED = Path(__file__).with_name("data") / "sweep-sealed"
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A finished directory of 36 rows in 9 chunks."""
+    return run_sweep(SPEC, tmp_path_factory.mktemp("done"), chunk=4, simulator=FakeSimulator()).out
+
+
+@pytest.fixture
+def copy(done, tmp_path):
+    """The same, to be damaged."""
+    return Path(shutil.copytree(done, tmp_path / "copy"))
+
+
+def layout(out):
+    sweep = Sweep.from_file(out / "sweep.yaml")
+    return layout_of(simulated_seconds(sweep, Sample(sweep)), sweep.chunk)
+
+
+def flaw(out, chunk=3):
+    """What is wrong with a chunk of a directory; empty if nothing is."""
+    states = dict(Store(out, Sweep.from_file(out / "sweep.yaml")).states(layout(out)))
+    return states[chunk].flaw
+
+
+def lines(out):
+    return [line.split("  ") for path in out.glob("manifest*") for line in path.read_text().splitlines()]
+
+
+def test_each_chunk_has_its_digest_in_the_form_that_sha256sum_reads(done):
+    """By its path in the directory, so that a directory can be moved and checked anywhere."""
+    noted = {name: digest for digest, name in lines(done)}
+    assert noted == {
+        path.relative_to(done).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in done.glob("results/*.parquet")
+    }
+    assert len(noted) == 9
+    if shutil.which("sha256sum"):
+        checked = subprocess.run(["sha256sum", "--check", "--strict", "--quiet", "manifest.sha256"], cwd=done)
+        assert checked.returncode == 0
+
+
+def test_any_flipped_byte_is_seen(copy):
+    """Pages, footer, its length, the letters at both ends: each byte of the file counts."""
+    path = copy / "results" / "chunk-00003.parquet"
+    content = path.read_bytes()
+    store, cut = Store(copy, Sweep.from_file(copy / "sweep.yaml")), layout(copy)
+    assert store.inspect(3, cut[3], store.digests()).note is not None
+    digests = store.digests()
+    for at in range(0, len(content), 7):
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        assert store.inspect(3, cut[3], digests).flaw == "is damaged", at
+
+
+@pytest.mark.parametrize("cut", [0, 1, 7, 8, 100, -1, -200])
+def test_a_cut_file_is_seen(copy, cut):
+    """However much of it is left."""
+    path = copy / "results" / "chunk-00003.parquet"
+    path.write_bytes(path.read_bytes()[:cut])
+    assert flaw(copy) == "is damaged"
+
+
+def test_a_damaged_chunk_is_kept_beside_what_replaces_it(copy):
+    """It has a new name, outside of the folder that readers take whole; both digests stay noted."""
+    path, before = copy / "results" / "chunk-00003.parquet", read_table(copy)
+    damaged = path.read_bytes()[:-20]
+    path.write_bytes(damaged)
+    said = []
+    result = run_sweep(SPEC, copy, simulator=FakeSimulator(), warn=said.append)
+    assert said == [f"chunk 3 of {copy} is damaged; it is kept in results.aside, and run again."]
+    assert result.table.equals(before)
+    assert [kept.read_bytes() for kept in copy.glob("results.aside/*")] == [damaged]
+    assert flaw(copy) == ""
+
+
+def test_a_chunk_that_cannot_be_read_is_named(copy):
+    """Whether it is the footer that is damaged or a page of a column that is asked for later."""
+    path = copy / "results" / "chunk-00003.parquet"
+    content, chunks = path.read_bytes(), sorted(copy.glob("results/*"))
+    speed = pq.read_metadata(path).row_group(0).column(pq.read_schema(path).get_field_index("speed"))
+    damaged = bytearray(content)
+    damaged[(speed.dictionary_page_offset or speed.data_page_offset) + speed.total_compressed_size - 1] ^= 1
+    path.write_bytes(damaged)
+    results = Results(chunks)
+    assert results.column("frequency").shape == (36,)
+    with pytest.raises(DirectoryError, match=r"chunk-00003\.parquet cannot be read \(.*\): run the same command again"):
+        results.column("speed")
+    path.write_bytes(content[:-20])
+    with pytest.raises(DirectoryError, match=r"chunk-00003\.parquet cannot be read"):
+        Results(chunks)
+
+
+def test_a_digest_that_was_cut_off_costs_no_other_one(copy):
+    """A process that is killed in the middle of a line leaves its chunk unwritten; the next line stands alone."""
+    manifest, path = copy / "manifest.sha256", copy / "results" / "chunk-00003.parquet"
+    manifest.write_bytes(manifest.read_bytes() + b"0123456789abcdef")
+    path.unlink()
+    assert run_sweep(SPEC, copy, simulator=FakeSimulator()).chunks_run == 1
+    simulator = FakeSimulator()
+    assert run_sweep(SPEC, copy, simulator=simulator).complete
+    assert simulator.batches == []
+
+
+def test_a_chunk_is_noted_before_it_is_there(tmp_path, monkeypatch):
+    """A process killed between the two leaves nothing that would pass for a chunk of an earlier release."""
+    replace = files.replace_file
+
+    def killed(path, content):
+        if path.suffix == ".parquet":
+            raise KeyboardInterrupt
+        replace(path, content)
+
+    monkeypatch.setattr("nermo_mjx.runs.directory.replace_file", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(SPEC, tmp_path, chunk=36, simulator=FakeSimulator())
+    assert [name for _, name in lines(tmp_path)] == ["results/chunk-00000.parquet"]
+    assert not list(tmp_path.glob("results/*"))
+
+
+def test_shards_note_their_chunks_in_files_of_their_own(tmp_path):
+    """None waits for another one, and each sees what the others wrote."""
+    for part in (0, 1):
+        result = run_sweep(SPEC, tmp_path, chunk=4, shard=(part, 2), simulator=FakeSimulator())
+    assert result.complete
+    assert sorted(path.name for path in tmp_path.glob("manifest*")) == [
+        "manifest-0-of-2.sha256", "manifest-1-of-2.sha256",
+    ]  # fmt: skip
+    path = tmp_path / "results" / "chunk-00003.parquet"
+    path.write_bytes(path.read_bytes()[:-9] + b"?" + path.read_bytes()[-8:])
+    assert flaw(tmp_path) == "is damaged"
+
+
+# --- chunks that no manifest names
+
+
+@pytest.fixture
+def sealed(tmp_path, monkeypatch):
+    """A copy of the directory with sealed chunks; the defaults are those it was made with."""
+    digest = pq.read_schema(SEALED / "results" / "chunk-00000.parquet").metadata[b"sweep"].decode()
+    monkeypatch.setattr(Sweep, "digest", lambda self: digest)
+    return Path(shutil.copytree(SEALED, tmp_path / "sealed"))
+
+
+def test_sealed_chunks_are_kept_and_the_rest_is_run(sealed):
+    """By all their pages' checksums; the table has their rows as they are."""
+    before = {path: path.read_bytes() for path in sealed.glob("results/*.parquet")}
+    rows = read_table(sealed)
+    simulator = FakeSimulator()
+    result = run_sweep(sealed / "sweep.yaml", sealed, simulator=simulator, accept_new_code=True)
+    assert len(before) == 2
+    assert simulator.batches == [2, 2, 2]
+    assert {path: path.read_bytes() for path in before} == before
+    for name in ("frequency", "speed", "status", "code"):
+        column = result.table.column(name).to_numpy()[rows.column("row").to_numpy()]
+        np.testing.assert_array_equal(column, rows.column(name).to_numpy())
+
+
+def test_a_damaged_page_of_a_sealed_chunk_is_seen(sealed):
+    """Of whichever column it is; a file that was cut is seen, too."""
+    path = sealed / "results" / "chunk-00001.parquet"
+    content, about = path.read_bytes(), pq.read_metadata(path).row_group(0)
+    assert flaw(sealed, 1) == ""
+    for column in map(about.column, range(about.num_columns)):
+        damaged = bytearray(content)
+        damaged[(column.dictionary_page_offset or column.data_page_offset) + column.total_compressed_size - 1] ^= 1
+        path.write_bytes(damaged)
+        assert flaw(sealed, 1) == "is damaged", column.path_in_schema
+    path.write_bytes(content[:-100])
+    assert flaw(sealed, 1) == "is damaged"
