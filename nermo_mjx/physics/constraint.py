@@ -16,7 +16,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from nermo_mjx.physics.rows import Layout, Problem
 
@@ -59,6 +59,16 @@ def forces(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) ->
     simple = jnp.where(springs, spring, jnp.clip(spring, -loss, loss))
     parts = [simple[: _first_cone(layout, residual)]]
     parts += [jax.vmap(_cone)(*contact).ravel() for _, _, *contact in _contacts(layout, problem, residual)]
+    return jnp.concatenate(parts)
+
+
+def zones(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> Int[Array, " zones"]:
+    """In which of its linear or smooth pieces the force of each row, or of each contact with a cone, is."""
+    springs, _ = _simple(layout, problem, residual)
+    parts = [springs[: _first_cone(layout, residual)].astype(int)]
+    for _, _, apart, _, scale in _contacts(layout, problem, residual):
+        zone = jax.vmap(_zone)(apart, scale)
+        parts.append(2 * zone.apart + zone.sticks)
     return jnp.concatenate(parts)
 
 
