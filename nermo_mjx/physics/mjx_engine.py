@@ -185,7 +185,7 @@ class MjxSession:
 
     @property
     def unsolved(self) -> np.ndarray:
-        """Steps of each world (n,) in which the constraint solver did not come to its end."""
+        """See `Session.unsolved`."""
         return np.asarray(self.carry.unsolved)[: self.worlds]
 
     def advance(self, ticks: int) -> None:

@@ -100,9 +100,9 @@ def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple
 
     slopes = jax.vmap(slope)(jnp.asarray(SHARES, qacc.dtype))
     before = step @ gradient
-    # Newton's method squares the error, so that another step would end at rounding, unless a row changes its zone on the
-    # way: behind the change the next step may be longer. A world that lost its numbers, which compare as false, has
-    # nothing to wait for.
+    # Newton's method squares the error, so that another step would end at rounding, unless a row changes its zone on
+    # the way: behind the change the next step may be longer. A world that lost its numbers, which compare as false,
+    # has nothing to wait for.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** (4 / 3) * (qacc @ (problem.inertia @ qacc)))
     stays = jnp.all(constraint.zones(layout, problem, apart) == constraint.zones(layout, problem, apart + along))
     full = small | (slopes[-1] <= -ACCEPTED * before)
