@@ -25,7 +25,7 @@ LINES = (
 ENDS: Final = {
     "fell": "The robot fell.",
     "diverged": "The simulation diverged.",
-    "unsolved": "The constraint solver stopped before its end in more than one step of a thousand: the numbers are rough.",
+    "unsolved": "The constraint solver stopped short in more than one step of a thousand: the numbers are rough.",
 }
 
 
