@@ -12,6 +12,7 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
@@ -79,6 +80,16 @@ def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path
     frames = imageio.mimread(path)
     assert len(frames) == 13
     assert frames[0].shape[:2] == (49, 63)
+
+
+@pytest.mark.parametrize("fps", [13, 17, 30, 240])
+def test_a_gif_lasts_as_long_as_its_frames_should(tmp_path: Path, fps: int) -> None:
+    """To half of the hundredth of a second that the format counts in, whatever the rate."""
+    frames = (np.full((8, 8, 3), 4 * i, np.uint8) for i in range(60))
+    path = write_video(tmp_path / "v.gif", frames, 60, fps=fps, width=8, height=8)
+    with Image.open(path) as gif:
+        lasts = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
+    assert lasts == pytest.approx(60_000 / fps, abs=5.0)
 
 
 @pytest.mark.usefixtures("drawing")
