@@ -92,3 +92,24 @@ def test_a_servo_too_stiff_beside_its_damping_is_refused(physics: str, kv: float
     for refuse in (Simulator(setup, "c").parameters, Rollout(setup)):
         with pytest.raises(ParameterError, match=sentence):
             refuse(values)
+
+
+def test_a_world_whose_solver_often_stopped_early_says_so(simulator: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In more than one step of a thousand of its own."""
+    walking = simulator()
+    opened = walking.engine.open
+
+    class Rough:
+        """A session whose solver stopped early in so many steps of each world."""
+
+        unsolved = np.array([0, 1, 1000])
+
+        def __init__(self, *given: Any) -> None:
+            self.session = opened(*given)
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.session, name)
+
+    monkeypatch.setattr(walking.engine, "open", Rough)
+    result = walking.run({"frequency": np.full(3, 0.8)}, Run(cycles=2, warmup_cycles=0))
+    assert result.status.tolist() == ["ok", "ok", "unsolved"]

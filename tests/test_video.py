@@ -12,6 +12,7 @@ import imageio.v2 as imageio
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image, ImageSequence
 
 from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
@@ -81,6 +82,16 @@ def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path
     assert frames[0].shape[:2] == (49, 63)
 
 
+@pytest.mark.parametrize("fps", [13, 17, 30, 50])
+def test_a_gif_lasts_as_long_as_its_frames_should(tmp_path: Path, fps: int) -> None:
+    """To half of the hundredth of a second that the format counts in, whatever the rate."""
+    frames = (np.full((8, 8, 3), 4 * i, np.uint8) for i in range(60))
+    path = write_video(tmp_path / "v.gif", frames, 60, fps=fps, width=8, height=8)
+    with Image.open(path) as gif:
+        lasts = sum(frame.info["duration"] for frame in ImageSequence.Iterator(gif))
+    assert lasts == pytest.approx(60_000 / fps, abs=5.0)
+
+
 @pytest.mark.usefixtures("drawing")
 @pytest.mark.parametrize("camera", ["side", "top", "three_quarter", "high", "front", "rear"])
 def test_every_following_view_keeps_the_robot_in_the_middle(model: mujoco.MjModel, tmp_path: Path, camera: str) -> None:
@@ -108,6 +119,7 @@ def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Pat
         ("walk", {}, "ends in .mp4 or .gif"),
         ("walk.mp4", {"width": 63}, "even width"),
         ("walk.mp4", {"fps": 0}, "1 to 240 frames/s"),
+        ("walk.gif", {"fps": 51}, r"^fps is 51: allowed is \[1, 50\] in a GIF"),
         ("walk.mp4", {"speed": -1.0}, "speed above 0"),
     ],
 )

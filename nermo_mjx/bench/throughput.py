@@ -15,7 +15,7 @@ from mujoco import rollout
 from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.timing import compare, compile_cold
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
+from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
@@ -102,19 +102,17 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
     blank = engine.data_among(worlds)
     data = jax.jit(jax.vmap(lambda one: blank.replace(**one._asdict())))(states)
-    # In MJX-JAX the engine shortens the line search, which a user would not.
-    model = mjx.put_model(simulator.robot.physical) if name == "mjx" else engine.model
 
     def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
         def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:
-            return jax.vmap(lambda one, goal: mjx.step(model, one.replace(ctrl=goal)))(data, target), None
+            return jax.vmap(lambda one, goal: mjx.step(engine.model, one.replace(ctrl=goal)))(data, target), None
 
         return jax.lax.scan(tick, data, ctrl)[0]
 
     plain = compile_cold(jax.jit(scan), data, ctrl)
     puppets = type(engine)(simulator.robot, Puppet(steps), engine.devices.count)
     strings = jnp.moveaxis(ctrl[::steps], 0, 1)
-    hung = Carry(walking.physics, jnp.zeros(worlds, jnp.int32), walking.sensordata)
+    hung = walking._replace(loop=jnp.zeros(worlds, jnp.int32))
 
     # Each round all walk the same steps. What a program is given to carry on is used up, so that it gets a copy.
     def run_ours() -> None:

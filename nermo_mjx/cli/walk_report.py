@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -20,6 +20,13 @@ LINES = (
     ("servo_work", "servo work", "J", 1.0),
     ("cost_of_transport", "cost of transport", "", 1.0),
 )
+
+#: What a walk's status means, where it is not `ok`.
+ENDS: Final = {
+    "fell": "The robot fell.",
+    "diverged": "The simulation diverged.",
+    "unsolved": "The constraint solver stopped short in more than one step of a thousand: the numbers are rough.",
+}
 
 
 def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None:
@@ -39,11 +46,7 @@ def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None
     angles = [[angle, *(_shown(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]
     print_table("Orientation [degrees]", [("", "left"), *((part, "right") for part in parts)], angles)
     if metrics["status"] != "ok":
-        click.echo(
-            {"fell": "The robot fell.", "diverged": "The simulation diverged."}.get(
-                metrics["status"], metrics["status"]
-            )
-        )
+        click.echo(ENDS[metrics["status"]])
     for file in files:
         click.echo(f"wrote {file}")
 

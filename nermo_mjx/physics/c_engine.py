@@ -111,6 +111,11 @@ class CSession:
         return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
     @property
+    def unsolved(self) -> np.ndarray:
+        """See `Session.unsolved`; C's own solver does not say."""
+        return np.zeros(sum(map(len, self._spans)), int)
+
+    @property
     def loop(self) -> PackedLoop:
         """The loop that all blocks share."""
         return self._blocks[0].loop

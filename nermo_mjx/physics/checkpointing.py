@@ -25,7 +25,7 @@ def checkpointed_scan(body: Callable[[Any], tuple[Any, Any]], carry: Any, length
     12). With r the ratio of a step's results to its carry, both parts are alike with sqrt(length / r) steps a segment,
     which is one step up to hundreds of them. Whatever `body` marks with `jax.ad_checkpoint.checkpoint_name(x, KEPT)` is
     kept as well. It then meets states that are computed anew, and equal only up to rounding: a result of the solver in
-    float32, 5e-3 off, made the gradient of a walk wrong by its own size, until a Newton step followed it.
+    float32, 5e-3 off as MJX's was, made the gradient of a walk wrong by its own size, until a Newton step followed it.
 
     Args:
         body: carry -> (new carry, output).

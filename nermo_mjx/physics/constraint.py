@@ -10,10 +10,13 @@ Constraint model").
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from nermo_mjx.physics.rows import Layout, Problem
 
@@ -25,15 +28,18 @@ def gradient(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Flo
 
 
 def hessian(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, "nv nv"]:
-    """dg/da = M - J^T f'(r) J, symmetric and positive definite."""
-    at = residual(problem, qacc)
-
-    def along(column: Array) -> Array:
-        slope: Array = jax.jvp(lambda r: forces(layout, problem, r), (at,), (column,))[1]
-        return slope
-
-    change = problem.jacobian.T @ jax.vmap(along, in_axes=1, out_axes=1)(problem.jacobian)
-    return problem.inertia - 0.5 * (change + change.T)
+    """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric."""
+    jacobian, at = problem.jacobian, residual(problem, qacc)
+    springs, _ = _simple(layout, problem, at)
+    end = _first_cone(layout, at)
+    parts = [jnp.where(springs, problem.stiffness, 0.0)[:end, None] * jacobian[:end]]
+    for first, dim, apart, stiffness, scale in _contacts(layout, problem, at):
+        slopes = jax.vmap(_cone_slope)(apart, stiffness, scale)
+        rows = jacobian[first : first + apart.size].reshape(-1, dim, jacobian.shape[1])
+        # Sums of products and not a product of matrices, which XLA would hand to a library for each contact.
+        weighted = sum(slopes[:, :, k, None] * rows[:, None, k] for k in range(dim))
+        parts.append(jnp.reshape(weighted, (apart.size, jacobian.shape[1])))
+    return problem.inertia + jacobian.T @ jnp.concatenate(parts)
 
 
 def residual(problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, " nefc"]:
@@ -48,21 +54,48 @@ def forces(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) ->
     frictionless contacts and the edges of pyramids only push: f = -D r where r < 0. An elliptic contact lies in one of
     three zones, see `_cone`.
     """
+    springs, loss = _simple(layout, problem, residual)
     spring = -problem.stiffness * residual
+    simple = jnp.where(springs, spring, jnp.clip(spring, -loss, loss))
+    parts = [simple[: _first_cone(layout, residual)]]
+    parts += [jax.vmap(_cone)(*contact).ravel() for _, _, *contact in _contacts(layout, problem, residual)]
+    return jnp.concatenate(parts)
+
+
+def zones(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> Int[Array, " zones"]:
+    """In which of its linear or smooth pieces the force of each row, or of each contact with a cone, is."""
+    springs, _ = _simple(layout, problem, residual)
+    parts = [springs[: _first_cone(layout, residual)].astype(int)]
+    for _, _, apart, _, scale in _contacts(layout, problem, residual):
+        zone = jax.vmap(_zone)(apart, scale)
+        parts.append(2 * zone.apart + zone.sticks)
+    return jnp.concatenate(parts)
+
+
+def _simple(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> tuple[Array, Array]:
+    """Whether each row, were it none of a cone's, is a spring; and the force it keeps to in both directions if not."""
     row = np.arange(residual.shape[0])
-    dry = row < layout.equality + layout.frictionloss
+    dry = (row >= layout.equality) & (row < layout.equality + layout.frictionloss)
     # To MuJoCo a row of dry friction without loss, which a batch may contain, is a spring.
-    yields = dry & (row >= layout.equality) & (problem.frictionloss > 0.0)
-    yielding = jnp.clip(spring, -problem.frictionloss, problem.frictionloss)
-    simple = jnp.where(yields, yielding, jnp.where(dry | (residual < 0.0), spring, 0.0))
-    first, contact = residual.shape[0] - sum(dim * count for dim, count in layout.cones), 0
-    parts = [simple[:first]]
+    loss = jnp.where(dry, problem.frictionloss, 0.0)
+    holds = (loss <= 0.0) | (jnp.abs(problem.stiffness * residual) < loss)
+    return jnp.where(row < layout.equality + layout.frictionloss, holds, residual < 0.0), loss
+
+
+def _first_cone(layout: Layout, residual: Float[Array, " nefc"]) -> int:
+    return residual.shape[0] - sum(dim * count for dim, count in layout.cones)
+
+
+def _contacts(
+    layout: Layout, problem: Problem, residual: Float[Array, " nefc"]
+) -> Iterator[tuple[int, int, Array, Array, Array]]:
+    """(first row, dim, r, D, scale) of the contacts with cones of one dimension; the arrays are (count, dim)."""
+    first, contact = _first_cone(layout, residual), 0
     for dim, count in layout.cones:
         end = first + dim * count
         apart, stiffness = (array[first:end].reshape(count, dim) for array in (residual, problem.stiffness))
-        parts.append(jax.vmap(_cone)(apart, stiffness, problem.cone[contact : contact + count, :dim]).ravel())
+        yield first, dim, apart, stiffness, problem.cone[contact : contact + count, :dim]
         first, contact = end, contact + count
-    return jnp.concatenate(parts)
 
 
 def _cone(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]) -> Array:
@@ -71,12 +104,39 @@ def _cone(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale
     With u = scale * r, n = u_0 and t = |u_1..|: it sticks where mu n + t <= 0 (f = -D r), is apart where n >= mu t
     (f = 0), and slides between them, with the force on the surface of the cone.
     """
+    zone = _zone(residual, scale)
+    mu, direction = scale[0], zone.direction
+    normal = -stiffness[0] / (mu * (1.0 + mu * mu)) * zone.outside
+    slides = normal * jnp.concatenate([jnp.ones_like(mu)[None], -direction * scale[1:]])
+    return jnp.where(zone.apart, 0.0, jnp.where(zone.sticks, -stiffness * residual, slides))
+
+
+def _cone_slope(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]) -> Array:
+    """-df/dr of one contact with an elliptic cone, symmetric and positive semidefinite."""
+    zone = _zone(residual, scale)
+    mu, direction = scale[0], zone.direction
+    across = jnp.concatenate([jnp.ones_like(mu)[None], -mu * direction])
+    turns = jnp.zeros((len(scale), len(scale)), scale.dtype)
+    turns = turns.at[1:, 1:].set(jnp.eye(len(direction)) - jnp.outer(direction, direction))
+    slides = jnp.outer(across, across) - mu * zone.outside / zone.length * turns
+    slides *= stiffness[0] / (mu * mu * (1.0 + mu * mu)) * jnp.outer(scale, scale)
+    return jnp.where(zone.apart, 0.0, jnp.where(zone.sticks, jnp.diag(stiffness), slides))
+
+
+class _Zone(NamedTuple):
+    """Where a contact's u = scale * r lies: n - mu t, the length t (1 for 0) and the direction of u_1.. ."""
+
+    apart: Array
+    sticks: Array
+    outside: Array
+    length: Array
+    direction: Array
+
+
+def _zone(residual: Float[Array, " dim"], scale: Float[Array, " dim"]) -> _Zone:
     mu, u = scale[0], scale * residual
     n, square = u[0], jnp.sum(u[1:] ** 2)
     moves = square > 0.0
     t = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
-    sticks, apart = mu * n + t <= 0.0, n >= mu * t
-    normal = -stiffness[0] / (mu * (1.0 + mu * mu)) * (n - mu * t)
-    direction = u[1:] / jnp.where(moves, t, 1.0)
-    slides = normal * jnp.concatenate([jnp.ones_like(u[:1]), -direction * scale[1:]])
-    return jnp.where(apart, 0.0, jnp.where(sticks, -stiffness * residual, slides))
+    length = jnp.where(moves, t, 1.0)
+    return _Zone(n >= mu * t, mu * n + t <= 0.0, n - mu * t, length, u[1:] / length)

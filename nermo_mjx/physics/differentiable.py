@@ -1,18 +1,17 @@
 """A step of MJX with exact derivatives: replaces `mjx.step` for any model that MJX-JAX can run.
 
 `mjx.solve` iterates in a `while_loop`. Reverse mode refuses more than one iteration of it, and forward mode
-differentiates an iteration that was stopped before its end. Here the solver runs as it is, with no derivative, and the
-derivative of its result is that of the fixed point it has found (implicit function theorem): with g(a, p) = 0 for the
-acceleration a and all that it depends on, p,
+differentiates an iteration that was stopped before its end. Here `solver` runs with no derivative, and the derivative
+of its result is that of the fixed point it has found (implicit function theorem): with g(a, p) = 0 for the acceleration
+a and all that it depends on, p,
 
     H da = -(dg/dp) dp,    H = dg/da = M - J^T f'(r) J.
 
 The rule is linear in dp, so that JAX transposes it: it serves forward and reverse mode and `vmap`, for any number of
 iterations. Every kind of row that MJX has is written out.
 
-The fixed point is found more closely than MJX finds it. Its line search compares costs, which near the minimum are
-equal to the last digit while the acceleration is still off by the root of that digit: 1e-8 in float64, some 1e-4 in
-float32. One more step of Newton's method along g itself, which costs 1 % of a step of the robot, ends at rounding.
+One more step of Newton's method ends at rounding. It is taken from what the solver came to, which reverse mode keeps,
+and from the problem of the state that reverse mode makes anew.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Float
 
-from nermo_mjx.physics import constraint, rows, stages
+from nermo_mjx.physics import constraint, rows, solver, stages
 from nermo_mjx.physics.checkpointing import KEPT
 from nermo_mjx.physics.integration import integrate
 from nermo_mjx.physics.mjx_import import mjx
@@ -64,14 +63,20 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.solve`, after `stages.acceleration`, to the last digit and with the derivative of the solution."""
+    """As `mjx.solve`, after `stages.acceleration`, to the last digit and with the derivative of the solution.
+
+    `rows.solver_rounds` of the result is more than `solver.ROUNDS` where the solver did not come to its end.
+    """
     if rows.is_unconstrained(data):
         return data.replace(qacc=data.qacc_smooth)
-    qacc = checkpoint_name(mjx.solve(*jax.lax.stop_gradient((model, data))).qacc, KEPT)
     layout, problem = rows.read(model, data)
+    starts_warm = not model.opt.disableflags & mjx.DisableBit.WARMSTART
+    start = data.qacc_warmstart if starts_warm else data.qacc_smooth
+    found = solver.solve(layout, *jax.lax.stop_gradient((problem, start)))
+    qacc = checkpoint_name(found.qacc, KEPT)
     qacc = _solution(layout, _newton(layout, qacc, jax.lax.stop_gradient(problem)), problem)
     force = constraint.forces(layout, problem, constraint.residual(problem, qacc))
-    return rows.with_solution(data, qacc, force, problem.jacobian.T @ force)
+    return rows.with_solution(data, qacc, force, problem.jacobian.T @ force, found.needed)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

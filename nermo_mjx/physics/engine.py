@@ -57,6 +57,10 @@ class Session(Protocol):
     def loop_state(self) -> Any:
         """State of the loop, leaves with a leading world axis."""
 
+    @property
+    def unsolved(self) -> np.ndarray:
+        """Steps so far of each world (n,) in which the constraint solver did not come to its end, where it says so."""
+
     def advance(self, ticks: int) -> None:
         """Run all worlds for `ticks` control ticks."""
 

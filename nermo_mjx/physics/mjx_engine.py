@@ -6,31 +6,25 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from mujoco.batch import Batch
 
-from nermo_mjx.physics import differentiable
+from nermo_mjx.physics import differentiable, rows
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.physics.solver import ROUNDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options
-
-#: Most iterations of the solver's line search. C's ends by itself after a few, and needs more than this in one step of
-#: thousands, where it would stop at a wrong solution. MJX's never reaches its tolerance in float32 and makes all of
-#: MuJoCo's 50, which are half of a step's time; with 10 of them 77,000 solutions had the same residual after the Newton
-#: step of `differentiable`.
-LINE_SEARCH: Final = 10
 
 
 class MjxState(NamedTuple):
@@ -43,11 +37,19 @@ class MjxState(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """What the scan carries in one world: physics, the loop's state, and the sensors of the last tick's steps."""
+    """What the scan carries in one world.
+
+    Attributes:
+        physics: state.
+        loop: the loop's state.
+        sensordata: readings of the last tick's steps.
+        unsolved: steps so far in which the constraint solver did not come to its end.
+    """
 
     physics: MjxState
     loop: Any
     sensordata: Float[Array, "steps n"]
+    unsolved: Int[Array, ""]
 
 
 class MjxEngine:
@@ -74,8 +76,6 @@ class MjxEngine:
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
         """The model for MJX, and data of a world alone."""
-        model = copy.copy(model)
-        model.opt.ls_iterations = LINE_SEARCH
         ours = mjx.put_model(model)
         return ours, mjx.make_data(ours)
 
@@ -91,13 +91,18 @@ class MjxEngine:
         """One step of physics in one world."""
         return differentiable.step(model, data)
 
+    def is_unsolved(self, data: mjx.Data) -> Bool[Array, ""]:
+        """Whether the constraint solver did not come to its end in the step that gave the data."""
+        return rows.solver_rounds(data) > ROUNDS
+
     @full_precision
     def start(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         """Carry of one world before its first tick, from its state and its sensors there."""
         nothing = jnp.zeros((self.model.nv,), qpos.dtype)
         physics = MjxState(qpos, qvel, jnp.zeros((self.model.na,), qpos.dtype), nothing)
         steps = self.loop.steps_per_tick
-        return Carry(physics, self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1)))
+        state, readings = self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1))
+        return Carry(physics, state, readings, jnp.zeros((), jnp.int32))
 
     def tick(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
@@ -118,17 +123,20 @@ class MjxEngine:
         """
         loop, ctrl = each(self.loop.step)(params, carry.loop, carry.sensordata)
 
-        def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, Array]:
+        def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, tuple[Array, Array]]:
             model = self.model.tree_replace(fields)
             after = self.physics_step(model, blank.replace(ctrl=ctrl, **state._asdict()))
-            return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), after.sensordata
+            found = after.sensordata, self.is_unsolved(after)
+            return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), found
 
-        def step(state: MjxState, _: None) -> tuple[MjxState, Array]:
-            after: tuple[MjxState, Array] = each(advanced)(fields, ctrl, state)
+        def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
+            after: tuple[MjxState, tuple[Array, Array]] = each(advanced)(fields, ctrl, state)
             return after
 
-        physics, sensordata = jax.lax.scan(step, carry.physics, None, length=self.loop.steps_per_tick)
-        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2)), ctrl
+        steps = self.loop.steps_per_tick
+        physics, (sensordata, unsolved) = jax.lax.scan(step, carry.physics, None, length=steps)
+        counted = carry.unsolved + jnp.sum(unsolved, axis=0, dtype=jnp.int32)
+        return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl
 
     def _ticks(self, params: Any, fields: dict[str, Array]) -> Callable[[Carry], tuple[Carry, Array]]:
         """`tick` for all worlds of a device."""
@@ -174,6 +182,11 @@ class MjxSession:
     def loop_state(self) -> Any:
         """See `Session.loop_state`."""
         return self.engine.devices.take(self.carry.loop, self.worlds)
+
+    @property
+    def unsolved(self) -> np.ndarray:
+        """See `Session.unsolved`."""
+        return np.asarray(self.carry.unsolved)[: self.worlds]
 
     def advance(self, ticks: int) -> None:
         """See `Session.advance`."""

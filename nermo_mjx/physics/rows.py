@@ -105,10 +105,19 @@ def with_velocities(data: mjx.Data) -> mjx.Data:
     return changed
 
 
-def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Array) -> mjx.Data:
-    """Data with the acceleration, and the constraint forces by row and by joint."""
-    solved: mjx.Data = data.tree_replace({"qacc": qacc, "qfrc_constraint": joint_force, "_impl.efc_force": row_force})
+def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Array, rounds: Array) -> mjx.Data:
+    """Data with the acceleration, the constraint forces by row and by joint, and the rounds that the solver needed."""
+    solved: mjx.Data = data.tree_replace({
+        "qacc": qacc, "qfrc_constraint": joint_force, "_impl.efc_force": row_force, "_impl.solver_niter": rounds
+    })  # fmt: skip
     return solved
+
+
+def solver_rounds(data: mjx.Data) -> Array:
+    """Rounds that the solver needed, as `with_solution` was told."""
+    inner: Any = data._impl
+    rounds: Array = inner.solver_niter
+    return rounds
 
 
 def contact_rows(model: mjx.Model, data: mjx.Data) -> ContactRows | None:

@@ -11,8 +11,10 @@ import importlib.util
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import mujoco
 from jax.extend import backend
+from jaxtyping import Array, Bool
 
 from nermo_mjx.physics import rows
 from nermo_mjx.physics.mjx_engine import MjxEngine
@@ -65,6 +67,10 @@ class WarpEngine(MjxEngine):
             ParameterError: when a derivative is taken.
         """
         return _step(model, data)
+
+    def is_unsolved(self, data: mjx.Data) -> Bool[Array, ""]:
+        """See `MjxEngine.is_unsolved`; Warp's own solver does not say."""
+        return jnp.zeros((), bool)
 
 
 @jax.custom_jvp

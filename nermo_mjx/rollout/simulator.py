@@ -27,6 +27,9 @@ from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.
 BLOCK = 25
+#: Share of a world's steps that the constraint solver may leave short of rounding before its status says so. Of 78,000
+#: steps of tumbling robots it leaves 2 on an accelerator, none on a CPU.
+UNSOLVED = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +56,8 @@ class RunResult:
 
     Attributes:
         metrics: name -> (n,), as described in `METRICS`.
-        status: (n,) of `ok`, `fell`, `diverged`.
+        status: (n,) of `ok`, `fell`, `diverged`, and `unsolved` where the constraint solver of `mjx` stopped short in
+            more than a share `UNSOLVED` of the steps.
         engine: which engine ran.
         steps: physics steps of one world.
         wall_seconds: time spent.
@@ -217,7 +221,12 @@ class Simulator:
 
         measured = self._results(session.loop_state.metrics, batch.mass)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
-        status = np.where(table["diverged"] > 0, "diverged", np.where(table["fell"] > 0, "fell", "ok"))
+        ends = {
+            "diverged": table["diverged"] > 0,
+            "fell": table["fell"] > 0,
+            "unsolved": session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick,
+        }
+        status = np.select(list(ends.values()), list(ends), "ok")
         return RunResult(
             metrics=table,
             status=status,

@@ -152,8 +152,9 @@ def replay_row(found: SweepRow, engine: str | None = None, progress: Callable[[f
     metrics = {name: float(result.metrics[name][0]) for name in METRICS}
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
-    end = {"ok": found.begin + metrics["duration"], "diverged": metrics["failure_time"] - simulator.controller.dt}
-    ticks = math.ceil(end.get(status, found.end) / simulator.controller.dt - 1e-3)
+    whole = found.begin + metrics["duration"]
+    ends = {"ok": whole, "unsolved": whole, "diverged": metrics["failure_time"] - simulator.controller.dt}
+    ticks = math.ceil(ends.get(status, found.end) / simulator.controller.dt - 1e-3)
     assert result.trace is not None
     return Replay(
         engine=result.engine,

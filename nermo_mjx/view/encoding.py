@@ -48,7 +48,7 @@ def write_video(
         partial.touch()  # what cannot be written is refused before ffmpeg starts, and before the first frame is drawn
         drawn = iter(frames)
         first = next(drawn)  # and what cannot be drawn before ffmpeg waits for it
-        with _writer(partial, fps, width, height) as write:
+        with _writer(partial, fps, width, height, count) as write:
             for done, frame in enumerate(itertools.chain([first], drawn), start=1):
                 write(frame)
                 if progress is not None:
@@ -64,11 +64,13 @@ def write_video(
 
 
 @contextlib.contextmanager
-def _writer(path: Path, fps: int, width: int, height: int) -> Iterator[Callable[[np.ndarray], object]]:
+def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterator[Callable[[np.ndarray], object]]:
     if path.suffix == ".gif":
         import imageio.v2 as imageio
 
-        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=1000.0 / fps, loop=0)
+        # A frame lasts whole hundredths of a second: some one more than others, so that the whole is as fast as asked.
+        ends = np.round(np.arange(count + 1) * 100.0 / fps) * 10.0
+        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=np.diff(ends).tolist(), loop=0)
         with writer:
             yield writer.append_data
         return

@@ -28,6 +28,9 @@ SAMPLES: Final = 4
 SLICES: Final = 14
 STACKS: Final = 8
 
+#: Frames per second of a GIF: players show a frame of less than two hundredths of a second for ten.
+FASTEST_GIF: Final = 50
+
 
 def render(
     recording: Recording,
@@ -89,6 +92,10 @@ def check_video(
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise ParameterError(f"{path}: a video ends in {' or '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}.")
+    if suffix == ".gif" and fps > FASTEST_GIF:
+        raise ParameterError(
+            f"fps is {fps}: allowed is [1, {FASTEST_GIF}] in a GIF, which players show slowly past it."
+        )
     if not (1 <= fps <= 240 and speed > 0 and 16 <= width <= 7680 and 16 <= height <= 4320):
         raise ParameterError(
             f"A video of {width} x {height} pixels, {fps} frames/s and speed {speed:g} cannot be made: allowed are "

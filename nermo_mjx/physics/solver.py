@@ -1,0 +1,133 @@
+"""The constraint solver: Newton's method with a fixed number of rounds, each of known length.
+
+`mjx.solve` makes every round of its line search in every iteration until the slowest world of a batch ends, in loops
+whose length only the device knows, and compares costs, which near the minimum are equal to the last digit while the
+acceleration is still off by the root of that digit. Here a round is: gradient and Hessian in closed form (see
+`constraint`), one Cholesky decomposition, and the full step; where the slope of the cost along it says that it went too
+far, the step to where the slope vanishes, found by a few rounds of false position. A world whose last step was so
+small that one more would end at rounding takes no more; `differentiable` takes that one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Bool, Float, Int
+
+from nermo_mjx.physics import constraint
+from nermo_mjx.physics.rows import Layout, Problem
+
+#: Most rounds. Walks, falls and impacts need 3.5 in the mean and 10 at most; at the ends of the contacts'
+#: ranges 1 to 3 states in 1,000 need more than 20.
+ROUNDS: Final = 20
+#: Rounds on an accelerator, where a loop that ends when all worlds have would wait for the host in each round.
+FIXED: Final = 10
+#: Shares of a step at which the slope along it is evaluated, all at once; and how often it is evaluated after that
+#: where it changes sign. Fewer make more rounds, and each evaluation by itself is two launches on a GPU.
+SHARES: Final = tuple(2.0 ** (-k / 2) for k in range(16, -1, -1))
+SEARCH: Final = 2
+#: A full step is kept if it leaves no more than this share of the slope that it began with.
+ACCEPTED: Final = 0.25
+
+
+class Solution(NamedTuple):
+    """What the solver came to.
+
+    Attributes:
+        qacc: acceleration.
+        converged: whether the last step was so small that another ends at rounding.
+        small: whether it was small; a row that changed its zone may ask for another all the same.
+        rounds: how many were made.
+    """
+
+    qacc: Float[Array, " nv"]
+    converged: Bool[Array, ""]
+    small: Bool[Array, ""]
+    rounds: Int[Array, ""]
+
+    @property
+    def needed(self) -> Int[Array, ""]:
+        """Rounds that were needed; `ROUNDS` + 1 where it has not converged."""
+        return jnp.where(self.converged, self.rounds, ROUNDS + 1)
+
+
+def solve(layout: Layout, problem: Problem, start: Float[Array, " nv"]) -> Solution:
+    """The acceleration at which the gradient of the problem vanishes.
+
+    Args:
+        layout, problem: the constraint problem.
+        start: where to begin; the solution does not depend on it.
+    """
+    no = jnp.zeros((), bool)
+    first = Solution(start, no, no, jnp.zeros((), jnp.int32))
+
+    def next_round(solution: Solution) -> Solution:
+        qacc, small, stays = _round(layout, problem, solution.qacc)
+        moved = Solution(qacc, small & (stays | solution.small), small, solution.rounds + 1)
+        return jax.tree.map(lambda old, new: jnp.where(solution.converged, old, new), solution, moved)
+
+    def to_the_end(solution: Solution) -> Solution:
+        return jax.lax.fori_loop(0, FIXED, lambda _, each: next_round(each), solution)
+
+    def until_all_have_converged(solution: Solution) -> Solution:
+        return jax.lax.while_loop(lambda each: ~each.converged & (each.rounds < ROUNDS), next_round, solution)
+
+    # The same numbers where `FIXED` rounds suffice. Only a processor that runs the loop itself knows for nothing that
+    # all worlds have ended.
+    found: Solution = jax.lax.platform_dependent(first, cpu=until_all_have_converged, default=to_the_end)
+    return found
+
+
+def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple[Array, Array, Array]:
+    """The next acceleration, whether the step to it was small, and whether all rows kept their zones along it."""
+    factor = cho_factor(constraint.hessian(layout, problem, qacc))
+    gradient = constraint.gradient(layout, problem, qacc)
+    step = -cho_solve(factor, gradient)
+    apart, along = constraint.residual(problem, qacc), problem.jacobian @ step
+    inertial = problem.inertia @ step
+    energy = step @ inertial
+    smooth = inertial @ qacc - step @ problem.smooth
+
+    def slope(share: Array) -> Array:
+        """Derivative of the cost along the step; it rises."""
+        force = constraint.forces(layout, problem, apart + share * along)
+        value: Array = smooth + share * energy - along @ force
+        return value
+
+    slopes = jax.vmap(slope)(jnp.asarray(SHARES, qacc.dtype))
+    before = step @ gradient
+    # Newton's method squares the error, so that another step would end at rounding, unless a row changes its zone on
+    # the way: behind the change the next step may be longer. A world that lost its numbers, which compare as false,
+    # has nothing to wait for.
+    small = ~(energy > jnp.finfo(qacc.dtype).eps ** (4 / 3) * (qacc @ (problem.inertia @ qacc)))
+    stays = jnp.all(constraint.zones(layout, problem, apart) == constraint.zones(layout, problem, apart + along))
+    full = small | (slopes[-1] <= -ACCEPTED * before)
+    return qacc + jnp.where(full, 1.0, _zero(slope, before, slopes)) * step, small, stays
+
+
+def _zero(slope: Callable[[Array], Array], before: Float[Array, ""], slopes: Float[Array, " shares"]) -> Array:
+    """Where in (0, 1) a rising function is about zero, by false position that halves an end which stays (Illinois).
+
+    Args:
+        slope: the function.
+        before, slopes: its values at 0, below zero, and at `SHARES`.
+    """
+    after = jnp.minimum(jnp.sum(slopes < 0.0), len(SHARES) - 1)
+    places, values = jnp.asarray((0.0, *SHARES), slopes.dtype), jnp.concatenate([before[None], slopes])
+    low, high, under, over = places[after], places[after + 1], values[after], values[after + 1]
+
+    def between() -> Array:
+        rise = over - under
+        return low + (high - low) * jnp.clip(-under / jnp.where(rise > 0.0, rise, 1.0), 0.05, 0.95)
+
+    for _ in range(SEARCH):
+        share = between()
+        value = slope(share)
+        below = value < 0.0
+        low, high = jnp.where(below, share, low), jnp.where(below, high, share)
+        under, over = jnp.where(below, value, 0.5 * under), jnp.where(below, 0.5 * over, value)
+    return between()

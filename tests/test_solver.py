@@ -1,0 +1,162 @@
+"""The constraint solver against MuJoCo's C, on problems that C makes: walks, falls, impacts, walls."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx.physics import Variation, solver
+from nermo_mjx.physics.differentiable import _newton
+from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.robot import ModelParameters, load_robot
+from nermo_mjx.robot.quantity import replace_quantities
+
+#: Ends of the declared ranges of the soles' contact; friction and tail as well.
+ENDS = {
+    "contact.friction": (0.05, 5.0), "contact.tail_friction": (0.05, 5.0), "contact.time_constant": (0.004, 0.1),
+    "contact.damping_ratio": (0.5, 10.0), "contact.impedance": (0.5, 0.9999), "contact.width": (1e-5, 0.02),
+}  # fmt: skip
+#: Tumbling robots, and the steps of each whose problems are solved.
+WORLDS, STEPS = 24, 120
+LIMITS, CONTACTS = 6, 16
+
+
+@functools.cache
+def problems(kind: str, worlds: int = WORLDS) -> tuple[Layout, Problem, np.ndarray, np.ndarray]:
+    """(layout, problems, warm starts, C's solutions) of robots that are thrown onto the ground and move their servos.
+
+    Args:
+        kind: `elliptic`, `pyramidal`; `maze`, among its walls; `ends`, with contacts at the ends of their ranges.
+        worlds: how many robots.
+    """
+    robot = load_robot(
+        scene="maze" if kind == "maze" else "flat", cone="pyramidal" if kind == "pyramidal" else "elliptic"
+    )
+    random, model = np.random.default_rng(0), robot.physical
+    model.opt.tolerance, model.opt.ls_tolerance = 1e-14, 1e-6
+    elliptic, edges = kind != "pyramidal", 3 if kind != "pyramidal" else 4
+    found: list[Any] = []
+    variation, default = Variation(robot), ModelParameters()
+    for world in range(worlds):
+        if kind == "ends":
+            values = {name: random.choice(ends) for name, ends in ENDS.items()}
+            for name, field in variation.batch(replace_quantities(default, values), 1, values).items():
+                getattr(model, name)[...] = field[0]
+        data = mujoco.MjData(model)
+        data.qpos[2] += random.uniform(0.0, 0.15)
+        if kind == "maze":
+            data.qpos[:2] += random.uniform(-0.5, 1.5, 2)
+        if world % 4:
+            turn = random.normal(size=4)
+            data.qpos[3:7] = turn / np.linalg.norm(turn)
+        data.qvel[:] = random.normal(size=model.nv) * np.r_[0.5, 0.5, 1.0, 5.0, 5.0, 5.0, np.full(model.nv - 6, 2.0)]
+        for step in range(2 * STEPS):
+            if step % 40 == 0:
+                data.ctrl[:] = random.uniform(-0.8, 0.8, model.nu)
+            warm = data.qacc_warmstart.copy()
+            mujoco.mj_step(model, data)
+            if sum(warning.number for warning in data.warning):  # at the ends of the ranges C loses some worlds
+                break
+            limits = data.nl
+            contacts = (data.nefc - limits) // edges
+            if step % 2 or limits > LIMITS or contacts > CONTACTS:
+                continue
+            inertia = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, inertia)
+            # C has rows of what touches only: zeros stand for the others.
+            rows = np.r_[np.arange(limits), LIMITS + np.arange(contacts * edges)]
+            arrays = [np.zeros((LIMITS + edges * CONTACTS, *width)) for width in ((model.nv,), (), ())]
+            arrays[2][:] = 1.0
+            for array, values in zip(
+                arrays, (data.efc_J.reshape(-1, model.nv), data.efc_aref, data.efc_D), strict=True
+            ):
+                array[rows] = values
+            cone = np.ones((CONTACTS, 6))
+            cone[:contacts] = np.column_stack([data.contact.mu, data.contact.friction])[:contacts]
+            jacobian, aref, stiffness = arrays
+            problem = Problem(
+                inertia,
+                data.qfrc_smooth.copy(),
+                jacobian,
+                aref,
+                stiffness,
+                np.zeros(len(aref)),
+                cone[: CONTACTS * elliptic],
+            )
+            found.append((problem, warm, data.qacc.copy()))
+    stacked, warm, right = jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+    return Layout(0, 0, ((3, CONTACTS),) if elliptic else ()), stacked, warm, right
+
+
+def solve(layout: Layout, problem: Problem, warm: np.ndarray, real: type) -> tuple[np.ndarray, np.ndarray]:
+    """(solutions, rounds) in a precision, with the last step of `differentiable`."""
+
+    def one(problem: Problem, warm: Any) -> Any:
+        found = solver.solve(layout, problem, warm)
+        return _newton(layout, found.qacc, problem), found.needed
+
+    with jax.enable_x64(real is np.float64):
+        numbers = jax.tree.map(lambda leaf: np.asarray(leaf, real), (problem, warm))
+        qacc, rounds = jax.jit(jax.vmap(one))(*numbers)
+    return np.asarray(qacc, float), np.asarray(rounds)
+
+
+def error(found: np.ndarray, right: np.ndarray, problem: Problem) -> np.ndarray:
+    """Size of the difference as a share of the solution's, both weighed by the inertia."""
+    size = [np.einsum("ni,nij,nj->n", each, problem.inertia, each) for each in (found - right, right)]
+    return np.sqrt(size[0] / size[1])
+
+
+@pytest.mark.parametrize("real", [np.float64, np.float32])
+@pytest.mark.parametrize("kind", ["elliptic", "pyramidal", "maze", "ends"])
+def test_solutions_are_those_of_c(kind: str, real: type) -> None:
+    """In all of thousands of states: to the rounding of float32, and to C's own 1e-8 in float64.
+
+    At the ends of the contacts' ranges some need more rounds than there are, and say so.
+    """
+    layout, problem, warm, right = problems(kind, 30 if kind == "ends" else WORLDS)
+    found, rounds = solve(layout, problem, warm, real)
+    converged = rounds <= solver.ROUNDS
+    assert len(right) > 2000
+    assert np.mean(converged) >= (0.995 if kind == "ends" else 1.0)
+    assert np.mean(rounds <= solver.FIXED) >= (0.97 if kind == "ends" else 0.999)
+    assert error(found, right, problem)[converged].max() < (1e-7 if real is np.float64 else 2e-6)
+
+
+def test_a_solver_that_is_stopped_too_early_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With two rounds, what counts as converged is solved; and what is far from the solution is counted as not."""
+    layout, problem, warm, right = problems("elliptic")
+    monkeypatch.setattr(solver, "ROUNDS", 2)
+    found, rounds = solve(layout, problem, warm, np.float64)
+    wrong = error(found, right, problem)
+    assert set(rounds) == {2, 3}
+    assert wrong[rounds == 2].max() < 1e-7
+    assert np.sum(wrong > 1e-4) > 100
+    assert set(rounds[wrong > 1e-4]) == {3}
+
+
+def test_a_world_without_numbers_leaves_the_others_alone() -> None:
+    """It takes two rounds and not all, and the solution beside it is the same to the last bit."""
+    layout, problem, warm, _ = problems("elliptic")
+    problem, warm = jax.tree.map(lambda leaf: leaf[:4].copy(), (problem, warm))
+    whole, _ = solve(layout, problem, warm, np.float32)
+    problem.smooth[1] = np.nan
+    broken, rounds = solve(layout, problem, warm, np.float32)
+    others = [0, 2, 3]
+    np.testing.assert_array_equal(broken[others], whole[others])
+    assert np.isnan(broken[1]).all()
+    assert rounds[1] == 2
+
+
+def test_accelerators_know_the_length_of_every_loop() -> None:
+    """Only on a CPU is there a loop that ends when all worlds have: XLA's `while` without a number of rounds."""
+    layout, problem, warm, _ = problems("elliptic")
+    one = jax.tree.map(lambda leaf: np.asarray(leaf[0], np.float32), (problem, warm))
+    program = str(jax.make_jaxpr(lambda *given: solver.solve(layout, *given))(*one))
+    on_cpu, elsewhere = program.count("while["), program.count(f"length={solver.FIXED}")
+    assert (on_cpu, elsewhere) == (1, 1)
