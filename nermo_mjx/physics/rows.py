@@ -1,4 +1,4 @@
-"""The rows of a constraint problem in MJX's data: the one place that touches what MJX keeps private.
+"""The rows of a constraint problem in MJX's data, and inertias: the one place that touches what MJX keeps private.
 
 MJX makes J, aref and the rows' other numbers in `mjx.make_constraint`, and keeps them, like the contacts, in
 `data._impl`. It has no public way to them.
@@ -93,6 +93,38 @@ def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
         inertia=mjx.full_m(model, data), smooth=data.qfrc_smooth, jacobian=rows.efc_J, aref=rows.efc_aref,
         stiffness=rows.efc_D, frictionloss=rows.efc_frictionloss, cone=jnp.concatenate([mu, friction], axis=1),
     )  # fmt: skip
+
+
+def inertias(data: mjx.Data) -> Float[Array, "nbody 10"]:
+    """The spatial inertia of each body about the centre of mass of its tree."""
+    inner: Any = data._impl
+    found: Array = inner.cinert
+    return found
+
+
+def with_inertias(data: mjx.Data, inertia: Float[Array, "nbody 10"], axes: Float[Array, "nv 6"]) -> mjx.Data:
+    """Data with the spatial inertias of its bodies and the axes of its velocities."""
+    changed: mjx.Data = data.tree_replace({"_impl.cinert": inertia, "cdof": axes})
+    return changed
+
+
+def with_joint_inertia(model: mjx.Model, data: mjx.Data, lower: Float[Array, "nv nv"]) -> mjx.Data:
+    """Data with the joint-space inertia, stored as MJX stores it.
+
+    Args:
+        lower: its entries (i, j) where j is i or one of its ancestors; others are not read.
+    """
+    inner: Any = data._impl
+    row, column = np.repeat(np.arange(model.nv), model.M_rownnz), np.asarray(model.M_colind)
+    if inner.M.ndim == 1:
+        matrix = lower[row, column]
+    else:
+        reads = np.zeros((model.nv, model.nv), bool)
+        reads[row, column] = True
+        half = jnp.where(reads, lower, 0.0)
+        matrix = half + jnp.tril(half, -1).T
+    changed: mjx.Data = data.tree_replace({"_impl.M": matrix})
+    return changed
 
 
 def with_velocities(data: mjx.Data) -> mjx.Data:

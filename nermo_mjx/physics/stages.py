@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from nermo_mjx.physics import rows
+from nermo_mjx.physics import rows, tree
 from nermo_mjx.physics.impedance import make_constraint
 from nermo_mjx.physics.linear import solve_definite
 from nermo_mjx.physics.mjx_import import mjx
@@ -18,8 +18,8 @@ from nermo_mjx.physics.mjx_import import mjx
 
 def position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_position`, with constraint rows whose derivatives are finite (see `impedance`)."""
-    data = mjx.camlight(model, mjx.com_pos(model, mjx.kinematics(model, data)))
-    data = mjx.crb(model, mjx.tendon(model, data))
+    data = mjx.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
+    data = tree.crb(model, mjx.tendon(model, data))
     if not is_zero(model.tendon_armature):
         data = mjx.tendon_armature(model, data)
     if model.opt.solver == mjx.SolverType.CG:  # Newton's method never reads the factors
@@ -29,8 +29,8 @@ def position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 def velocity(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_velocity`."""
-    data = mjx.com_vel(model, rows.with_velocities(data))
-    data = mjx.rne(model, mjx.passive(model, data))
+    data = tree.com_vel(model, rows.with_velocities(data))
+    data = tree.rne(model, mjx.passive(model, data))
     return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
 
 

@@ -1,0 +1,101 @@
+"""Rotations and spatial vectors, in arrays of any leading shape.
+
+A spatial vector (..., 6) has its angular part first. A spatial inertia (..., 10) is xx, yy, zz, xy, xz, yz of the
+moments about a point, the mass times its centre's way from there, and the mass.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+Vector = Float[Array, "*#n 3"]
+Quaternion = Float[Array, "*#n 4"]
+Matrix = Float[Array, "*#n 3 3"]
+Motion = Float[Array, "*#n 6"]
+Inertia = Float[Array, "*#n 10"]
+
+_NEXT: Final = np.array([1, 2, 0])
+_LAST: Final = np.array([2, 0, 1])
+#: Rows and columns of the moments in an inertia, and which moment stands where in the matrix.
+_ROW: Final = np.array([0, 1, 2, 0, 0, 1])
+_COLUMN: Final = np.array([0, 1, 2, 1, 2, 2])
+_MOMENT: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+#: (q p)_c is the sum over i of q_i p_j, j = _FACTOR[i, c], with the sign _SIGN[i, c].
+_FACTOR: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_SIGN: Final = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
+#: A vector as the matrix of its cross product: which component, with which sign.
+_SKEW: Final = np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]]), np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """a x b."""
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
+
+
+def product(q: Quaternion, p: Quaternion) -> Quaternion:
+    """The quaternion q p, which turns by p and then by q."""
+    return sum(q[..., i, None] * p[..., _FACTOR[i]] * _SIGN[i].astype(p.dtype) for i in range(4))
+
+
+def rotate(vector: Vector, q: Quaternion) -> Vector:
+    """A vector turned by a unit quaternion."""
+    w, u = q[..., :1], q[..., 1:]
+    along, square = jnp.sum(u * vector, -1, keepdims=True), jnp.sum(u * u, -1, keepdims=True)
+    return 2.0 * along * u + (w * w - square) * vector + 2.0 * w * cross(u, vector)
+
+
+def matrix(q: Quaternion) -> Matrix:
+    """The rotation matrix of a unit quaternion."""
+    w, u = q[..., :1, None], q[..., 1:]
+    component, sign = _SKEW
+    outer, square = u[..., :, None] * u[..., None, :], jnp.sum(u * u, -1)[..., None, None]
+    diagonal = (w * w - square) * np.eye(3, dtype=u.dtype)
+    return 2.0 * outer + diagonal + 2.0 * w * u[..., component] * sign.astype(u.dtype)
+
+
+def normalized(q: Quaternion) -> Quaternion:
+    """A quaternion of unit length; zero, whose direction nobody knows, is no turn."""
+    square = jnp.sum(q * q, -1, keepdims=True)
+    is_zero = square <= 0.0
+    none = np.array([1.0, 0.0, 0.0, 0.0], q.dtype)
+    return jnp.where(is_zero, none, q / jnp.sqrt(jnp.where(is_zero, 1.0, square)))
+
+
+def inertia_about(moments: Vector, axes: Matrix, offset: Vector, mass: Float[Array, "*#n"]) -> Inertia:
+    """The spatial inertia of a body about a point.
+
+    Args:
+        moments: principal moments.
+        axes: their axes, as columns.
+        offset: of the centre of mass from the point.
+        mass: of the body.
+    """
+    turned = jnp.sum(axes[..., _ROW, :] * moments[..., None, :] * axes[..., _COLUMN, :], -1)
+    square = jnp.sum(offset * offset, -1, keepdims=True) * (_ROW == _COLUMN)
+    weight = mass[..., None]
+    apart = weight * (square - offset[..., _ROW] * offset[..., _COLUMN])
+    return jnp.concatenate([turned + apart, weight * offset, weight], -1)
+
+
+def momentum(inertia: Inertia, motion: Motion) -> Motion:
+    """The spatial force (or momentum) of an inertia under an acceleration (or a velocity)."""
+    angular, linear = motion[..., :3], motion[..., 3:]
+    offset, mass = inertia[..., 6:9], inertia[..., 9:]
+    turning = jnp.sum(inertia[..., _MOMENT] * angular[..., None, :], -1) + cross(offset, linear)
+    return jnp.concatenate([turning, mass * linear - cross(offset, angular)], -1)
+
+
+def moved(velocity: Motion, motion: Motion) -> Motion:
+    """Rate of change of a motion that moves along with a velocity."""
+    (a, b), (c, d) = ((each[..., :3], each[..., 3:]) for each in (velocity, motion))
+    return jnp.concatenate([cross(a, c), cross(b, c) + cross(a, d)], -1)
+
+
+def moved_force(velocity: Motion, force: Motion) -> Motion:
+    """Rate of change of a force that moves along with a velocity."""
+    (a, b), (c, d) = ((each[..., :3], each[..., 3:]) for each in (velocity, force))
+    return jnp.concatenate([cross(a, c) + cross(b, d), cross(a, d)], -1)
