@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Array, Bool, Float, Int
 from mujoco.batch import Batch
 
@@ -21,6 +22,7 @@ from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choos
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.physics.reading import read_entries, with_sensors
 from nermo_mjx.physics.solver import ROUNDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
@@ -111,20 +113,36 @@ class MjxEngine:
             params, fields: of the loop, and what differs from the model.
             carry: before the tick.
         """
-        return self._tick(lambda of_one_world: of_one_world, self.data, params, fields, carry)
+        return self._tick(False, False, self.data, params, fields, carry)
 
     @full_precision
     def _tick(
-        self, each: Callable[[Any], Any], blank: mjx.Data, params: Any, fields: dict[str, Array], carry: Carry
+        self, batched: bool, shown: bool, blank: mjx.Data, params: Any, fields: dict[str, Array], carry: Carry
     ) -> tuple[Carry, Array]:
-        """`tick` of one world, or of all worlds of a device with `jax.vmap` for `each`.
+        """`tick` of one world, or of all worlds of a device.
 
         Inside the loop over the steps, `vmap` meets the physics as it is traced, and not once more afterwards.
+
+        Args:
+            batched: whether there are several worlds.
+            shown: whether all sensors are wanted, also those that the loop does not read.
+            blank, params, fields, carry: data of one of them, and as in `tick`.
         """
-        loop, ctrl = each(self.loop.step)(params, carry.loop, carry.sensordata)
+
+        def each(function: Callable[..., Any]) -> Callable[..., Any]:
+            return jax.vmap(function) if batched else function
+
+        def of_one(leaf: Array) -> jax.ShapeDtypeStruct:
+            return jax.ShapeDtypeStruct(leaf.shape[batched:], leaf.dtype)
+
+        given = params, carry.loop, carry.sensordata
+        program, result = jax.make_jaxpr(self.loop.step, return_shape=True)(*jax.tree.map(of_one, given))
+        read = np.full(carry.sensordata.shape[-1], True) if shown else self.read_entries(program)
+        found = each(jaxpr_as_fun(program))(*jax.tree.leaves(given))
+        loop, ctrl = jax.tree.unflatten(jax.tree.structure(result), found)
 
         def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, tuple[Array, Array]]:
-            model = self.model.tree_replace(fields)
+            model = with_sensors(self.model, read).tree_replace(fields)
             after = self.physics_step(model, blank.replace(ctrl=ctrl, **state._asdict()))
             found = after.sensordata, self.is_unsolved(after)
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), found
@@ -138,9 +156,15 @@ class MjxEngine:
         counted = carry.unsolved + jnp.sum(unsolved, axis=0, dtype=jnp.int32)
         return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl
 
-    def _ticks(self, params: Any, fields: dict[str, Array]) -> Callable[[Carry], tuple[Carry, Array]]:
-        """`tick` for all worlds of a device."""
-        return lambda carry: self._tick(jax.vmap, self.data_among(len(carry.physics.qpos)), params, fields, carry)
+    def read_entries(self, program: ClosedJaxpr) -> Bool[np.ndarray, " nsensordata"]:
+        """Entries of the sensors' readings that the loop reads."""
+        return read_entries(program, self.model.nsensordata)
+
+    def _ticks(
+        self, params: Any, fields: dict[str, Array], shown: bool = False
+    ) -> Callable[[Carry], tuple[Carry, Array]]:
+        """`tick` for all worlds of a device; with all sensors where what they read is shown."""
+        return lambda carry: self._tick(True, shown, self.data_among(len(carry.physics.qpos)), params, fields, carry)
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
         return self.devices.divide(jax.vmap(self.start), (FIRST,) * 4, FIRST)(params, qpos, qvel, sensordata)
@@ -154,7 +178,7 @@ class MjxEngine:
 
     def _record(self, params: Any, fields: dict[str, Array], carry: Carry, ticks: int) -> tuple[Carry, Any]:
         def record(params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Any]:
-            tick = self._ticks(params, fields)
+            tick = self._ticks(params, fields, shown=True)
 
             def recorded(c: Carry, _: None) -> tuple[Carry, Any]:
                 c, ctrl = tick(c)

@@ -13,7 +13,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 from jax.extend import backend
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Bool
 
 from nermo_mjx.physics import rows
@@ -67,6 +69,10 @@ class WarpEngine(MjxEngine):
             ParameterError: when a derivative is taken.
         """
         return _step(model, data)
+
+    def read_entries(self, program: ClosedJaxpr) -> Bool[np.ndarray, " nsensordata"]:
+        """All of them: Warp's model is a program that computes every sensor."""
+        return np.full(self.model.nsensordata, True)
 
     def is_unsolved(self, data: mjx.Data) -> Bool[Array, ""]:
         """See `MjxEngine.is_unsolved`; Warp's own solver does not say."""

@@ -72,7 +72,7 @@ class ClosedLoop:
             state.control.stance,
         )  # fmt: skip
         # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
-        last = jax.tree.map(lambda leaf: jnp.where(measured.lost, 0.0, leaf[-1]), sensors)
+        last = jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)
         control, servo = self.controller.update(params.control, state.control, last)
         reach = params.servo_speed * self.controller.dt
         ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)
