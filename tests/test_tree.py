@@ -10,8 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco import mjx
+from mujoco.mjx._src import support
 
 from nermo_mjx.physics import rows, tree
+from nermo_mjx.physics.jacobians import point_jacobian, with_point_jacobians
 from nermo_mjx.robot import load_robot
 
 #: Several joints on a body, off-centre anchors, turned frames, branches, a free body with children, a slide on a turned
@@ -91,3 +93,34 @@ def test_inertias_are_as_in_c(kind: str, sparse: bool) -> None:
     mujoco.mj_fullM(model, data, right)
     np.testing.assert_allclose(joints, right, rtol=1e-9, atol=1e-14)
     np.testing.assert_allclose(bodies[1:], data.cinert[1:], rtol=1e-9, atol=1e-14)
+
+
+@pytest.mark.parametrize(("kind", "sparse"), CASES)
+def test_points_move_as_in_c(kind: str, sparse: bool) -> None:
+    """A point on each body, with each velocity."""
+    model, data, (found, _, _) = after(kind, sparse)
+    ours = mjx.put_model(model)
+    for body in range(model.nbody):
+        point = data.xipos[body] + 0.1
+        position, rotation = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, position, rotation, point, body)
+        with jax.enable_x64(True):
+            moves, turns = point_jacobian(ours, found, jax.numpy.asarray(point), body)
+        np.testing.assert_allclose(moves, position.T, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(turns, rotation.T, rtol=1e-9, atol=1e-12)
+
+
+def test_mjx_has_its_own_jacobian_again_when_a_stage_is_traced() -> None:
+    """Also after an error in it."""
+
+    @with_point_jacobians
+    def stage(fails: bool) -> Any:
+        if fails:
+            raise ValueError("wrong")
+        return support.jac
+
+    before = support.jac
+    assert stage(False) is point_jacobian
+    with pytest.raises(ValueError, match="wrong"):
+        stage(True)
+    assert support.jac is before

@@ -76,7 +76,13 @@ def bracketed_root(
 
         at_end = (at_low == 0) | (at_high == 0)
         start = jnp.where(at_low == 0, low, jnp.where(at_high == 0, high, start))
-        return jax.lax.while_loop(goes_on, step, _Search(jnp.int32(0), low, high, start, at_end)).root
+        first = _Search(jnp.int32(0), low, high, start, at_end)
+        # The same root. On an accelerator a loop of unknown length waits for the host in each step.
+        return jax.lax.platform_dependent(
+            first,
+            cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
+            default=lambda search: jax.lax.fori_loop(0, STEPS, lambda _, each: step(each), search).root,
+        )
 
     def tangent_solve(linear: Callable[[Array], Array], value: Array) -> Array:
         return divide(value, linear(jnp.ones_like(value)))

@@ -135,7 +135,8 @@ class _Zone(NamedTuple):
 
 def _zone(residual: Float[Array, " dim"], scale: Float[Array, " dim"]) -> _Zone:
     mu, u = scale[0], scale * residual
-    n, square = u[0], jnp.sum(u[1:] ** 2)
+    # Added up one by one: a sum over an axis would be a launch of its own on a GPU.
+    n, square = u[0], sum(each * each for each in u[1:])
     moves = square > 0.0
     t = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
     length = jnp.where(moves, t, 1.0)

@@ -4,13 +4,12 @@
 whose length only the device knows, and compares costs, which near the minimum are equal to the last digit while the
 acceleration is still off by the root of that digit. Here a round is: gradient and Hessian in closed form (see
 `constraint`), one Cholesky decomposition, and the full step; where the slope of the cost along it says that it went too
-far, the step to where the slope vanishes, found by a few rounds of false position. A world whose last step was so
-small that one more would end at rounding takes no more; `differentiable` takes that one.
+far, the step to where the slope vanishes, looked up among shares of it that are evaluated at once. A world whose last
+step was so small that one more would end at rounding takes no more; `differentiable` takes that one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import jax
@@ -26,10 +25,9 @@ from nermo_mjx.physics.rows import Layout, Problem
 ROUNDS: Final = 20
 #: Rounds on an accelerator, where a loop that ends when all worlds have would wait for the host in each round.
 FIXED: Final = 10
-#: Shares of a step at which the slope along it is evaluated, all at once; and how often it is evaluated after that
-#: where it changes sign. Fewer make more rounds, and each evaluation by itself is two launches on a GPU.
-SHARES: Final = tuple(2.0 ** (-k / 2) for k in range(16, -1, -1))
-SEARCH: Final = 2
+#: Shares of a step at which the slope along it is evaluated, all at once: each more finely than the step before would
+#: need it. Fewer make more rounds.
+SHARES: Final = (0.0, *(2.0 ** (-k / 2) for k in range(24, -1, -1)))
 #: A full step is kept if it leaves no more than this share of the slope that it began with.
 ACCEPTED: Final = 0.25
 
@@ -88,46 +86,31 @@ def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple
     gradient = constraint.gradient(layout, problem, qacc)
     step = -cho_solve(factor, gradient)
     apart, along = constraint.residual(problem, qacc), problem.jacobian @ step
-    inertial = problem.inertia @ step
-    energy = step @ inertial
-    smooth = inertial @ qacc - step @ problem.smooth
+    energy, before = step @ (problem.inertia @ step), step @ gradient
 
-    def slope(share: Array) -> Array:
-        """Derivative of the cost along the step; it rises."""
-        force = constraint.forces(layout, problem, apart + share * along)
-        value: Array = smooth + share * energy - along @ force
-        return value
+    def at(share: Array) -> tuple[Array, Array]:
+        """The constraint forces' part of the slope of the cost along the step, and the rows' zones."""
+        there = apart + share * along
+        return along @ constraint.forces(layout, problem, there), constraint.zones(layout, problem, there)
 
-    slopes = jax.vmap(slope)(jnp.asarray(SHARES, qacc.dtype))
-    before = step @ gradient
+    shares = jnp.asarray(SHARES, qacc.dtype)
+    held, zones = jax.vmap(at)(shares)
+    slopes = before + shares * energy - (held - held[0])
     # Newton's method squares the error, so that another step would end at rounding, unless a row changes its zone on
     # the way: behind the change the next step may be longer. A world that lost its numbers, which compare as false,
     # has nothing to wait for.
-    small = ~(energy > jnp.finfo(qacc.dtype).eps ** (4 / 3) * (qacc @ (problem.inertia @ qacc)))
-    stays = jnp.all(constraint.zones(layout, problem, apart) == constraint.zones(layout, problem, apart + along))
+    small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
     full = small | (slopes[-1] <= -ACCEPTED * before)
-    return qacc + jnp.where(full, 1.0, _zero(slope, before, slopes)) * step, small, stays
+    return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
 
 
-def _zero(slope: Callable[[Array], Array], before: Float[Array, ""], slopes: Float[Array, " shares"]) -> Array:
-    """Where in (0, 1) a rising function is about zero, by false position that halves an end which stays (Illinois).
+def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Float[Array, ""]:
+    """Where a rising function is about zero: on the chord over the change of its sign.
 
     Args:
-        slope: the function.
-        before, slopes: its values at 0, below zero, and at `SHARES`.
+        shares, slopes: where it was evaluated, and its values; below zero at the first.
     """
-    after = jnp.minimum(jnp.sum(slopes < 0.0), len(SHARES) - 1)
-    places, values = jnp.asarray((0.0, *SHARES), slopes.dtype), jnp.concatenate([before[None], slopes])
-    low, high, under, over = places[after], places[after + 1], values[after], values[after + 1]
-
-    def between() -> Array:
-        rise = over - under
-        return low + (high - low) * jnp.clip(-under / jnp.where(rise > 0.0, rise, 1.0), 0.05, 0.95)
-
-    for _ in range(SEARCH):
-        share = between()
-        value = slope(share)
-        below = value < 0.0
-        low, high = jnp.where(below, share, low), jnp.where(below, high, share)
-        under, over = jnp.where(below, value, 0.5 * under), jnp.where(below, 0.5 * over, value)
-    return between()
+    after = jnp.clip(jnp.sum(slopes < 0.0), 1, len(SHARES) - 1)
+    (low, high), (under, over) = ((each[after - 1], each[after]) for each in (shares, slopes))
+    rise = over - under
+    return low + (high - low) * jnp.clip(-under / jnp.where(rise > 0.0, rise, 1.0), 0.05, 0.95)

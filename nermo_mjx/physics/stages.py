@@ -12,10 +12,12 @@ from jaxtyping import Array
 
 from nermo_mjx.physics import rows, tree
 from nermo_mjx.physics.impedance import make_constraint
+from nermo_mjx.physics.jacobians import with_point_jacobians
 from nermo_mjx.physics.linear import solve_definite
 from nermo_mjx.physics.mjx_import import mjx
 
 
+@with_point_jacobians
 def position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_position`, with constraint rows whose derivatives are finite (see `impedance`)."""
     data = mjx.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
@@ -27,6 +29,7 @@ def position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     return mjx.transmission(model, make_constraint(model, mjx.collision(model, data)))
 
 
+@with_point_jacobians
 def velocity(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_velocity`."""
     data = tree.com_vel(model, rows.with_velocities(data))

@@ -1,0 +1,52 @@
+"""Jacobians of points on bodies, with the tree known when a program is traced.
+
+`mjx.jac` finds out on the device, level by level, which velocities move a body, for each end of a tendon and each
+contact: for this robot 130 of a step's launches on a GPU, and nothing that depends on the state.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable
+from typing import Any, Final, ParamSpec, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from mujoco.mjx._src import support
+
+from nermo_mjx.physics import spatial
+from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.physics.tree import tree_of
+
+P = ParamSpec("P")
+T = TypeVar("T")
+#: Held while MJX's own function is replaced: of two threads that trace, neither must restore the other's.
+_TRACING: Final = threading.RLock()
+
+
+def point_jacobian(
+    model: mjx.Model, data: mjx.Data, point: Float[Array, " 3"], body: Int[Array, ""] | int
+) -> tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]:
+    """As `mjx.jac`: how a point on a body moves, and how the body turns, with each velocity."""
+    moves = jnp.asarray(tree_of(model).moves, point.dtype)[body][:, None]
+    arm = point - data.subtree_com[jnp.asarray(np.asarray(model.body_rootid))[body]]
+    turns = data.cdof[:, :3] * moves
+    return data.cdof[:, 3:] * moves + spatial.cross(turns, jnp.broadcast_to(arm, turns.shape)), turns
+
+
+def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
+    """A function that calls stages of MJX, which take their Jacobians from here as long as it is traced."""
+
+    @functools.wraps(stage)
+    def traced(*args: P.args, **kwargs: P.kwargs) -> T:
+        theirs: Any = support
+        with _TRACING:
+            before, theirs.jac = theirs.jac, point_jacobian
+            try:
+                return stage(*args, **kwargs)
+            finally:
+                theirs.jac = before
+
+    return traced
