@@ -105,7 +105,7 @@ def run(settings: Settings) -> Outcome:
         length = _length(everything, batch.labels["radius"])
         report = None if settings.progress is None else _part(settings.progress, before, share)
         columns, about = measured(simulator, batch, length, progress=report)
-        warmup, end = length.seconds(everything["frequency"], everything["tracking.clock_ratio"])
+        warmup, end = length.seconds(everything["frequency"] / everything["tracking.clock_ratio"])
         parts.append((share, _judged(columns, end - warmup, everything["stance.max_stride"])))
         if pilot == "arc" and settings.bodies is None:
             recordings = _recordings(simulator, settings)

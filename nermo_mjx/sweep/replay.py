@@ -126,8 +126,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if stored is not None:
         engine = stored.schema.metadata[b"engine"].decode()
     line = rows.take(np.array([row]))
-    known = sweep.setup.defaults() | sweep.constants | {name: float(each[0]) for name, each in line.values.items()}
-    begin, end = sweep.run.seconds(known["frequency"], known["tracking.clock_ratio"])
+    known = sweep.constants | {name: float(each[0]) for name, each in line.values.items()}
+    begin, end = sweep.run.seconds(sweep.setup.cycle_rate(known))
     return SweepRow(
         out=out, sweep=sweep, row=row, line=line, begin=float(begin), end=float(end), engine=engine, chunk=layout[k],
         stored=None if stored is None else stored.slice(layout[k].tolist().index(row), 1).to_pylist()[0],
