@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.control import pilot
+from nermo_mjx.control.controller import named_pilot
 from nermo_mjx.control.parameters import ControlParameters, Pilot
 from nermo_mjx.control.path import PATHS, arc, straight
 from nermo_mjx.robot.quantity import ParameterError

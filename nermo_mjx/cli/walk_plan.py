@@ -35,14 +35,6 @@ class Plan:
     parameters: Mapping[str, float]
 
     @property
-    def setup_fields(self) -> dict[str, Any]:
-        return dataclasses.asdict(self.setup)
-
-    @property
-    def run_fields(self) -> dict[str, Any]:
-        return dataclasses.asdict(self.run)
-
-    @property
     def theory(self) -> float:
         """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated]."""
         import numpy as np

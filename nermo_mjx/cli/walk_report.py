@@ -24,6 +24,8 @@ LINES = (
 
 def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None:
     """Print a report of `walk`; `theory` is the speed of feet that neither slip nor lag [m/s]."""
+    from nermo_mjx.rollout.metrics import Ending
+
     metrics, setup = report["metrics"], report["setup"]
     frequency = report["parameters"]["frequency"]
     what = (
@@ -38,12 +40,9 @@ def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None
     parts = ("mean", "std", "min", "max")
     angles = [[angle, *(_shown(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]
     print_table("Orientation [degrees]", [("", "left"), *((part, "right") for part in parts)], angles)
-    if metrics["status"] != "ok":
-        click.echo(
-            {"fell": "The robot fell.", "diverged": "The simulation diverged."}.get(
-                metrics["status"], metrics["status"]
-            )
-        )
+    ending = Ending[metrics["status"]]
+    if ending is not Ending.ok:
+        click.echo(ending.value)
     for file in files:
         click.echo(f"wrote {file}")
 

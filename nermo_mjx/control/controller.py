@@ -170,6 +170,9 @@ def published_controller(
 ) -> Controller:
     """The published controller, its parts chosen by name.
 
+    >>> published_controller(pilot="arc").gait
+    Stepping(form='cubic')
+
     Args:
         spine: auxiliary modes, "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names).
         pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" asks

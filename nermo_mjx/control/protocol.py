@@ -81,8 +81,8 @@ class CompletesValues(Protocol):
 def leg_servos(feet: Float[Array, "4 2"], spine: Any = 0.0, routing: str = "type3") -> ServoAngles:
     """Servo angles for feet (y, z) in their legs' frames [m] and the spine's servo [rad]; neck and tail are straight.
 
-        >>> leg_servos(jnp.asarray([[0.0, -0.045], [0.0, -0.045], [0.0, -0.05], [0.0, -0.05]])).hip.shape
-        (4,)
+    >>> leg_servos(jnp.asarray([[0.0, -0.045], [0.0, -0.045], [0.0, -0.05], [0.0, -0.05]])).hip.shape
+    (4,)
 
     Args:
         feet: y is backward, z up from the hip's axis; what a leg cannot reach is brought to its workspace's edge.

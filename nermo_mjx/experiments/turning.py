@@ -16,8 +16,8 @@ from nermo_mjx.experiments import theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, measured, recorded, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.recording import Recording
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.view.recording import Recording
 
 NAME: Final = "turning"
 RADII: Final = (1.0, 0.5)

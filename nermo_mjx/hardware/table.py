@@ -103,6 +103,9 @@ def servo_table(
 ) -> ServoTable:
     """The servo angles that the controller commands in a steady gait.
 
+    >>> servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=20.0).angles.shape
+    (40, 10)
+
     The pilot is `open_loop`, whatever the setup says: the turn rate is `pilot.turn_rate`. The table begins at the phase
     `start.phase`, long after the start, so that filters have settled.
 

@@ -76,7 +76,7 @@ def quantity(
     open_high: bool = False,
     labels: tuple[str, ...] = (),
 ) -> Any:
-    """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments."""
+    """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments and `parameter_tree`."""
     about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
     value = np.asarray(default, dtype=np.float64)
     value.flags.writeable = False  # all trees share it
@@ -85,7 +85,14 @@ def quantity(
 
 @dataclass_transform(frozen_default=True, field_specifiers=(quantity, dataclasses.field))
 def parameter_tree(cls: type[T]) -> type[T]:
-    """Class decorator: a frozen, keyword-only dataclass that is a JAX pytree."""
+    """Class decorator: a frozen, keyword-only dataclass that is a JAX pytree.
+
+    >>> @parameter_tree
+    ... class Hop:
+    ...     height: Any = quantity(0.01, unit="m", low=0.0, high=0.03, doc="of a hop")
+    >>> [(name, about.allowed()) for name, about in quantities(Hop)]
+    [('height', '[0, 0.03] m')]
+    """
     return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, kw_only=True)(cls))
 
 

@@ -31,6 +31,9 @@ PUBLISHED: Final = ("gait", "spine", "steering", "profile", "pilot", "waypoints"
 class Setup:
     """Static choices of a simulation; every name is checked at construction.
 
+    >>> Setup(gait="lat", spine="stride_extension").defaults()["duty"]
+    0.68
+
     Attributes:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
             preset takes that preset's time step, unless one was given.
@@ -74,6 +77,8 @@ class Setup:
         object.__setattr__(self, "timestep", config.timestep)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         mode_names(self.spine)
+        if self.controller is not None:
+            check_form(load_controller(self.controller) if isinstance(self.controller, str) else self.controller)
         # No robot is built for a check: without balance, the controller asks for nothing of it.
         dt = self._controller(balanced=False).dt
         ratio = dt / self.timestep
@@ -87,6 +92,12 @@ class Setup:
     def __getstate__(self) -> dict[str, Any]:
         """For another process, which makes for itself what is derived."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    def fields(self) -> dict[str, Any]:
+        """The choices as JSON knows them; an object stands there by its type's name."""
+        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: value if value is None or isinstance(value, (str, float, tuple)) else type(value).__name__
+                for name, value in given.items()}  # fmt: skip
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
@@ -106,9 +117,8 @@ class Setup:
         )  # fmt: skip
 
     def _check_own(self) -> None:
-        """Refuse a controller that is none, what goes with the published one only, and names that it shares."""
+        """Refuse what goes with the published controller only, and names of parameters that are taken."""
         controller = self._controller(balanced=False)
-        check_form(controller)
         own = isinstance(controller, Controller)
         for field in dataclasses.fields(self):
             applies = field.name not in PUBLISHED or (own and field.name in ("gait", "steering", "profile"))
@@ -232,6 +242,10 @@ Length = float | np.ndarray
 class Run:
     """How long a run lasts and what part of it is measured: gait cycles, or seconds.
 
+    >>> Run(duration=2.0, warmup=2.5)
+    Traceback (most recent call last):
+    nermo_mjx.robot.quantity.ParameterError: run.warmup is 2.5: allowed is less than the run's length, 2.
+
     Each number holds for all worlds, or is an array (n,) with one entry a world.
 
     Attributes:
@@ -281,8 +295,8 @@ class Run:
     def seconds(self, cycle_rate: Any) -> tuple[Any, Any]:
         """(end of the warm-up, end of the run) in simulated seconds, shaped as `cycle_rate`, which may be traced.
 
-            >>> Run(cycles=8).seconds(0.8)
-            (2.5, 10.0)
+        >>> [float(each) for each in Run(cycles=8).seconds(0.8)]
+        [2.5, 10.0]
 
         Args:
             cycle_rate: gait cycles a simulated second [1/s].

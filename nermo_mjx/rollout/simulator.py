@@ -14,14 +14,17 @@ import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
+from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, values_of
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.setup import Run, Setup, with_controller
 from nermo_mjx.rollout.start import StartPose
+from nermo_mjx.runs.provenance import versions
+from nermo_mjx.runs.text import plain
 
 #: Ticks between two reports of progress.
 BLOCK = 25
@@ -51,7 +54,10 @@ class RunResult:
 
     Attributes:
         metrics: name -> (n,), as described in `METRICS`.
-        status: (n,) of `ok`, `fell`, `diverged`.
+        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`.
+        setup, length: what ran, and how long.
+        worlds: all parameters, leaves with a leading world axis.
+        named: those that were named.
         engine: which engine ran.
         steps: physics steps of one world.
         wall_seconds: time spent.
@@ -62,11 +68,67 @@ class RunResult:
 
     metrics: dict[str, np.ndarray]
     status: np.ndarray
+    setup: Setup
+    length: Run
+    worlds: WorldParameters
+    named: tuple[str, ...]
     engine: str
     steps: int
     wall_seconds: float = 0.0
     compile_seconds: float = 0.0
     trace: History | None = None
+
+    @property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """Every parameter that has a name -> (n,), defaults included."""
+        return {name: np.asarray(values) for name, values in values_of(self.worlds)}
+
+    def recording(self, world: int = 0) -> Recording:
+        """The recording of one world, with all that `nermo-mjx replay`, `view` and `render` read of it.
+
+        >>> result = Simulator(engine="c").run({"frequency": 0.8}, Run(duration=0.2), record=True)
+        >>> result.recording().metadata["parameters"]["frequency"]
+        0.8
+
+        Raises:
+            ParameterError: nothing was recorded, or there is no such world.
+        """
+        if self.trace is None:
+            raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
+        if not 0 <= world < len(self.status):
+            raise ParameterError(f"world is {world}: allowed is 0 to {len(self.status) - 1}.")
+        return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
+
+    def about(self, world: int = 0) -> dict[str, Any]:
+        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`."""
+        measured = {name: float(column[world]) for name, column in self.metrics.items()}
+        flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
+        run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
+               for name, value in dataclasses.asdict(self.length).items()}  # fmt: skip
+        return {
+            "metrics": {**measured, **flags, "status": str(self.status[world])},
+            "parameters": {name: float(column[world]) for name, column in self.parameters.items()},
+            "setup": self.setup.fields(),
+            "run": run,
+            "engine": self.engine,
+            "versions": versions(),
+        }
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, a row a world: the parameters that were named, all metrics, and the status.
+
+        >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))
+        >>> result.to_pandas()[["frequency", "status"]].values.tolist()
+        [[0.6, 'ok'], [0.8, 'ok']]
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        import pandas
+
+        parameters = self.parameters
+        columns = {name: parameters[name] for name in self.named} | self.metrics | {"status": self.status}
+        return pandas.DataFrame(columns)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,6 +142,7 @@ class Batch:
         ticks: control ticks until the last world is done.
         may_end_early: whether worlds are done when they have walked their distance.
         mass: of each robot (n,) [kg].
+        worlds, named, length: see `RunResult`.
     """
 
     params: LoopParameters
@@ -88,6 +151,9 @@ class Batch:
     ticks: int
     may_end_early: bool
     mass: np.ndarray
+    worlds: WorldParameters
+    named: tuple[str, ...]
+    length: Run
 
 
 class Simulator:
@@ -152,6 +218,9 @@ class Simulator:
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,
             mass=mass,
+            worlds=params,
+            named=tuple(values),
+            length=run or Run(),
         )
 
     def __call__(
@@ -171,9 +240,9 @@ class Simulator:
     ) -> RunResult:
         """Simulate one batch.
 
-            >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))
-            >>> result.metrics["speed"].shape, result.status.tolist()
-            ((2,), ['ok', 'ok'])
+        >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))
+        >>> result.metrics["speed"].shape, result.status.tolist()
+        ((2,), ['ok', 'ok'])
 
         Args:
             values: parameter name -> number or (n,) array; what is not named has the setup's default.
@@ -226,10 +295,13 @@ class Simulator:
 
         measured = self._results(session.loop_state.metrics, batch.mass)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
-        status = np.where(table["diverged"] > 0, "diverged", np.where(table["fell"] > 0, "fell", "ok"))
         return RunResult(
             metrics=table,
-            status=status,
+            status=metrics.endings(table["fell"], table["diverged"]),
+            setup=self.setup,
+            length=batch.length,
+            worlds=batch.worlds,
+            named=batch.named,
             engine=self.engine.name,
             steps=ticks * self.loop.steps_per_tick,
             trace=self._history(traces, batch.ticks) if record else None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from nermo_mjx.view.recording import Recording
+from nermo_mjx.recording import Recording
 
 _GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
 _DEGREES: Final = math.degrees(1.0)
