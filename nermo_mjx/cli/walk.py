@@ -25,11 +25,13 @@ Examples:
   nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
   nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
   nermo-mjx walk --set contact.friction=0.6 --json
+  nermo-mjx walk --controller bound.py:Bound --set reach=0.04
 """
 
 
 @click.command("walk", epilog=EPILOG)
 @options.gait
+@click.option("--controller", metavar="FILE.py:NAME", help="Another controller than the published one.")
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
 @options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)
 @options.number("--duration", "Length in seconds, instead of --cycles.", options.POSITIVE)

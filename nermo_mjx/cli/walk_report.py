@@ -27,11 +27,11 @@ def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None
     from nermo_mjx.rollout.metrics import Ending
 
     metrics, setup = report["metrics"], report["setup"]
-    frequency = report["parameters"]["frequency"]
-    what = (
-        f"{setup['gait']} at {frequency:g} Hz, spine {setup['spine']}, {setup['tail']} tail, engine {report['engine']}"
-    )
-    rows = [["speed", _shown(metrics.get("speed"), 1e3), "mm/s"], ["speed in theory", _shown(theory, 1e3), "mm/s"]]
+    how = setup["controller"] or f"{setup['gait']} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
+    what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
+    rows = [["speed", _shown(metrics.get("speed"), 1e3), "mm/s"]]
+    if math.isfinite(theory):
+        rows.append(["speed in theory", _shown(theory, 1e3), "mm/s"])
     for name, title, unit, factor in LINES:
         if name in metrics:
             rows.append([title, _shown(metrics[name], factor), unit])

@@ -94,8 +94,9 @@ class Setup:
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     def fields(self) -> dict[str, Any]:
-        """The choices as JSON knows them; an object stands there by its type's name."""
-        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        """The choices that apply, as JSON knows them; an object stands there by its type's name."""
+        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
+                 if self.controller is None or field.name not in PUBLISHED}  # fmt: skip
         return {name: value if value is None or isinstance(value, (str, float, tuple)) else type(value).__name__
                 for name, value in given.items()}  # fmt: skip
 

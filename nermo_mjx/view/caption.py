@@ -22,8 +22,8 @@ def title_of(recording: Recording) -> str:
     if "case" in recording.metadata:
         return str(recording.metadata["case"])
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
-    gait = setup.get("gait")
-    parts = [_GAITS.get(str(gait), str(gait)) if gait else "Recording"]
+    gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
+    parts = [_GAITS.get(str(gait), str(gait)) if gait else controller]
     if (frequency := _number(parameters.get("frequency"))) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")
