@@ -115,7 +115,7 @@ class Directory:
         self.write(FILE, parquet_bytes(history_table(self.tuning, log)))
         if best is not None:
             self.write("best.json", to_json(best))
-            self.write("tuned.yaml", tuned_sweep(self.tuning, best).encode())
+            self.write("tuned.yaml", tuned_sweep(self.tuning, best, self.out.resolve()).encode())
         return best
 
     def write(self, name: str, content: bytes) -> None:
