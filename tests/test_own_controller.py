@@ -277,6 +277,20 @@ def test_the_path_of_a_controller_counts_from_its_files_folder(tmp_path: Path) -
     assert Sweep.from_text(sweep.to_yaml()).digest() == sweep.digest()
 
 
+def test_the_gait_of_a_controller_with_other_parts_stands_in_the_file(tmp_path: Path) -> None:
+    """Which reads back as the same sweep."""
+    (tmp_path / "stiff.py").write_text(
+        "from nermo_mjx import Controller\n"
+        "stiff = Controller(spine=lambda params, phase, turn_rate, feet, stance: 0.0 * phase)\n"
+    )
+    sweep = Sweep.from_dict(
+        {"controller": f"{tmp_path / 'stiff.py'}:stiff", "gait": "lat", "vary": {"stride": [0.5, 1]}}
+    )
+    again = Sweep.from_text(sweep.to_yaml())
+    assert (again.setup.gait, again.digest()) == ("lat", sweep.digest())
+    assert again.setup.defaults()["duty"] == 0.68
+
+
 def test_a_tuning_may_tune_another_controllers_parameters() -> None:
     tuning = Tuning.from_dict({
         "controller": BOUND, "run": {"duration": 1.0}, "objective": [{"maximize": "speed"}],

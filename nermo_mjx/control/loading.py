@@ -8,7 +8,7 @@ import importlib
 import importlib.util
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any, Final
 
 from nermo_mjx.control.protocol import REQUIRED
@@ -35,7 +35,7 @@ def load_controller(where: str) -> Any:
         near = nearest(name, [each for each in vars(module) if not each.startswith("_")])
         hint = f"; did you mean {near!r}?" if near else "."
         raise ParameterError(f"controller is {where!r}: {source} has no {name!r}{hint}")
-    controller = _made(where, found) if callable(found) else found
+    controller = _made(where, found) if isinstance(found, (type, FunctionType)) else found
     check_form(controller)
     return controller
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.fusion import mode_names
+from nermo_mjx.control.fusion import SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.pilot import Command
@@ -77,17 +77,16 @@ class Setup:
         object.__setattr__(self, "timestep", config.timestep)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         mode_names(self.spine)
-        if self.controller is not None:
-            check_form(load_controller(self.controller) if isinstance(self.controller, str) else self.controller)
-        # No robot is built for a check: without balance, the controller asks for nothing of it.
-        dt = self._controller(balanced=False).dt
-        ratio = dt / self.timestep
+        # No robot is built for a check.
+        controller = self._without_robot
+        check_form(controller)
+        ratio = controller.dt / self.timestep
         if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
             raise ParameterError(
-                f"timestep is {self.timestep}: allowed is the control period {dt:g} s divided by a whole number."
+                f"timestep is {self.timestep}: allowed is the control period {controller.dt:g} s divided by a whole "
+                "number."
             )
-        if self.controller is not None:
-            self._check_own()
+        self._check_own(controller)
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process, which makes for itself what is derived."""
@@ -96,7 +95,7 @@ class Setup:
     def fields(self) -> dict[str, Any]:
         """The choices that apply, as JSON knows them; an object stands there by its type's name."""
         given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
-                 if self.controller is None or field.name not in PUBLISHED}  # fmt: skip
+                 if self._applies(field.name)}  # fmt: skip
         return {name: value if value is None or isinstance(value, (str, float, tuple)) else type(value).__name__
                 for name, value in given.items()}  # fmt: skip
 
@@ -106,31 +105,37 @@ class Setup:
 
     def make_controller(self) -> ControllerLike:
         """The controller with these choices."""
-        return self._controller(balanced="balance" in mode_names(self.spine))
+        if self.controller is not None or "balance" not in mode_names(self.spine):
+            return self._without_robot
+        assert isinstance(self._without_robot, Controller)
+        return dataclasses.replace(self._without_robot, spine=SpineModes(self.spine, self.load().mass_model))
 
-    def _controller(self, *, balanced: bool) -> ControllerLike:
+    @functools.cached_property
+    def _without_robot(self) -> ControllerLike:
+        """The controller, but for the spine's balance. A file is read once: a setup stays what it is if it changes."""
         if self.controller is not None:
             return load_controller(self.controller) if isinstance(self.controller, str) else self.controller
         return published_controller(
-            self.spine if balanced else tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot,
-            waypoints=self.waypoints, command=self.command, trajectory=self.trajectory, routing=self.routing,
-            masses=self.load().mass_model if balanced else None,
+            tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot, waypoints=self.waypoints,
+            command=self.command, trajectory=self.trajectory, routing=self.routing,
         )  # fmt: skip
 
-    def _check_own(self) -> None:
-        """Refuse what goes with the published controller only, and names of parameters that are taken."""
-        controller = self._controller(balanced=False)
-        own = isinstance(controller, Controller)
+    def _applies(self, name: str) -> bool:
+        """Whether a choice means something to the controller."""
+        if self.controller is None or name not in PUBLISHED:
+            return True
+        return isinstance(self._without_robot, Controller) and name in ("gait", "steering", "profile")
+
+    def _check_own(self, controller: ControllerLike) -> None:
+        """Refuse choices that mean nothing to another controller, and names of its parameters that are taken."""
         for field in dataclasses.fields(self):
-            applies = field.name not in PUBLISHED or (own and field.name in ("gait", "steering", "profile"))
-            if not applies and getattr(self, field.name) != field.default:
+            if not self._applies(field.name) and getattr(self, field.name) != field.default:
                 raise ParameterError(
                     f"{field.name} is {getattr(self, field.name)!r} beside a controller of one's own: it goes with the "
                     "published controller; leave it out."
                 )
-        names = [name for name, _ in quantities(controller.parameters)]
         taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(ControlParameters)}
-        for name in names:
+        for name, _ in quantities(controller.parameters):
             if name in taken:
                 raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
 
@@ -141,7 +146,7 @@ class Setup:
     @functools.cached_property
     def _world(self) -> WorldParameters:
         """Parameters before a user names any."""
-        controller = self._controller(balanced=False)
+        controller = self._without_robot
         world = WorldParameters(control=controller.parameters)
         if not isinstance(controller, Controller):
             return world
@@ -158,7 +163,7 @@ class Setup:
         Raises:
             ParameterError: an unknown name, or a policy of another structure than the controller's parameters.
         """
-        world, controller = self._world, self._controller(balanced=False)
+        world, controller = self._world, self._without_robot
         if policy is not None:
             there, here = map(str, map(jax.tree.structure, (policy, world.control)))
             if there != here:
@@ -184,7 +189,7 @@ class Setup:
             group, field = name.split(".")
             about.check(name, getattr(getattr(world.model, group), field))
         check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
-        controller = self._controller(balanced=False)
+        controller = self._without_robot
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
 
@@ -203,7 +208,7 @@ class Setup:
         """
         control = self.world(values, policy).control
         with jax.ensure_compile_time_eval():
-            return np.asarray(self._controller(balanced=False).cycle_rate(control), float)
+            return np.asarray(self._without_robot.cycle_rate(control), float)
 
 
 def with_controller(setup: Setup | None, controller: ControllerLike | str | None) -> Setup:

@@ -20,7 +20,6 @@ from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Run, Setup, all_parameters
-from nermo_mjx.rollout.setup import PUBLISHED
 from nermo_mjx.specs.controllers import named_controller, written_controller
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
@@ -177,9 +176,8 @@ class WalkSpec:
         Args:
             folder: where the file is to stand, resolved: a controller in it is named from there.
         """
-        own = self.setup.controller is not None
-        fields = [name for name in SETUP_FIELDS if name not in PUBLISHED] if own else SETUP_FIELDS
-        data: dict[str, Any] = {name: getattr(self.setup, name) for name in fields if name != "controller"}
+        own, given = self.setup.controller is not None, self.setup.fields()
+        data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
         data |= {"controller": written_controller(self.setup, folder)} if own else {}
         data["timestep"] = float(self.setup.timestep)
         if not own or self.pilot:
