@@ -1,11 +1,13 @@
 """Batched digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine, on MuJoCo and MJX.
 
-The public surface: `load_robot`; `Setup`, `Run` and `Simulator` (a batch from named parameters to named metrics);
-`Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`; `control_parameters` (a pytree
-of arrays); `Sweep`, `run_sweep` and `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
-`run_experiment` and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a
-notebook); `compiler_options` for programs of one's own; and the geometry in `kinematics`. Names are imported on first
-use, and importing changes nothing in the process: see `nermo_mjx.runtime`.
+The public surface: `load_robot` and `RobotConfig`; `Setup`, `Run` and `Simulator` (a batch from named parameters to
+named metrics); `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`;
+`control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
+`leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep` and
+`read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and `run_experiments`;
+`servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a notebook); `compiler_options` for
+programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and importing changes
+nothing in the process: see `nermo_mjx.runtime`.
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ from nermo_mjx.version import __version__
 
 if TYPE_CHECKING:
     from nermo_mjx import kinematics
-    from nermo_mjx.control import control_parameters
+    from nermo_mjx.control import Controller, ControllerLike, control_parameters, leg_servos, published_controller
     from nermo_mjx.experiments.run import run_experiment, run_experiments
     from nermo_mjx.hardware import ServoTable, servo_table
-    from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, load_robot
+    from nermo_mjx.physics import make_engine
+    from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, Sensors, ServoAngles, load_robot
+    from nermo_mjx.robot.quantity import parameter_tree, quantity
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
@@ -29,25 +33,32 @@ if TYPE_CHECKING:
     from nermo_mjx.view import Page, Recording, render, show
 
 _HOMES = {
-    "nermo_mjx.control": ("control_parameters",),
+    "nermo_mjx.control": (
+        "Controller", "ControllerLike", "control_parameters", "leg_servos", "published_controller",
+    ),
     "nermo_mjx.experiments.run": ("run_experiment", "run_experiments"),
     "nermo_mjx.hardware": ("ServoTable", "servo_table"),
-    "nermo_mjx.robot": ("LIMBS", "SERVOS", "ParameterError", "Robot", "load_robot"),
+    "nermo_mjx.physics": ("make_engine",),
+    "nermo_mjx.robot": (
+        "LIMBS", "SERVOS", "ParameterError", "Robot", "RobotConfig", "Sensors", "ServoAngles", "load_robot",
+    ),
+    "nermo_mjx.robot.quantity": ("parameter_tree", "quantity"),
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
     "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
     "nermo_mjx.view": ("Page", "Recording", "render", "show"),
-}
+}  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "LIMBS", "METRICS", "SERVOS", "Page", "ParameterError", "Recording", "Robot", "Rollout", "Run", "RunResult",
-    "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__",
-    "all_parameters", "compiler_options", "control_parameters", "kinematics", "load_robot", "read_history",
-    "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_sweep", "run_tuning",
-    "servo_table", "show",
+    "LIMBS", "METRICS", "SERVOS", "Controller", "ControllerLike", "Page", "ParameterError", "Recording", "Robot",
+    "RobotConfig", "Rollout", "Run", "RunResult", "Sensors", "ServoAngles", "ServoTable", "Setup", "Simulator",
+    "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters", "compiler_options",
+    "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "parameter_tree",
+    "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment", "run_experiments",
+    "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
 ]  # fmt: skip
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 EXAMPLES = [
-    pytest.param(text, id=f"{page.relative_to(ROOT / 'docs')}-{i}")
+    pytest.param(page, text, id=f"{page.relative_to(ROOT / 'docs')}-{i}")
     for page in PAGES
     if page != FILES
     for i, text in enumerate(blocks(page, "python"))
@@ -83,9 +85,21 @@ def test_examples_were_found() -> None:
     assert len(COMMANDS) >= 8
 
 
-@pytest.mark.parametrize("example", EXAMPLES)
-def test_an_example_works(example: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture
+def beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """`beside(page)`: work in a folder that holds what the page tells a reader to save."""
+
+    def work(page: Path) -> None:
+        monkeypatch.chdir(tmp_path)
+        for file in (page.parent / page.stem).glob("*.py"):
+            shutil.copy(file, tmp_path)
+
+    return work
+
+
+@pytest.mark.parametrize(("page", "example"), EXAMPLES)
+def test_an_example_works(page: Path, example: str, beside: Callable[[Path], None]) -> None:
+    beside(page)
     names: dict[str, Any] = {}
     exec(compile(example, "example", "exec"), names)
 
@@ -106,9 +120,10 @@ def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page != FILES and blocks(page, "yaml")], ids=lambda page: page.stem
 )
-def test_a_sweep_file_is_valid(page: Path) -> None:
+def test_a_sweep_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
     from nermo_mjx.sweep import Sweep
 
+    beside(page)
     for text in blocks(page, "yaml"):
         if text.startswith(("apiVersion", "kind")):
             continue  # for Kubernetes

@@ -25,9 +25,9 @@ from nermo_mjx.experiments.plots.figures import DRAWERS
 from nermo_mjx.experiments.published import FIGURES
 from nermo_mjx.plotting.files import lay_out, write_figures
 from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.view.recording import Recording
 
 BOTH = ("exact", "as_published")
 PHASES = {"stand": [0.0, 1.0], "shift": [1.0, 2.0], "lift": [2.0, 3.0], "swing": [3.0, 6.0]}

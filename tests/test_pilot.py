@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.control import pilot
-from nermo_mjx.control.course import course_through
-from nermo_mjx.control.parameters import Pilot
-from nermo_mjx.control.path import arc, straight
+from nermo_mjx.control.controller import named_pilot
+from nermo_mjx.control.parameters import ControlParameters, Pilot
+from nermo_mjx.control.path import PATHS, arc, straight
 from nermo_mjx.robot.quantity import ParameterError
 
 metres = st.floats(-5, 5)
@@ -62,11 +62,12 @@ def test_the_arc_has_a_finite_gradient_at_its_centre():
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.floats(-1e30, 1e30), st.floats(-1e30, 1e30), st.sampled_from(pilot.PILOTS))
+@given(st.floats(-1e30, 1e30), st.floats(-1e30, 1e30), st.sampled_from((*PATHS, "waypoints")))
 def test_the_turn_rate_is_limited_for_any_position(x, y, name):
     position = jnp.asarray([x, y, 0.0], jnp.float32)
-    course = course_through([(0.0, 0.0), (0.0, -1.0), (0.5, -2.0)]) if name == "waypoints" else None
-    error = pilot.path_point(name, course, Pilot(), position, jnp.zeros(())).error
+    course = [(0.0, 0.0), (0.0, -1.0), (0.5, -2.0)] if name == "waypoints" else None
+    controller = named_pilot(name, course, None)
+    error = controller.locate(ControlParameters(), position, jnp.zeros(())).error
     assert abs(pilot.steer(pilot_of(output_limit=0.5), error, error)) <= 0.5
 
 

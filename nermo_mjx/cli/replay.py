@@ -66,35 +66,27 @@ def command(
             _check_video(wanted, video, camera)
         with Progress("replay", quiet=quiet, compiles=True) as progress:
             replay = replay_row(found, engine, progress.share)
-        report = _report(found, wanted, replay)
+        report = _report(found, replay)
         if files:
-            _save(replay, wanted, report, record, video, camera, quiet)
+            _save(replay, report, record, video, camera, quiet)
     if as_json:
         print_json(report)
     elif not quiet:
         _print(found, wanted, replay, report, files)
 
 
-def _report(found: SweepRow, wanted: Plan, replay: Replay) -> dict[str, Any]:
+def _report(found: SweepRow, replay: Replay) -> dict[str, Any]:
     """The fields of `walk --json`, and the row's own."""
-    from nermo_mjx.runs import versions
-
     line = found.line
-    flags = {name: bool(replay.metrics[name]) for name in ("fell", "diverged")}
     return {
         "directory": str(found.out),
         "row": found.row,
         "variant": int(line.variant[0]),
         "repeat": int(line.repeat[0]),
         "seed": int(line.seed[0]),
-        "metrics": {**replay.metrics, **flags, "status": replay.status},
         "comparison": None if replay.comparison is None else dataclasses.asdict(replay.comparison),
         "compared": _compared(found, replay),
-        "parameters": dict(wanted.parameters),
-        "setup": wanted.setup_fields,
-        "run": wanted.run_fields,
-        "engine": replay.engine,
-        "versions": versions(),
+        **replay.about,
     }
 
 
@@ -123,20 +115,13 @@ def _check_video(wanted: Plan, video: Path, camera: str) -> None:
 
 
 def _save(
-    replay: Replay,
-    wanted: Plan,
-    report: dict[str, Any],
-    record: Path | None,
-    video: Path | None,
-    camera: str,
-    quiet: bool,
+    replay: Replay, report: dict[str, Any], record: Path | None, video: Path | None, camera: str, quiet: bool
 ) -> None:
     from nermo_mjx.runs.text import plain
-    from nermo_mjx.view import recording_of
 
     if not len(replay.history.time):
         raise Failure(f"row {report['row']} diverged in its first tick: there is nothing to record or to show.")
-    recording = recording_of(replay.history, wanted.setup.load().model, metadata=plain(report))
+    recording = dataclasses.replace(replay.recording(), metadata=plain(report))
     if record is not None:
         recording.save(record)
     if video is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,17 +15,23 @@ from nermo_mjx.cli.render import render_video
 from nermo_mjx.cli.walk_plan import Plan, plan
 from nermo_mjx.cli.walk_report import print_walk
 
+if TYPE_CHECKING:
+    from nermo_mjx.recording import Recording
+    from nermo_mjx.rollout import RunResult
+
 EPILOG = """\b
 Examples:
   nermo-mjx walk
   nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
   nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
   nermo-mjx walk --set contact.friction=0.6 --json
+  nermo-mjx walk --controller bound.py:Bound --set reach=0.04
 """
 
 
 @click.command("walk", epilog=EPILOG)
 @options.gait
+@click.option("--controller", metavar="FILE.py:NAME", help="Another controller than the published one.")
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
 @options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)
 @options.number("--duration", "Length in seconds, instead of --cycles.", options.POSITIVE)
@@ -49,34 +55,22 @@ def command(
         wanted = plan(**chosen)
         if video is not None:
             _check_video(wanted, video, camera)
-        report, trace = _run(wanted, engine, bool(record or video), quiet)
-        if trace is not None:
-            _save(trace, wanted, report, record, video, camera, quiet)
+        result = _run(wanted, engine, bool(record or video), quiet)
+        if result.trace is not None:
+            _save(result.recording(), record, video, camera, quiet)
+    report = result.about()
     if as_json:
         print_json(report)
     elif not quiet:
         print_walk(report, wanted.theory, [path for path in (record, video) if path is not None])
 
 
-def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> tuple[dict[str, Any], Any]:
-    """The report of the run, and its trace if it is recorded."""
-    from nermo_mjx.rollout import METRICS, Simulator
-    from nermo_mjx.runs import versions
+def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult:
+    from nermo_mjx.rollout import Simulator
 
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
-        result = simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
-    metrics = {name: float(result.metrics[name][0]) for name in METRICS}
-    flags = {name: bool(metrics[name]) for name in ("fell", "diverged")}
-    report = {
-        "metrics": {**metrics, **flags, "status": str(result.status[0])},
-        "parameters": dict(wanted.parameters),
-        "setup": wanted.setup_fields,
-        "run": wanted.run_fields,
-        "engine": result.engine,
-        "versions": versions(),
-    }
-    return report, result.trace
+        return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
 
 
 def _check_video(wanted: Plan, video: Path, camera: str) -> None:
@@ -86,13 +80,7 @@ def _check_video(wanted: Plan, video: Path, camera: str) -> None:
     check_video(wanted.setup.load().model, video, camera=camera)
 
 
-def _save(
-    trace: Any, wanted: Plan, report: dict[str, Any], record: Path | None, video: Path | None, camera: str, quiet: bool
-) -> None:
-    from nermo_mjx.runs.text import plain
-    from nermo_mjx.view import recording_of
-
-    recording = recording_of(trace, wanted.setup.load().model, metadata=plain(report))
+def _save(recording: Recording, record: Path | None, video: Path | None, camera: str, quiet: bool) -> None:
     if record is not None:
         recording.save(record)
     if video is not None:

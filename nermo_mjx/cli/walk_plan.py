@@ -21,7 +21,7 @@ PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
     "turn_rate": ("pilot.turn_rate", ("pilot", "open_loop")),
     "offset_compensation": ("spine.offset_compensation", None),
 }
-SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile")
+SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "controller")
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
 
 
@@ -35,20 +35,17 @@ class Plan:
     parameters: Mapping[str, float]
 
     @property
-    def setup_fields(self) -> dict[str, Any]:
-        return dataclasses.asdict(self.setup)
-
-    @property
-    def run_fields(self) -> dict[str, Any]:
-        return dataclasses.asdict(self.run)
-
-    @property
     def theory(self) -> float:
-        """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated]."""
+        """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated].
+
+        NaN for another controller than the published one.
+        """
         import numpy as np
 
         from nermo_mjx.experiments import theory
 
+        if self.setup.controller is not None:
+            return float("nan")
         values = {name: np.asarray(value) for name, value in self.parameters.items()}
         # Only what is bent while the diagonal pairs change over lengthens a stride.
         extends = "stride_extension" in self.setup.spine.split("+")
@@ -67,7 +64,7 @@ def plan(
     **options: Any,
 ) -> Plan:
     """Join and check the options; raises `WrongUse` or `ParameterError`."""
-    from nermo_mjx.control.parameters import with_gait_factor
+    from nermo_mjx.robot.quantity import values_of
     from nermo_mjx.rollout import Setup, all_parameters
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
@@ -77,8 +74,10 @@ def plan(
     for option, (name, needs) in PARAMETER_OPTIONS.items():
         if options[option] is None:
             continue
-        if needs is not None and getattr(setup, needs[0]) != needs[1]:
-            flag = f"--{option.replace('_', '-')}"
+        flag = f"--{option.replace('_', '-')}"
+        if name not in known:
+            raise WrongUse(f"{flag} sets {name}, which is no parameter of {setup.controller}.")
+        if setup.controller is None and needs is not None and getattr(setup, needs[0]) != needs[1]:
             raise WrongUse(
                 f"{flag} does nothing with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
             )
@@ -86,7 +85,7 @@ def plan(
     values |= dict(assignment(text, known, LISTED) for text in assignments)
     for name, value in values.items():
         known[name].check(name, value)
-    parameters = {name: _scalar(about.default) for name, about in known.items()} | with_gait_factor(values)
+    parameters = {name: float(value) for name, value in values_of(setup.world(values))}
     return Plan(setup, _length(cycles, duration, warmup), values, parameters)
 
 
@@ -109,7 +108,3 @@ def _shifted_start(seed: int) -> dict[str, float]:
 
     random = np.random.default_rng(seed)
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
-
-
-def _scalar(default: Any) -> float:
-    return float(default)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import click
 
@@ -21,22 +21,17 @@ LINES = (
     ("cost_of_transport", "cost of transport", "", 1.0),
 )
 
-#: What a walk's status means, where it is not `ok`.
-ENDS: Final = {
-    "fell": "The robot fell.",
-    "diverged": "The simulation diverged.",
-    "unsolved": "The constraint solver stopped short in more than one step of a thousand: the numbers are rough.",
-}
-
 
 def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None:
     """Print a report of `walk`; `theory` is the speed of feet that neither slip nor lag [m/s]."""
+    from nermo_mjx.rollout.metrics import Ending
+
     metrics, setup = report["metrics"], report["setup"]
-    frequency = report["parameters"]["frequency"]
-    what = (
-        f"{setup['gait']} at {frequency:g} Hz, spine {setup['spine']}, {setup['tail']} tail, engine {report['engine']}"
-    )
-    rows = [["speed", _shown(metrics.get("speed"), 1e3), "mm/s"], ["speed in theory", _shown(theory, 1e3), "mm/s"]]
+    how = setup["controller"] or f"{setup['gait']} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
+    what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
+    rows = [["speed", _shown(metrics.get("speed"), 1e3), "mm/s"]]
+    if math.isfinite(theory):
+        rows.append(["speed in theory", _shown(theory, 1e3), "mm/s"])
     for name, title, unit, factor in LINES:
         if name in metrics:
             rows.append([title, _shown(metrics[name], factor), unit])
@@ -45,8 +40,9 @@ def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None
     parts = ("mean", "std", "min", "max")
     angles = [[angle, *(_shown(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]
     print_table("Orientation [degrees]", [("", "left"), *((part, "right") for part in parts)], angles)
-    if metrics["status"] != "ok":
-        click.echo(ENDS[metrics["status"]])
+    ending = Ending[metrics["status"]]
+    if ending is not Ending.ok:
+        click.echo(ending.value)
     for file in files:
         click.echo(f"wrote {file}")
 

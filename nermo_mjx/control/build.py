@@ -27,6 +27,10 @@ def control_parameters(
 ) -> ControlParameters:
     """Checked parameters of a published gait with some values changed.
 
+    >>> params = control_parameters("lat", frequency=0.8, **{"spine.amplitude": 0.3})
+    >>> float(params.gait.duty), float(params.spine.amplitude)
+    (0.68, 0.3)
+
     Args:
         gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a gait of your own; the gait factor follows
             the duty factor unless it is given.

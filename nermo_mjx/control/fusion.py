@@ -6,21 +6,108 @@ Positive spine servo and joint angles turn left (`robot/parameters.py`). (5.33)'
 
 from __future__ import annotations
 
+import dataclasses
+from typing import Any, Final, Protocol
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from nermo_mjx.control.parameters import Spine
+from nermo_mjx.control import turning
+from nermo_mjx.control.parameters import ControlParameters, Spine, choice
 from nermo_mjx.control.power import signed_power
 from nermo_mjx.kinematics.balance import balance_angle
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.quantity import ParameterError
 
 #: Auxiliary modes; several may be on together, and their sum is clipped.
 MODES = ("stride_extension", "balance")
+NO_MODE: Final = "none"
 
 #: Share left over by steering below which its power law is made linear (see `signed_power`).
 _FADE_LINEAR_BELOW = 1e-3
+
+
+class SpineLike(Protocol):
+    """What the spine does. Values are unbatched."""
+
+    def __call__(
+        self,
+        params: Any,
+        phase: Float[Array, ""],
+        turn_rate: Float[Array, ""],
+        feet: Float[Array, "4 2"],
+        stance: Bool[Array, " 4"],
+    ) -> Float[Array, ""]:
+        """Commanded spine servo angle, positive left [rad].
+
+        Args:
+            params: of the controller.
+            phase: of the gait cycle.
+            turn_rate: in [-1, 1], positive left.
+            feet: wanted (y, z) in their legs' frames [m].
+            stance: planned contact.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class SpineModes:
+    """The published spine: steering fused with the sum of the auxiliary modes.
+
+    Attributes:
+        modes: "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names); a tuple of `MODES`
+            once it is made.
+        masses: two-mass model of the assembled robot, for the mode "balance". Kept as plain numbers.
+
+    Raises:
+        ParameterError: an unknown mode, or a balance without masses.
+    """
+
+    modes: str | tuple[str, ...] = ()
+    masses: MassModel | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "modes", mode_names(self.modes))
+        if "balance" in self.modes and self.masses is None:
+            raise ParameterError(
+                f"masses is None: the spine mode {'+'.join(self.modes)!r} needs the robot's mass model."
+            )
+        if self.masses is not None:
+            object.__setattr__(self, "masses", _plain(self.masses))
+
+    def __call__(
+        self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array
+    ) -> Float[Array, ""]:
+        """See `SpineLike`."""
+        auxiliary = jnp.zeros_like(phase)
+        if "stride_extension" in self.modes:
+            auxiliary += stride_extension(params.spine, phase)
+        if "balance" in self.modes:
+            assert self.masses is not None
+            masses = jax.tree.map(jnp.asarray, self.masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
+            auxiliary += balance(params.spine, masses, feet, stance)
+        return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
+
+
+def mode_names(spine: str | tuple[str, ...]) -> tuple[str, ...]:
+    """Names joined by "+", or in a tuple, as a tuple in the order of `MODES`.
+
+    Raises:
+        ParameterError: an unknown name.
+    """
+    names = tuple(spine.split("+")) if isinstance(spine, str) else tuple(spine)
+    chosen = {choice("spine", name.strip(), (NO_MODE, *MODES)) for name in names} - {NO_MODE}
+    return tuple(name for name in MODES if name in chosen)
+
+
+def _plain(masses: MassModel) -> MassModel:
+    """The same numbers without arrays: hashable, and equal when they are equal."""
+    return MassModel(
+        front_mass=float(masses.front_mass), rear_mass=float(masses.rear_mass),
+        front_com=tuple(map(float, masses.front_com)), rear_com=tuple(map(float, masses.rear_com)),
+    )  # fmt: skip
 
 
 def stride_extension(spine: Spine, phase: Float[Array, "*batch"]) -> Float[Array, "*batch"]:

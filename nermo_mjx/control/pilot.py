@@ -1,18 +1,19 @@
-"""The pilot, the high-level controller: turn rate from the cross-track error, or a command given beforehand."""
+"""The pilot, the high-level controller: speed and turn rate that lead along a path, or are given beforehand."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from nermo_mjx.control import guidance, turning
 from nermo_mjx.control.course import Course, locate
-from nermo_mjx.control.parameters import Pilot
-from nermo_mjx.control.path import PATHS, PathPoint
+from nermo_mjx.control.parameters import ControlParameters, Pilot
+from nermo_mjx.control.path import PATHS, PathPoint, straight
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.quantity import ParameterError
@@ -23,29 +24,162 @@ PUBLISHED_PILOT_RATE: Final = 50.0
 #: A function from simulated time [s] to (speed [m/s of the controller's clock], turn rate in [-1, 1]).
 Command = Callable[[Any], tuple[Any, Any]]
 
-
 WAYPOINTS: Final = "waypoints"
-#: Pilots that follow a path, and all of them.
-FOLLOWERS: Final = (*PATHS, WAYPOINTS)
-PILOTS: Final = ("open_loop", *FOLLOWERS, "external")
+PILOTS: Final = ("open_loop", *PATHS, WAYPOINTS, "external")
 
 
-def path_point(
-    name: str, course: Course | None, pilot: Pilot, position: Float[Array, " 3"], progress: Float[Array, ""]
-) -> PathPoint:
-    """The point of the named pilot's path beside a position; of the line straight ahead for a pilot without a path.
+class Drive(NamedTuple):
+    """What a pilot decides.
 
-    Args:
-        name: of `PILOTS`.
-        course: of the pilot `waypoints`.
-        pilot: parameters of the paths.
-        position: in the world [m].
-        progress: of the last point on the course [m].
+    Attributes:
+        speed: commanded [m/s of the controller's clock].
+        turn_rate: in [-1, 1], positive left.
     """
-    if name == WAYPOINTS:
-        assert course is not None
-        return locate(course, progress, position)
-    return PATHS.get(name, PATHS["straight"])(pilot, position)
+
+    speed: Float[Array, ""]
+    turn_rate: Float[Array, ""]
+
+
+class Walk(NamedTuple):
+    """What a pilot is told of the walk, besides the sensors.
+
+    Attributes:
+        time: simulated, since the start [s].
+        phase: of the gait cycle.
+        speed, yaw_rate: to expect without slip of the strides that the legs make now [m/s, rad/s of simulated time].
+        due: whether what the pilot decides at this tick is taken up.
+        rate: decisions a simulated second [Hz].
+    """
+
+    time: Float[Array, ""]
+    phase: Float[Array, ""]
+    speed: Float[Array, ""]
+    yaw_rate: Float[Array, ""]
+    due: Bool[Array, ""]
+    rate: float
+
+
+class PilotLike(Protocol):
+    """A pilot: pure functions over its parameters and a memory of its own, any pytree. Values are unbatched.
+
+    One that has a method `path(params, memory, position) -> PathPoint` has its path measured (`cross_track_rms`).
+    """
+
+    def start(self, params: Any) -> tuple[Any, Drive]:
+        """Memory and drive of a robot that stands at the path's beginning; the start pose is made from them."""
+
+    def init(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> Any:
+        """The memory of `start` with the first readings taken in."""
+
+    def update(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
+        """New memory and drive; both are held until the next decision."""
+
+
+def limited(speed: Any, turn_rate: Any) -> Drive:
+    """A drive within its limits: speeds from 0, turn rates in [-1, 1]."""
+    return Drive(jnp.maximum(jnp.asarray(speed), 0.0), jnp.clip(jnp.asarray(turn_rate), -1.0, 1.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class OpenLoop:
+    """Holds the gait's speed and `pilot.turn_rate`."""
+
+    def start(self, params: ControlParameters) -> tuple[Any, Drive]:
+        """See `PilotLike`."""
+        return (), limited(params.gait.speed, params.pilot.turn_rate)
+
+    def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
+        """See `PilotLike`."""
+        return memory
+
+    def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
+        """See `PilotLike`."""
+        return self.start(params)
+
+
+@dataclasses.dataclass(frozen=True)
+class External:
+    """Obeys a command over time; see `tabulated`."""
+
+    command: Command
+
+    def start(self, params: ControlParameters) -> tuple[Any, Drive]:
+        """See `PilotLike`."""
+        return (), limited(*self.command(jnp.zeros(())))
+
+    def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
+        """See `PilotLike`."""
+        return memory
+
+    def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
+        """See `PilotLike`."""
+        return memory, limited(*self.command(walk.time))
+
+
+class Beside(NamedTuple):
+    """What `Follow` remembers: the point of the path beside the robot, and the estimate of its course there."""
+
+    point: PathPoint
+    guidance: guidance.Guidance
+
+
+@dataclasses.dataclass(frozen=True)
+class Follow:
+    """Follows a path at the gait's speed.
+
+    Attributes:
+        along: a function of `path.PATHS`' form, from parameters and a position to a `PathPoint`, or a `Course`.
+    """
+
+    along: Callable[[Pilot, Array], PathPoint] | Course = straight
+
+    def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Float[Array, ""]) -> PathPoint:
+        """The point of the path beside a position.
+
+        Args:
+            params: unbatched.
+            position: in the world [m].
+            progress: of the last point, for a path that comes near itself [m].
+        """
+        if isinstance(self.along, Course):
+            return locate(self.along, progress, position)
+        return self.along(params.pilot, position)
+
+    def path(self, params: ControlParameters, memory: Beside, position: Float[Array, " 3"]) -> PathPoint:
+        """The point of the path beside a position, for metrics."""
+        return self.locate(params, position, memory.point.progress)
+
+    def start(self, params: ControlParameters) -> tuple[Beside, Drive]:
+        """See `PilotLike`."""
+        zero = jnp.zeros(())
+        point = self.locate(params, jnp.zeros(3), zero)
+        return Beside(point, guidance.start(zero, zero, zero)), self._guided(params, point.curvature)
+
+    def init(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> Beside:
+        """See `PilotLike`."""
+        point = self.locate(params, sensors.position, memory.point.progress)
+        return Beside(point, guidance.start(point.error, heading(point, sensors), walk.speed))
+
+    def update(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> tuple[Beside, Drive]:
+        """See `PilotLike`."""
+        point = self.locate(params, sensors.position, memory.point.progress)
+        seen = jnp.stack([point.error, heading(point, sensors)])
+        estimate = guidance.observe(
+            params.pilot, memory.guidance, seen, walk.phase, walk.speed,
+            params.pilot.grip * walk.yaw_rate - walk.speed * point.curvature,
+            params.gait.frequency / params.tracking.clock_ratio, 1.0 / walk.rate,
+        )  # fmt: skip
+        curvature = point.curvature + guidance.correction(params.pilot, estimate, walk.speed, point.curvature)
+        # No Newton step is spent on a turn rate that nobody takes up.
+        speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))
+        published_ticks = PUBLISHED_PILOT_RATE / (walk.rate * params.tracking.clock_ratio)
+        change = (point.error - memory.point.error) / published_ticks
+        return Beside(point, estimate), Drive(speed, steer(params.pilot, point.error, change, turn_rate))
+
+    def _guided(self, params: ControlParameters, curvature: Float[Array, ""]) -> Drive:
+        """The gait's speed, and the turn rate for a curvature [1/m]."""
+        turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature / params.pilot.grip)
+        return limited(params.gait.speed, turn_rate)
 
 
 def heading(point: PathPoint, sensors: Sensors) -> Float[Array, ""]:

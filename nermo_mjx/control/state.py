@@ -3,58 +3,67 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from nermo_mjx.control.guidance import Guidance
-from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.pilot import Drive
+
+State = TypeVar("State")
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ControllerState:
-    """State of the controller; metrics and recordings read it too.
+    """State of the controller.
 
     Attributes:
         tick: control ticks since the start.
         time: simulated time since the start [s].
-        phase: of the gait cycle, in [0, 1).
-        stance: planned contact of the limbs.
-        points: control points (start, mid, end) of each limb's half-cycle, (y, z) in the leg's frame; the next
-            half-cycle starts at the end [m].
+        pilot: the pilot's memory, of its last decision.
+        drive: what it has decided, held from one decision to the next.
+        gait: the gait's state.
         foot: commanded foot positions: those on the path, after offset compensation and tracking lag [m].
-        speed: commanded speed [m/s of the controller's clock].
-        turn_rate: held between two pilot ticks, in [-1, 1], positive left.
         spine: commanded spine servo angle, positive left [rad].
-        path_point: of the pilot's path, at the last pilot tick.
-        guidance: the pilot's estimate of its course beside the path.
     """
 
     tick: Int[Array, ""]
     time: Float[Array, ""]
-    phase: Float[Array, ""]
-    stance: Bool[Array, " 4"]
-    points: Float[Array, "4 3 2"]
+    pilot: Any
+    drive: Drive
+    gait: Any
     foot: Float[Array, "4 2"]
-    speed: Float[Array, ""]
-    turn_rate: Float[Array, ""]
     spine: Float[Array, ""]
-    path_point: PathPoint
-    guidance: Guidance
+
+    @property
+    def phase(self) -> Float[Array, ""]:
+        """Of the gait cycle, in [0, 1)."""
+        return self.gait.phase
+
+    @property
+    def stance(self) -> Bool[Array, " 4"]:
+        """Planned contact of the limbs."""
+        return self.gait.stance
+
+    @property
+    def turn_rate(self) -> Float[Array, ""]:
+        """In [-1, 1], positive left."""
+        return self.drive.turn_rate
 
 
-def canonical(state: ControllerState) -> ControllerState:
+def canonical(state: State) -> State:
     """The state with every float in JAX's default precision and no weak types, so that a scan can carry it."""
     precision = jnp.zeros(()).dtype
 
     def settle(leaf: Array) -> Array:
+        leaf = jnp.asarray(leaf)
         return leaf.astype(precision if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype)
 
     return jax.tree.map(settle, state)
 
 
-def with_dtypes_of(reference: ControllerState, state: ControllerState) -> ControllerState:
+def with_dtypes_of(reference: State, state: State) -> State:
     """`state` with the dtypes of `reference`, so that a scan can carry it on."""
     return jax.tree.map(lambda old, new: jnp.asarray(new).astype(old.dtype), reference, state)

@@ -11,11 +11,11 @@ import numpy as np
 from nermo_mjx.control.parameters import published_values
 from nermo_mjx.experiments.outcome import BODY, Column
 from nermo_mjx.experiments.settings import Settings, body_count
+from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.rollout import METRICS, Run, RunResult, Simulator
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
-from nermo_mjx.view.recording import Recording, recording_of
 
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4

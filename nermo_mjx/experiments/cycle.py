@@ -70,7 +70,7 @@ def measured(simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run) 
 def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) -> dict[str, float]:
     """`ABOUT` of one recorded world; `values` are all its parameters, by name."""
     rate = values["frequency"] / values["tracking.clock_ratio"]
-    warmup, end = run.seconds(np.asarray(values["frequency"]), np.asarray(values["tracking.clock_ratio"]))
+    warmup, end = run.seconds(np.asarray(rate))
     inside = (trace.time > float(warmup) + 1e-6) & (trace.time < float(end) + 1e-6)
     phase = values["start.phase"] + rate * trace.time[inside]
     sensors = {name: np.asarray(trace.sensors[name][world][inside], float) for name in

@@ -21,10 +21,10 @@ from typing import Any
 
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.table import outcome_of, table_of
+from nermo_mjx.recording import Recording
 from nermo_mjx.runs import Written
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_table, replace_file
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.view.recording import Recording
 
 _NOTES = b"about"
 

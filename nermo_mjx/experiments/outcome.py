@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.view.recording import Recording
+from nermo_mjx.recording import Recording
 
 #: Column that tells identified bodies apart, where an outcome has several: 1, 2, ...
 BODY: Final = "body"

@@ -10,8 +10,8 @@ from nermo_mjx.experiments import cycle, theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Worlds, measured, recorded, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.recording import Recording
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.view.recording import Recording
 
 NAME: Final = "straight-line"
 DISTANCE: Final = 2.0

@@ -15,9 +15,9 @@ import pyarrow as pa
 
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.plotting.shown import shown
+from nermo_mjx.recording import Recording
 from nermo_mjx.runs.text import MISSING
 from nermo_mjx.sweep.table import Columns, meta
-from nermo_mjx.view.recording import Recording
 
 REPEAT: Final = "repeat"
 PROFILE: Final = "profile"

@@ -16,8 +16,8 @@ from nermo_mjx.experiments import theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Label, Worlds, measured, recorded, worlds
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.recording import Recording
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.view.recording import Recording
 
 NAME: Final = "turning"
 RADII: Final = (1.0, 0.5)
@@ -105,7 +105,7 @@ def run(settings: Settings) -> Outcome:
         length = _length(everything, batch.labels["radius"])
         report = None if settings.progress is None else _part(settings.progress, before, share)
         columns, about = measured(simulator, batch, length, progress=report)
-        warmup, end = length.seconds(everything["frequency"], everything["tracking.clock_ratio"])
+        warmup, end = length.seconds(everything["frequency"] / everything["tracking.clock_ratio"])
         parts.append((share, _judged(columns, end - warmup, everything["stance.max_stride"])))
         if pilot == "arc" and settings.bodies is None:
             recordings = _recordings(simulator, settings)

@@ -16,13 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.control import check
 from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.parameters import ControlParameters, with_gait_factor
+from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
 from nermo_mjx.robot import SERVOS, ParameterError, Sensors
-from nermo_mjx.robot.quantity import check_quantities, replace_quantities
-from nermo_mjx.rollout import Setup, all_parameters
+from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.parameters import WorldParameters
 
 #: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate is every so manyth of its ticks.
@@ -105,6 +103,9 @@ def servo_table(
 ) -> ServoTable:
     """The servo angles that the controller commands in a steady gait.
 
+    >>> servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=20.0).angles.shape
+    (40, 10)
+
     The pilot is `open_loop`, whatever the setup says: the turn rate is `pilot.turn_rate`. The table begins at the phase
     `start.phase`, long after the start, so that filters have settled.
 
@@ -120,7 +121,10 @@ def servo_table(
     Raises:
         ParameterError: a wrong argument or parameter, or an angle beyond a servo's limit; the message is one sentence.
     """
-    setup = dataclasses.replace(setup or Setup(), pilot="open_loop", waypoints=None, command=None)
+    setup = setup or Setup()
+    if setup.controller is not None:
+        raise ParameterError(f"controller is {setup.controller!r}: a servo table is of the published controller.")
+    setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
     world = _parameters(setup, values or {})
     params, phase = world.control, float(np.asarray(world.start.phase))
     _check(rate, cycles)
@@ -143,17 +147,11 @@ def servo_table(
 
 
 def _parameters(setup: Setup, values: Mapping[str, float]) -> WorldParameters:
-    known = all_parameters(setup)
-    for name, value in values.items():
-        if name in known:
-            known[name].check(name, value)
-    given = with_gait_factor({name: np.asarray(value, float) for name, value in values.items()})
-    params = replace_quantities(WorldParameters(), setup.defaults() | given)
+    params = setup.world({name: np.asarray(value, float) for name, value in values.items()})
     for name, value in values.items():
         if np.ndim(value):
             raise ParameterError(f"{name} has shape {np.shape(value)}: a servo table is of one gait, so of one number.")
-    check_quantities(params)
-    check(params.control, routing=setup.routing)
+    setup.check(params)
     return params
 
 
@@ -174,14 +172,16 @@ def _steady(
     ratio = float(np.asarray(params.tracking.clock_ratio))
     within = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
     ticks_rate = within * rate / ratio
-    controller = dataclasses.replace(setup.controller(), control_rate=ticks_rate, pilot_rate=ticks_rate)
+    made, n_servos = setup.make_controller(), setup.load().n_servos
+    assert isinstance(made, Controller)
+    controller = dataclasses.replace(made, control_rate=ticks_rate, pilot_rate=ticks_rate)
     # In double precision, so that the phase is exact after many cycles.
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
-        state = controller.init(exact, _still(controller.n_servos), phase)
+        state = controller.init(exact, _still(n_servos), phase)
         before = None
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
-            state, angles = _run(controller, exact, state, rows, within)
+            state, angles = _run(controller, n_servos, exact, state, rows, within)
             found = np.asarray(angles)
             if before is not None and np.abs(found - before).max() < _ALIKE:
                 return found
@@ -189,16 +189,18 @@ def _steady(
     raise ParameterError("the controller does not settle into a periodic gait with these parameters.")
 
 
-@jax.jit(static_argnums=(0, 3, 4))
-def _run(controller: Controller, params: ControlParameters, state: Any, rows: int, within: int) -> tuple[Any, Any]:
+@jax.jit(static_argnums=(0, 1, 4, 5))
+def _run(
+    controller: Controller, n_servos: int, params: ControlParameters, state: Any, rows: int, within: int
+) -> tuple[Any, Any]:
     """The next rows: before each, the angles as they are, then `within` ticks."""
-    sensors = _still(controller.n_servos)
+    sensors = _still(n_servos)
 
     def tick(state: Any, _: None) -> tuple[Any, None]:
         return controller.update(params, state, sensors)[0], None
 
     def row(state: Any, _: None) -> tuple[Any, Any]:
-        angles = controller.servo_angles(state).vector(controller.n_servos)
+        angles = controller.servo_angles(state).vector(n_servos)
         return jax.lax.scan(tick, state, None, length=within)[0], angles
 
     return jax.lax.scan(row, state, None, length=rows)

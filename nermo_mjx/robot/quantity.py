@@ -76,7 +76,7 @@ def quantity(
     open_high: bool = False,
     labels: tuple[str, ...] = (),
 ) -> Any:
-    """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments."""
+    """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments and `parameter_tree`."""
     about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
     value = np.asarray(default, dtype=np.float64)
     value.flags.writeable = False  # all trees share it
@@ -85,14 +85,22 @@ def quantity(
 
 @dataclass_transform(frozen_default=True, field_specifiers=(quantity, dataclasses.field))
 def parameter_tree(cls: type[T]) -> type[T]:
-    """Class decorator: a frozen, keyword-only dataclass that is a JAX pytree."""
+    """Class decorator: a frozen, keyword-only dataclass that is a JAX pytree.
+
+    >>> @parameter_tree
+    ... class Hop:
+    ...     height: Any = quantity(0.01, unit="m", low=0.0, high=0.03, doc="of a hop")
+    >>> [(name, about.allowed()) for name, about in quantities(Hop)]
+    [('height', '[0, 0.03] m')]
+    """
     return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True, kw_only=True)(cls))
 
 
 def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
     """Yield (dotted name, quantity) of every scalar parameter of a tree (or tree class), in order.
 
-    A vector quantity yields one entry a component, `name.label`. A sub-tree contributes its field name as prefix.
+    A vector quantity yields one entry a component, `name.label`. A sub-tree contributes its field name as prefix. What
+    is neither has no name.
     """
     for name, about, component in _walk(tree, prefix):
         if component is None:
@@ -100,6 +108,19 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
         else:
             assert isinstance(about.default, tuple)
             yield name, dataclasses.replace(about, default=about.default[component], labels=())
+
+
+def values_of(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted name, value) of every scalar parameter of a tree, in the order of `quantities`."""
+    for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
+        about, value = field.metadata.get("quantity"), getattr(tree, field.name)
+        if about is None:
+            yield from values_of(value, prefix + _prefix(field))
+        elif about.labels:
+            parts = value if isinstance(value, jax.Array) else np.asarray(value)
+            yield from ((f"{prefix}{field.name}.{label}", parts[..., i]) for i, label in enumerate(about.labels))
+        else:
+            yield prefix + field.name, value
 
 
 def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
@@ -116,11 +137,11 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
 
 def check_quantities(tree: Any, prefix: str = "") -> None:
     """Raise `ParameterError` if any quantity of the tree is not finite or out of range."""
-    for field in dataclasses.fields(tree):
+    for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         value, about = getattr(tree, field.name), field.metadata.get("quantity")
         if about is not None:
             about.check(prefix + field.name, value)
-        elif dataclasses.is_dataclass(value):
+        else:
             check_quantities(value, prefix + _prefix(field))
 
 
@@ -130,11 +151,10 @@ def _prefix(field: dataclasses.Field[Any]) -> str:
 
 
 def _walk(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, int | None]]:
-    for field in dataclasses.fields(tree):
+    for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         about = field.metadata.get("quantity")
         if about is None:
-            sub = getattr(tree, field.name, None) or field.default_factory
-            yield from _walk(sub, prefix + _prefix(field))
+            yield from _walk(getattr(tree, field.name, field.default_factory), prefix + _prefix(field))
         elif about.labels:
             for i, label in enumerate(about.labels):
                 yield f"{prefix}{field.name}.{label}", about, i
@@ -144,15 +164,16 @@ def _walk(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, int | None]]:
 
 def _replace(tree: Any, values: Mapping[str, Any], prefix: str) -> Any:
     changes: dict[str, Any] = {}
-    for field in dataclasses.fields(tree):
+    for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         about, value = field.metadata.get("quantity"), getattr(tree, field.name)
         if about is None:
-            changes[field.name] = _replace(value, values, prefix + _prefix(field))
+            sub = _replace(value, values, prefix + _prefix(field))
+            changes |= {} if sub is value else {field.name: sub}
         elif about.labels:
             changes[field.name] = _replace_components(value, about.labels, values, f"{prefix}{field.name}.")
         elif prefix + field.name in values:
             changes[field.name] = values[prefix + field.name]
-    return dataclasses.replace(tree, **changes)
+    return dataclasses.replace(tree, **changes) if changes else tree
 
 
 def _replace_components(value: Any, labels: tuple[str, ...], values: Mapping[str, Any], prefix: str) -> Any:

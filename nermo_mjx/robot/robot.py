@@ -211,6 +211,9 @@ def load_robot(
 ) -> Robot:
     """Assemble a robot in a scene. The same arguments compile once, and each call gives a robot with models of its own.
 
+    >>> load_robot(tail="articulated").n_servos
+    11
+
     Args: see `RobotConfig`.
 
     Raises:

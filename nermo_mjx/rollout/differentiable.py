@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,17 +12,17 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from nermo_mjx.control.build import check
-from nermo_mjx.control.parameters import with_gait_factor
+from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics.checkpointing import checkpointed_scan
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
-from nermo_mjx.robot.quantity import ParameterError, replace_quantities
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics
-from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
+from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup, check_world
+from nermo_mjx.rollout.setup import Run, Setup, with_controller
 from nermo_mjx.rollout.start import StartPose
 
 
@@ -53,18 +52,27 @@ class Rollout:
     options halve the time that it takes on a CPU, and can be left out.
     """
 
-    def __init__(self, setup: Setup | None = None, run: Run | None = None, *, slowest: float | None = None) -> None:
+    def __init__(
+        self,
+        setup: Setup | None = None,
+        run: Run | None = None,
+        *,
+        slowest: float | None = None,
+        controller: ControllerLike | str | None = None,
+    ) -> None:
         """
         Args:
             setup: what is chosen by name.
             run: length and warm-up, the same for all worlds; without `distance`, which has no derivative.
             slowest: lowest frequency that a traced value may have [Hz], if the run is given in gait cycles and its
-                frequency is traced: the number of ticks is fixed when a program is made.
+                frequency is traced: the number of ticks is fixed when a program is made. Of another controller, the
+                lowest rate of gait cycles.
+            controller: instead of the setup's, see `Setup.controller`.
 
         Raises:
-            ParameterError: a run that ends by distance, or with one length for each world.
+            ParameterError: a run that ends by distance, or with one length for each world; or what is no controller.
         """
-        self.setup, self.length = setup or Setup(), run or Run()
+        self.setup, self.length = with_controller(setup, controller), run or Run()
         if self.length.distance is not None:
             raise ParameterError("run.distance is given: a differentiable run ends by cycles or duration.")
         lengths = (self.length.cycles, self.length.warmup_cycles, self.length.duration, self.length.warmup)
@@ -72,17 +80,19 @@ class Rollout:
             raise ParameterError("run has one length for each world: a differentiable run takes one for all.")
         self.slowest = slowest
         self.robot = self.setup.load()
-        self.controller = self.setup.controller()
+        self.controller = self.setup.make_controller()
+        check_controller(self.robot, self.controller)
         self.engine = MjxEngine(self.robot, ClosedLoop(self.robot, self.controller))
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
 
-    @functools.cached_property
-    def _defaults(self) -> WorldParameters:
-        return replace_quantities(WorldParameters(), self.setup.defaults())
-
     def __call__(
-        self, values: Mapping[str, ArrayLike], qpos: ArrayLike | None = None, qvel: ArrayLike | None = None
+        self,
+        values: Mapping[str, ArrayLike] | None = None,
+        qpos: ArrayLike | None = None,
+        qvel: ArrayLike | None = None,
+        *,
+        policy: Any = None,
     ) -> dict[str, Float[Array, ""]]:
         """The metrics of one world, as named in `METRICS`.
 
@@ -90,21 +100,28 @@ class Rollout:
             values: parameter name -> number or array of shape (); what is not named has the setup's default.
             qpos: first positions (nq,); by default the pose in which the gait starts.
             qvel: first velocities (nv,); by default at rest.
+            policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`, traced or
+                not. Named values come into it.
 
         Raises:
             ParameterError: an unknown name; a value out of range, if it is not traced; a traced frequency without
                 `slowest`.
         """
-        return self.record(values, qpos, qvel)[0]
+        return self.record(values or {}, qpos, qvel, policy=policy)[0]
 
     @full_precision
     def record(
-        self, values: Mapping[str, ArrayLike], qpos: ArrayLike | None = None, qvel: ArrayLike | None = None
+        self,
+        values: Mapping[str, ArrayLike],
+        qpos: ArrayLike | None = None,
+        qvel: ArrayLike | None = None,
+        *,
+        policy: Any = None,
     ) -> tuple[dict[str, Float[Array, ""]], Path]:
         """The metrics and the path of one world; both are differentiable. The arguments are the same."""
-        params = self._parameters(values)
+        params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)
-        loop, ticks = self._loop_parameters(params, values)
+        loop, ticks = self._loop_parameters(params, self.seconds(values, policy))
         first = self.start.qpos(params.control, params.start) if qpos is None else jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))
@@ -120,29 +137,25 @@ class Rollout:
         measured = metrics.result(carry.loop.metrics, mass)
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
 
-    def _parameters(self, values: Mapping[str, ArrayLike]) -> WorldParameters:
+    def _parameters(self, values: Mapping[str, ArrayLike], policy: Any) -> WorldParameters:
         for name, value in values.items():
             if jnp.ndim(value):
                 shape = jnp.shape(value)
                 raise ParameterError(f"{name} has shape {shape}: a rollout is one world; use jax.vmap for a batch.")
-        given = with_gait_factor({name: jnp.asarray(value) for name, value in values.items()})
-        params = replace_quantities(self._defaults, given)
-        known = {name: value for name, value in values.items() if not isinstance(value, jax.core.Tracer)}
-        checked = replace_quantities(self._defaults, known)
-        check_world(checked, self.setup.timestep)
-        if len(known) == len(values):
-            check(checked.control, routing=self.setup.routing)
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
+        params = self.setup.world({name: jnp.asarray(value, float) for name, value in values.items()}, policy)
+        known = {name: value for name, value in values.items() if not _traced(value)}
+        checked = self.setup.world(known, None if _traced(policy) else policy)
+        self.setup.check(checked, jointly=len(known) == len(values) and not _traced(policy))
+        return jax.tree.map(_real, params)
 
-    def _loop_parameters(self, params: WorldParameters, values: Mapping[str, ArrayLike]) -> tuple[LoopParameters, int]:
-        """Parameters of the loop, and the number of ticks that covers the run at any frequency that is allowed."""
-        gait, tracking = params.control.gait, params.control.tracking
-        begin, end = self.length.seconds(gait.frequency, tracking.clock_ratio)
+    def _loop_parameters(self, params: WorldParameters, seconds: float) -> tuple[LoopParameters, int]:
+        """Parameters of the loop, and the number of ticks that covers a run of so many seconds."""
+        begin, end = self.length.seconds(_real(self.controller.cycle_rate(params.control)))
         window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
         loop = LoopParameters(params.control, params.start, window, params.model.servo.speed)
-        return loop, math.ceil(self.seconds(values) / self.controller.dt - 1e-6) + 1
+        return loop, math.ceil(seconds / self.controller.dt - 1e-6) + 1
 
-    def seconds(self, values: Mapping[str, ArrayLike]) -> float:
+    def seconds(self, values: Mapping[str, ArrayLike], policy: Any = None) -> float:
         """Simulated time of a run with these values [s]; of the slowest that is allowed, if the frequency is traced.
 
         Raises:
@@ -150,15 +163,30 @@ class Rollout:
         """
         if self.length.duration is not None:
             return float(self.length.duration)
-        defaults = self.setup.defaults()
-        timing = {name: values.get(name, defaults[name]) for name in ("frequency", "tracking.clock_ratio")}
-        traced = [name for name, value in timing.items() if isinstance(value, jax.core.Tracer)]
+        traced = [name for name in self.setup.timing if _traced(values.get(name))]
+        # What is not known yet is NaN, and so is a rate that depends on it.
+        known = {name: values[name] for name in self.setup.timing if name in values} | dict.fromkeys(traced, math.nan)
         if traced == ["frequency"] and self.slowest is not None:
-            timing["frequency"] = self.slowest
-        elif traced:
+            known["frequency"] = self.slowest
+        given = jax.tree.map(lambda leaf: np.full(jnp.shape(leaf), np.nan) if _traced(leaf) else leaf, policy)
+        rate = float(self.setup.cycle_rate(known, given))
+        if math.isnan(rate) and self.slowest is not None and not isinstance(self.controller, Controller):
+            rate = self.slowest
+        if math.isnan(rate):
             raise ParameterError(
-                f"{traced[0]} is traced and the run is given in gait cycles, so that its length is not known: "
-                "give Rollout(slowest=...), the lowest frequency [Hz], or a run in seconds, Run(duration=...)."
+                f"{next(iter(traced), 'policy')} is traced and the run is given in gait cycles, so that its length is "
+                "not known: give Rollout(slowest=...), the lowest frequency [Hz], or a run in seconds, "
+                "Run(duration=...)."
             )
-        _, end = self.length.seconds(*(float(np.asarray(value)) for value in timing.values()))
-        return float(end)
+        return float(self.length.seconds(rate)[1])
+
+
+def _traced(tree: Any) -> bool:
+    """Whether any leaf is known only to the program."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def _real(leaf: Any) -> Array:
+    """Numbers in JAX's default precision; whole numbers and flags stay what they are."""
+    array = jnp.asarray(leaf)
+    return jnp.asarray(array, float) if jnp.issubdtype(array.dtype, jnp.floating) else array

@@ -7,12 +7,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from nermo_mjx.control.controller import Controller, ControllerState
-from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.pilot import FOLLOWERS
-from nermo_mjx.robot import Robot
+from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
+from nermo_mjx.control.state import canonical, with_dtypes_of
+from nermo_mjx.robot import ParameterError, Robot, ServoAngles
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.parameters import Start, Window
 
@@ -22,7 +22,7 @@ from nermo_mjx.rollout.parameters import Start, Window
 class LoopParameters:
     """Parameters of one world's loop; `servo_speed` is how fast a servo's target may change [rad/s]."""
 
-    control: ControlParameters
+    control: Any
     start: Start
     window: Window
     servo_speed: Any
@@ -31,9 +31,18 @@ class LoopParameters:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopState:
-    """What the loop carries from tick to tick in one world; `ctrl` is what the servos aim at [rad]."""
+    """What the loop carries from tick to tick in one world.
 
-    control: ControllerState
+    Attributes:
+        tick, time: control ticks, and simulated time [s], since the start.
+        control: the controller's state.
+        metrics: accumulators.
+        ctrl: what the servos aim at [rad].
+    """
+
+    tick: Int[Array, ""]
+    time: Float[Array, ""]
+    control: Any
     metrics: metrics.MetricState
     ctrl: Float[Array, " n_servos"]
 
@@ -43,7 +52,7 @@ class ClosedLoop:
     """Implements `physics.engine.Loop` for a robot and a controller."""
 
     robot: Robot
-    controller: Controller
+    controller: ControllerLike
 
     @property
     def steps_per_tick(self) -> int:
@@ -53,27 +62,60 @@ class ClosedLoop:
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
-        control = self.controller.init(params.control, sensors, params.start.phase)
-        servo = self.controller.servo_angles(control)
-        return LoopState(control, metrics.init(sensors), servo.vector(self.robot.n_servos))
+        control = canonical(self.controller.init(params.control, sensors, params.start.phase))
+        servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.n_servos)
+        first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
+        return LoopState(first, now, control, metrics.init(sensors), servo.astype(now.dtype))
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> tuple[LoopState, Float[Array, " n_servos"]]:
         """See `Loop.step`. Metrics see the tick that has just ended, the controller its last reading."""
         sensors = self.robot.sensors(sensordata)
-        cycle_rate = params.control.gait.frequency / params.control.tracking.clock_ratio
-        path = None
-        if self.controller.pilot in FOLLOWERS:
+        controller, own = self.controller, params.control
+        path, stance = None, None
+        if isinstance(controller, FollowsPath):
             position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
-            path = self.controller.locate(params.control, position, state.control.path_point.progress)
+            path = controller.path(own, state.control, position)
+        if isinstance(controller, PlansContact):
+            stance = controller.stance(state.control)
         measured = metrics.update(
-            params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path,
-            state.control.stance,
+            params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
+            stance,
         )  # fmt: skip
         # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)
-        control, servo = self.controller.update(params.control, state.control, last)
-        reach = params.servo_speed * self.controller.dt
+        control, servo = controller.update(own, state.control, last)
+        reach = params.servo_speed * controller.dt
         ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)
-        return LoopState(control, measured, ctrl), ctrl
+        tick = state.tick + 1
+        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
+        return with_dtypes_of(state, after), ctrl
+
+
+def check_controller(robot: Robot, controller: ControllerLike) -> None:
+    """Refuse a controller whose functions do not fit together, before anything is compiled.
+
+    Raises:
+        ParameterError: its state changes its form from tick to tick, or its servo angles are none.
+    """
+    if isinstance(controller, Controller):
+        return  # its parts are checked by its tests, and tracing it takes half a second
+    readings = jax.eval_shape(robot.sensors, jax.ShapeDtypeStruct((robot.model.nsensordata,), jnp.zeros(()).dtype))
+    phase = jax.ShapeDtypeStruct((), jnp.zeros(()).dtype)
+    params = controller.parameters
+    first = jax.eval_shape(lambda *given: canonical(controller.init(*given)), params, readings, phase)
+    servo = jax.eval_shape(controller.initial_servo, params, phase)
+    after, now = jax.eval_shape(controller.update, params, first, readings)
+    forms = [str(jax.tree.structure(state)) for state in (first, after)]
+    shapes = [[leaf.shape for leaf in jax.tree.leaves(state)] for state in (first, after)]
+    if forms[0] != forms[1] or shapes[0] != shapes[1]:
+        raise ParameterError(
+            f"controller.update makes a state of {forms[1]} with shapes {shapes[1]}: expected the form that init gives "
+            f"it, {forms[0]} with shapes {shapes[0]}."
+        )
+    for name, angles in (("initial_servo", servo), ("update", now)):
+        if not isinstance(angles, ServoAngles) or (angles.hip.shape, angles.knee.shape) != ((4,), (4,)):
+            raise ParameterError(
+                f"controller.{name} gives {type(angles).__name__}: expected ServoAngles with four hips and four knees."
+            )

@@ -14,10 +14,12 @@ a fall, a divergence.
 from __future__ import annotations
 
 import dataclasses
+import enum
 from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.control.path import PathPoint
@@ -44,6 +46,25 @@ GRAVITY: Final = 9.81
 ANGLES: Final = ("roll", "pitch", "yaw")
 #: Pairs of feet, and their places in `LIMBS`.
 PAIRS: Final = {"front": slice(0, 2), "rear": slice(2, 4)}
+
+
+class Ending(enum.Enum):
+    """How a world's run ended: a member's name stands in tables, and its value is the sentence.
+
+    >>> Ending["fell"].value
+    'The robot fell.'
+    """
+
+    ok = "The robot walked to the end."
+    fell = "The robot fell."
+    diverged = "The simulation diverged."
+    unsolved = "The constraint solver stopped short in more than one step of a thousand: the numbers are rough."
+
+
+def endings(fell: np.ndarray, diverged: np.ndarray, unsolved: np.ndarray) -> np.ndarray:
+    """The name of each world's `Ending` (n,), from its flags; the graver one if there are several."""
+    flags = {Ending.diverged: diverged > 0, Ending.fell: fell > 0, Ending.unsolved: unsolved}
+    return np.select(list(flags.values()), [ending.name for ending in flags], Ending.ok.name)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -32,8 +32,8 @@ class Window:
 
 @parameter_tree
 class WorldParameters:
-    """What a sweep can name: controller, body and start."""
+    """What a sweep can name: controller, body and start. The parameters of another controller may be any pytree."""
 
-    control: ControlParameters = flat(ControlParameters)
+    control: Any = flat(ControlParameters)
     model: ModelParameters = flat(ModelParameters)
     start: Start = group(Start)

@@ -3,24 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
+import jax
 import numpy as np
+from jaxtyping import Float
 
-from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.parameters import published_values
+from nermo_mjx.control.controller import Controller, published_controller
+from nermo_mjx.control.fusion import SpineModes, mode_names
+from nermo_mjx.control.loading import check_form, load_controller
+from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.pilot import Command
+from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.quantity import check_quantities, quantities
+from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 from nermo_mjx.rollout.parameters import WorldParameters
+
+#: Choices that only the published controller knows.
+PUBLISHED: Final = ("gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory")
 
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
     """Static choices of a simulation; every name is checked at construction.
+
+    >>> Setup(gait="lat", spine="stride_extension").defaults()["duty"]
+    0.68
 
     Attributes:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
@@ -33,9 +45,12 @@ class Setup:
         waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
         trajectory: `cubic`, `linear` or `parabolic` foot paths.
+        controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME` or `MODULE:NAME`. What
+            is chosen above from `gait` on is the published controller's, and goes with no other; with a `Controller` of
+            other parts go gait, steering and profile.
 
     Raises:
-        ParameterError: an unknown name; the message says what is allowed.
+        ParameterError: an unknown name, or choices that do not fit together; the message says what is allowed.
     """
 
     robot: str = "nermo_lite"
@@ -53,6 +68,7 @@ class Setup:
     waypoints: tuple[tuple[float, float], ...] | None = None
     command: Command | None = None
     trajectory: str = "cubic"
+    controller: ControllerLike | str | None = None
 
     def __post_init__(self) -> None:
         config = RobotConfig(
@@ -60,37 +76,156 @@ class Setup:
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
         published_values(self.gait, steering=self.steering, profile=self.profile)
-        self.controller()
-        ratio = 1.0 / (self.controller().control_rate * self.timestep)
-        if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
+        mode_names(self.spine)
+        # No robot is built for a check.
+        controller = self._without_robot
+        check_form(controller)
+        ratio = controller.dt / self.timestep
+        if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
             raise ParameterError(
-                f"timestep is {self.timestep}: allowed is the control period 0.01 s divided by a whole number."
+                f"timestep is {self.timestep}: allowed is the control period {controller.dt:g} s divided by a whole "
+                "number."
             )
+        self._check_own(controller)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process, which makes for itself what is derived."""
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+
+    def fields(self) -> dict[str, Any]:
+        """The choices that apply, as JSON knows them; an object stands there by its type's name."""
+        given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
+                 if self._applies(field.name)}  # fmt: skip
+        return {name: value if value is None or isinstance(value, (str, float, tuple)) else type(value).__name__
+                for name, value in given.items()}  # fmt: skip
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
         return load_robot(self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep)
 
-    def controller(self) -> Controller:
+    def make_controller(self) -> ControllerLike:
         """The controller with these choices."""
-        robot = self.load()
-        return Controller(
-            spine=self.spine, pilot=self.pilot, waypoints=self.waypoints, command=self.command,
-            trajectory=self.trajectory, routing=self.routing, masses=robot.mass_model,
-            n_servos=robot.n_servos,
+        if self.controller is not None or "balance" not in mode_names(self.spine):
+            return self._without_robot
+        assert isinstance(self._without_robot, Controller)
+        return dataclasses.replace(self._without_robot, spine=SpineModes(self.spine, self.load().mass_model))
+
+    @functools.cached_property
+    def _without_robot(self) -> ControllerLike:
+        """The controller, but for the spine's balance. A file is read once: a setup stays what it is if it changes."""
+        if self.controller is not None:
+            return load_controller(self.controller) if isinstance(self.controller, str) else self.controller
+        return published_controller(
+            tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot, waypoints=self.waypoints,
+            command=self.command, trajectory=self.trajectory, routing=self.routing,
         )  # fmt: skip
+
+    def _applies(self, name: str) -> bool:
+        """Whether a choice means something to the controller."""
+        if self.controller is None or name not in PUBLISHED:
+            return True
+        return isinstance(self._without_robot, Controller) and name in ("gait", "steering", "profile")
+
+    def _check_own(self, controller: ControllerLike) -> None:
+        """Refuse choices that mean nothing to another controller, and names of its parameters that are taken."""
+        for field in dataclasses.fields(self):
+            if not self._applies(field.name) and getattr(self, field.name) != field.default:
+                raise ParameterError(
+                    f"{field.name} is {getattr(self, field.name)!r} beside a controller of one's own: it goes with the "
+                    "published controller; leave it out."
+                )
+        taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(ControlParameters)}
+        for name, _ in quantities(controller.parameters):
+            if name in taken:
+                raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
 
     def defaults(self) -> dict[str, float]:
         """Value of every parameter before a user names any."""
-        values = {name: float(about.default) for name, about in quantities(WorldParameters)}  # type: ignore[arg-type]
-        return values | published_values(self.gait, steering=self.steering, profile=self.profile)
+        return {name: float(value) for name, value in values_of(self._world)}
+
+    @functools.cached_property
+    def _world(self) -> WorldParameters:
+        """Parameters before a user names any."""
+        controller = self._without_robot
+        world = WorldParameters(control=controller.parameters)
+        if not isinstance(controller, Controller):
+            return world
+        values = published_values(self.gait, steering=self.steering, profile=self.profile)
+        return replace_quantities(world, values)
+
+    def world(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
+        """Parameters of worlds, with the named values in their places; nothing is checked but the names.
+
+        Args:
+            values: parameter name -> number or array; what is not named has the setup's default.
+            policy: the controller's parameters, instead of the setup's; named values come into it.
+
+        Raises:
+            ParameterError: an unknown name, or a policy of another structure than the controller's parameters.
+        """
+        world, controller = self._world, self._without_robot
+        if policy is not None:
+            there, here = map(str, map(jax.tree.structure, (policy, world.control)))
+            if there != here:
+                raise ParameterError(
+                    f"policy is {there}: expected the structure of the controller's parameters, {here}."
+                )
+            world = dataclasses.replace(world, control=policy)
+        given = controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
+        return replace_quantities(world, given)
+
+    def check(self, world: WorldParameters, *, jointly: bool = True) -> None:
+        """Refuse parameters that are not finite, out of their range, or outside what time step and controller allow.
+
+        Args:
+            world: concrete (not traced); leaves may carry leading batch axes.
+            jointly: ask the controller, too, whose check may depend on several parameters.
+
+        Raises:
+            ParameterError: with the field's name, its value and what is allowed.
+        """
+        check_quantities(world)
+        for name, about in _bounded_by_step(dict(quantities(ModelParameters)), self.timestep).items():
+            group, field = name.split(".")
+            about.check(name, getattr(getattr(world.model, group), field))
+        check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
+        controller = self._without_robot
+        if jointly and isinstance(controller, ChecksParameters):
+            controller.check(world.control)
+
+    @functools.cached_property
+    def timing(self) -> frozenset[str]:
+        """Names of the parameters that decide how long a gait cycle is."""
+        known = dict(values_of(self._world.control))
+        return frozenset(name for name in known if np.isnan(self.cycle_rate({name: np.nan})).any())
+
+    def cycle_rate(self, values: Mapping[str, Any], policy: Any = None) -> Float[np.ndarray, "*batch"]:
+        """Gait cycles a simulated second [1/s].
+
+        Args:
+            values: as for `world`, of numbers or arrays (n,).
+            policy: see `world`.
+        """
+        control = self.world(values, policy).control
+        with jax.ensure_compile_time_eval():
+            return np.asarray(self._without_robot.cycle_rate(control), float)
+
+
+def with_controller(setup: Setup | None, controller: ControllerLike | str | None) -> Setup:
+    """The setup, or the default one, with a controller instead of its own if one is given."""
+    setup = setup or Setup()
+    return setup if controller is None else dataclasses.replace(setup, controller=controller)
 
 
 def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
-    """Every parameter a sweep may name, with the defaults of `setup`."""
+    """Every parameter a sweep may name, with the defaults of `setup`.
+
+    >>> all_parameters()["spine.amplitude"].allowed()
+    '[0, 0.6] rad'
+    """
     setup = setup or Setup()
-    defaults = setup.defaults()
-    known = {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(WorldParameters)}
+    defaults, world = setup.defaults(), setup.world({})
+    known = {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(world)}
     return known | _bounded_by_step(known, setup.timestep)
 
 
@@ -106,29 +241,16 @@ def _bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str
     }
 
 
-def check_world(params: WorldParameters, timestep: float) -> None:
-    """Refuse parameters that are not finite, out of their range, or outside what the time step allows.
-
-    Args:
-        params: concrete (not traced); leaves may carry leading batch axes.
-        timestep: of the physics [s].
-
-    Raises:
-        ParameterError: with the field's name, its value and what is allowed.
-    """
-    check_quantities(params)
-    for name, about in _bounded_by_step(dict(quantities(ModelParameters)), timestep).items():
-        group, field = name.split(".")
-        about.check(name, getattr(getattr(params.model, group), field))
-    check_servo(params.model.servo.kp, params.model.servo.kv, timestep)
-
-
 Length = float | np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)
 class Run:
     """How long a run lasts and what part of it is measured: gait cycles, or seconds.
+
+    >>> Run(duration=2.0, warmup=2.5)
+    Traceback (most recent call last):
+    nermo_mjx.robot.quantity.ParameterError: run.warmup is 2.5: allowed is less than the run's length, 2.
 
     Each number holds for all worlds, or is an array (n,) with one entry a world.
 
@@ -176,8 +298,15 @@ class Run:
         default = np.where(np.asarray(cycles) > 2.0, 2.0, 0.0)
         return cycles, default if self.warmup_cycles is None else self.warmup_cycles
 
-    def seconds(self, frequency: Any, clock_ratio: Any = 1.0) -> tuple[Any, Any]:
-        """(end of the warm-up, end of the run) in simulated seconds, shaped as `frequency`, which may be traced."""
+    def seconds(self, cycle_rate: Any) -> tuple[Any, Any]:
+        """(end of the warm-up, end of the run) in simulated seconds, shaped as `cycle_rate`, which may be traced.
+
+        >>> [float(each) for each in Run(cycles=8).seconds(0.8)]
+        [2.5, 10.0]
+
+        Args:
+            cycle_rate: gait cycles a simulated second [1/s].
+        """
         length, warmup = self._lengths()
-        period = clock_ratio / frequency if self.duration is None else frequency**0
+        period = 1.0 / cycle_rate if self.duration is None else cycle_rate**0
         return warmup * period, length * period

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -13,17 +12,19 @@ from typing import Any
 import jax
 import numpy as np
 
-from nermo_mjx.control.build import check
-from nermo_mjx.control.parameters import with_gait_factor
+from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
+from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
-from nermo_mjx.robot.quantity import ParameterError, replace_quantities
+from nermo_mjx.robot.quantity import ParameterError, values_of
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.lanes import Lanes
-from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters
+from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup, check_world
+from nermo_mjx.rollout.setup import Run, Setup, with_controller
 from nermo_mjx.rollout.start import StartPose
+from nermo_mjx.runs.provenance import versions
+from nermo_mjx.runs.text import plain
 
 #: Ticks between two reports of progress.
 BLOCK = 25
@@ -56,8 +57,10 @@ class RunResult:
 
     Attributes:
         metrics: name -> (n,), as described in `METRICS`.
-        status: (n,) of `ok`, `fell`, `diverged`, and `unsolved` where the constraint solver of `mjx` stopped short in
-            more than a share `UNSOLVED` of the steps.
+        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
+        setup, length: what ran, and how long.
+        worlds: all parameters, leaves with a leading world axis.
+        named: those that were named.
         engine: which engine ran.
         steps: physics steps of one world.
         wall_seconds: time spent.
@@ -68,11 +71,67 @@ class RunResult:
 
     metrics: dict[str, np.ndarray]
     status: np.ndarray
+    setup: Setup
+    length: Run
+    worlds: WorldParameters
+    named: tuple[str, ...]
     engine: str
     steps: int
     wall_seconds: float = 0.0
     compile_seconds: float = 0.0
     trace: History | None = None
+
+    @property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """Every parameter that has a name -> (n,), defaults included."""
+        return {name: np.asarray(values) for name, values in values_of(self.worlds)}
+
+    def recording(self, world: int = 0) -> Recording:
+        """The recording of one world, with all that `nermo-mjx replay`, `view` and `render` read of it.
+
+        >>> result = Simulator(engine="c").run({"frequency": 0.8}, Run(duration=0.2), record=True)
+        >>> result.recording().metadata["parameters"]["frequency"]
+        0.8
+
+        Raises:
+            ParameterError: nothing was recorded, or there is no such world.
+        """
+        if self.trace is None:
+            raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
+        if not 0 <= world < len(self.status):
+            raise ParameterError(f"world is {world}: allowed is 0 to {len(self.status) - 1}.")
+        return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
+
+    def about(self, world: int = 0) -> dict[str, Any]:
+        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`."""
+        measured = {name: float(column[world]) for name, column in self.metrics.items()}
+        flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
+        run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
+               for name, value in dataclasses.asdict(self.length).items()}  # fmt: skip
+        return {
+            "metrics": {**measured, **flags, "status": str(self.status[world])},
+            "parameters": {name: float(column[world]) for name, column in self.parameters.items()},
+            "setup": self.setup.fields(),
+            "run": run,
+            "engine": self.engine,
+            "versions": versions(),
+        }
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, a row a world: the parameters that were named, all metrics, and the status.
+
+        >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))
+        >>> result.to_pandas()[["frequency", "status"]].values.tolist()
+        [[0.6, 'ok'], [0.8, 'ok']]
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        import pandas
+
+        parameters = self.parameters
+        columns = {name: parameters[name] for name in self.named} | self.metrics | {"status": self.status}
+        return pandas.DataFrame(columns)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +145,7 @@ class Batch:
         ticks: control ticks until the last world is done.
         may_end_early: whether worlds are done when they have walked their distance.
         mass: of each robot (n,) [kg].
+        worlds, named, length: see `RunResult`.
     """
 
     params: LoopParameters
@@ -94,6 +154,9 @@ class Batch:
     ticks: int
     may_end_early: bool
     mass: np.ndarray
+    worlds: WorldParameters
+    named: tuple[str, ...]
+    length: Run
 
 
 class Simulator:
@@ -105,6 +168,8 @@ class Simulator:
         engine: str = "auto",
         devices: int | None = None,
         threads: int | None = None,
+        *,
+        controller: ControllerLike | str | None = None,
     ) -> None:
         """
         Args:
@@ -112,13 +177,16 @@ class Simulator:
             engine: `auto`, `c`, `mjx` or `warp`.
             devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
             threads: processors that share a batch in `c`; None for `$NERMO_MJX_THREADS`, or else all.
+            controller: instead of the setup's, see `Setup.controller`.
 
         Raises:
-            ParameterError: an unknown engine, one that cannot run here, not as many devices, or no thread.
+            ParameterError: an unknown engine, one that cannot run here, not as many devices, no thread, or what is no
+                controller.
         """
-        self.setup = setup or Setup()
+        self.setup = with_controller(setup, controller)
         self.robot = self.setup.load()
-        self.controller = self.setup.controller()
+        self.controller = self.setup.make_controller()
+        check_controller(self.robot, self.controller)
         self.loop = ClosedLoop(self.robot, self.controller)
         self.engine = make_engine(engine, self.robot, self.loop, devices, threads)
         self.variation = Variation(self.robot)
@@ -126,30 +194,25 @@ class Simulator:
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
         self._results = Lanes(metrics.result)
 
-    @functools.cached_property
-    def _defaults(self) -> WorldParameters:
-        return replace_quantities(WorldParameters(), self.setup.defaults())
-
-    def parameters(self, values: Mapping[str, Any]) -> WorldParameters:
+    def parameters(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
 
         Args:
             values: name -> number or (n,) array. The gait factor follows a duty factor that is named without it.
+            policy: see `run`.
 
         Raises:
             ParameterError: unknown name, value out of range or not of shape () or (n,), or a stride past the legs'
                 workspace.
         """
-        given = {name: _numbers(name, value) for name, value in values.items()}
-        params = replace_quantities(self._defaults, with_gait_factor(given))
-        check_world(params, self.setup.timestep)
-        check(params.control, routing=self.setup.routing)
+        params = self.setup.world({name: _numbers(name, value) for name, value in values.items()}, policy)
+        self.setup.check(params)
         return params
 
-    def prepare(self, values: Mapping[str, Any], run: Run | None = None) -> Batch:
+    def prepare(self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None) -> Batch:
         """What `run` hands to the engine; the arguments are the same."""
-        params, worlds = _batched(self.parameters(values), values)
-        window = _window(run or Run(), params)
+        params, worlds = _batched(self.parameters(values, policy), self.setup.world({}), values)
+        window = _window(run or Run(), params, self.controller, worlds)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         return Batch(
             params=_single(LoopParameters(params.control, params.start, window, params.model.servo.speed)),
@@ -158,7 +221,16 @@ class Simulator:
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,
             mass=mass,
+            worlds=params,
+            named=tuple(values),
+            length=run or Run(),
         )
+
+    def __call__(
+        self, values: Mapping[str, Any] | None = None, run: Run | None = None, *, policy: Any = None
+    ) -> dict[str, np.ndarray]:
+        """The metrics of a batch, as named in `METRICS`: what `run` gives, without the rest."""
+        return self.run(values or {}, run, policy=policy).metrics
 
     def run(
         self,
@@ -167,8 +239,13 @@ class Simulator:
         record: bool = False,
         progress: Callable[[float], None] | None = None,
         notify: Callable[[str], None] | None = None,
+        policy: Any = None,
     ) -> RunResult:
         """Simulate one batch.
+
+        >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))
+        >>> result.metrics["speed"].shape, result.status.tolist()
+        ((2,), ['ok', 'ok'])
 
         Args:
             values: parameter name -> number or (n,) array; what is not named has the setup's default.
@@ -176,25 +253,25 @@ class Simulator:
             record: keep every tick of every world (memory: about 1.5 kB a tick and world).
             progress: called with the share done, in [0, 1].
             notify: called with a sentence before a program is compiled that this simulator has not run yet.
+            policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`. A leaf
+                with one axis more than there has one entry a world. Named values come into it.
 
         Raises:
             ParameterError: see `parameters`.
         """
         began = time.perf_counter()
         with _compile_time() as compile_time:
-            result = self._run(values, run, record, progress, notify)
+            result = self._run(self.prepare(values, run, policy), record, progress, notify)
         wall = time.perf_counter() - began
         return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))
 
     def _run(
         self,
-        values: Mapping[str, Any],
-        run: Run | None,
+        batch: Batch,
         record: bool,
         progress: Callable[[float], None] | None,
         notify: Callable[[str], None] | None,
     ) -> RunResult:
-        batch = self.prepare(values, run)
         program = (len(batch.qpos), tuple(batch.fields), record)
         if notify and program not in self._compiled:
             notify(f"compiling the {self.engine.name} program, once per machine")
@@ -221,15 +298,14 @@ class Simulator:
 
         measured = self._results(session.loop_state.metrics, batch.mass)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
-        ends = {
-            "diverged": table["diverged"] > 0,
-            "fell": table["fell"] > 0,
-            "unsolved": session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick,
-        }
-        status = np.select(list(ends.values()), list(ends), "ok")
+        unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(
             metrics=table,
-            status=status,
+            status=metrics.endings(table["fell"], table["diverged"], unsolved),
+            setup=self.setup,
+            length=batch.length,
+            worlds=batch.worlds,
+            named=batch.named,
             engine=self.engine.name,
             steps=ticks * self.loop.steps_per_tick,
             trace=self._history(traces, batch.ticks) if record else None,
@@ -283,29 +359,41 @@ def _blocks(ticks: int) -> list[tuple[int, int]]:
     return [(start, min(BLOCK, ticks - start)) for start in range(0, ticks, BLOCK)]
 
 
-def _batched(params: WorldParameters, values: Mapping[str, Any]) -> tuple[WorldParameters, int]:
-    """All leaves with a leading world axis, and the number of worlds."""
+def _batched(
+    params: WorldParameters, single: WorldParameters, values: Mapping[str, Any]
+) -> tuple[WorldParameters, int]:
+    """All leaves with a leading world axis, and the number of worlds; `single` has the shapes of one world."""
     sizes = {np.shape(value)[0]: name for name, value in values.items() if np.ndim(value)}
+    own = zip(jax.tree.leaves(params.control), jax.tree.leaves(single.control), strict=True)
+    for leaf, one in own:
+        extra = np.shape(leaf)[: np.ndim(leaf) - np.ndim(one)]
+        if len(extra) > 1 or np.shape(leaf)[len(extra) :] != np.shape(one):
+            raise ParameterError(
+                f"policy has a leaf of shape {np.shape(leaf)}: expected {np.shape(one)}, or one entry more in front, a "
+                "world each."
+            )
+        if extra:
+            sizes.setdefault(extra[0], "policy")
     if len(sizes) > 1:
         (a, first), (b, second) = sorted(sizes.items())[:2]
         raise ParameterError(f"{second} has {b} values and {first} has {a}: all arrays must have one length.")
     worlds = next(iter(sizes), 1)
-    vectors = jax.tree.map(np.ndim, WorldParameters())
 
-    def spread(leaf: Any, dims: int) -> np.ndarray:
-        leaf = np.asarray(leaf, float)
-        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - dims :]))
+    def spread(leaf: Any, one: Any) -> np.ndarray:
+        leaf = np.asarray(leaf)
+        return np.broadcast_to(leaf, (worlds, *leaf.shape[leaf.ndim - np.ndim(one) :]))
 
-    return jax.tree.map(spread, params, vectors), worlds
+    return jax.tree.map(spread, params, single), worlds
 
 
-def _window(run: Run, params: WorldParameters) -> Window:
-    begin, end = run.seconds(params.control.gait.frequency, params.control.tracking.clock_ratio)
+def _window(run: Run, params: WorldParameters, controller: ControllerLike, worlds: int) -> Window:
+    rate = np.asarray(controller.cycle_rate(params.control), float)
+    begin, end = (np.broadcast_to(each, worlds) for each in run.seconds(rate))
     distance = np.broadcast_to(1e6 if run.distance is None else run.distance, begin.shape)
     return Window(begin=begin, end=end, distance=distance)
 
 
 def _single(tree: Any) -> Any:
-    """Leaves in JAX's default precision."""
+    """Numbers in JAX's default precision; whole numbers and flags stay what they are."""
     real = jax.dtypes.canonicalize_dtype(float)
-    return jax.tree.map(lambda leaf: np.asarray(leaf, real), tree)
+    return jax.tree.map(lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree)

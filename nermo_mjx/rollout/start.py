@@ -5,14 +5,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Final
+from typing import Any, Final
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
@@ -36,14 +35,14 @@ class StartPose:
     """Maps parameters to `qpos`."""
 
     robot: Robot
-    controller: Controller
+    controller: ControllerLike
 
-    def qpos(self, control: ControlParameters, start: Start) -> Float[Array, " nq"]:
+    def qpos(self, control: Any, start: Start) -> Float[Array, " nq"]:
         """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y."""
         servo = self.controller.initial_servo(control, start.phase)
         legs = four_legs()
         eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
-        pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.controller.routing)
+        pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
         bend = spine.joint_angle(servo.spine)
         axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
         sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
@@ -59,7 +58,7 @@ class StartPose:
         qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle)
         return qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
 
-    def batch(self, control: ControlParameters, start: Start) -> np.ndarray:
+    def batch(self, control: Any, start: Start) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
         return np.asarray(self._batched(control, start), float)
 

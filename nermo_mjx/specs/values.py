@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from contextvars import ContextVar
 from typing import Annotated, Any, Final
 
 from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
@@ -17,6 +19,8 @@ from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 
 #: Every parameter, as a file without a setup has it; each setup has the same names.
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
+#: Those that the file that is read may name: another controller has others.
+NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=PARAMETERS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -158,12 +162,13 @@ def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, valu
 
 def refuse_parameter(name: str) -> None:
     """Raise `Refused` unless there is such a parameter, with the names near it: of its group, or of all groups."""
-    if name in PARAMETERS:
+    known = NAMES.get()
+    if name in known:
         return
     group = name.rpartition(".")[0]
-    mates = [other for other in PARAMETERS if group and other.startswith(f"{group}.")]
+    mates = [other for other in known if group and other.startswith(f"{group}.")]
     if not mates:
-        mates = [other for other in PARAMETERS if "." not in other]
-        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in PARAMETERS if "." in other)
+        mates = [other for other in known if "." not in other]
+        mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in known if "." in other)
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, PARAMETERS)}", name)
+    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, known)}", name)

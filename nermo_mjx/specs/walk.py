@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Collection, Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
 
 from pydantic import BeforeValidator, Field
@@ -19,9 +20,10 @@ from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Run, Setup, all_parameters
+from nermo_mjx.specs.controllers import named_controller, written_controller
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
-from nermo_mjx.specs.values import PARAMETERS, ByParameter, check_value, number_of
+from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, check_value, number_of
 
 #: Parameters that nothing reads unless a choice of the setup turns them on.
 _NEEDS: Final = {
@@ -51,6 +53,7 @@ class SetupFields(Fields):
     steering: str = chosen(Setup.steering, STEERING, "what turns the robot")
     profile: str = chosen(Setup.profile, PROFILES, "as_published moves as published")
     trajectory: str = chosen(Setup.trajectory, FORMS, "form of the foot path")
+    controller: str = optional("another controller: FILE.py:NAME, from this file's folder, or MODULE:NAME")
 
 
 SETUP_FIELDS: Final = tuple(SetupFields.model_fields)
@@ -125,7 +128,7 @@ class WalkFields(SetupFields):
 
     @classmethod
     def refuse(cls, key: str) -> None:
-        if key in PARAMETERS:
+        if key in NAMES.get():
             raise Refused(f"is a parameter, not {cls.what}: put it under {cls.sources}.", key)
         super().refuse(key)
 
@@ -167,11 +170,18 @@ class WalkSpec:
         """Every parameter that this setup has, by name."""
         return all_parameters(self.setup)
 
-    def walk_fields(self) -> dict[str, Any]:
-        """Setup, pilot, run and fixed parameters, as they stand in a file."""
-        data: dict[str, Any] = {field: getattr(self.setup, field) for field in SETUP_FIELDS}
+    def walk_fields(self, folder: Path | None = None) -> dict[str, Any]:
+        """Setup, pilot, run and fixed parameters, as they stand in a file.
+
+        Args:
+            folder: where the file is to stand, resolved: a controller in it is named from there.
+        """
+        own, given = self.setup.controller is not None, self.setup.fields()
+        data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
+        data |= {"controller": written_controller(self.setup, folder)} if own else {}
         data["timestep"] = float(self.setup.timestep)
-        data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
+        if not own or self.pilot:
+            data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
         names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
         data["run"] = {name: float(getattr(self.run, name)) for name in names}
         data["set"] = dict(self.fixed)
@@ -199,7 +209,7 @@ def check_sources(
             if name in sources:
                 doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
             sources[name] = f"under '{section}'"
-            choice, wanted = _NEEDS.get(name, ("", ""))
+            choice, wanted = _NEEDS.get(name, ("", "")) if walk.setup.controller is None else ("", "")
             if choice and wanted not in (chosen := getattr(walk.setup, choice)).split("+"):
                 doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
                                           f"{chosen}.", name)  # fmt: skip
@@ -217,6 +227,8 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {"pilot": pilot}
     if pilot == "waypoints":
         choices["waypoints"] = tuple(map(tuple, options.points))
+    if fields.controller is not None:
+        choices["controller"] = named_controller(doc)
     try:
         setup = Setup(**choices)
     except ParameterError as error:

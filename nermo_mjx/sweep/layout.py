@@ -16,13 +16,9 @@ _NAMED = 4
 def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
     """How long each row is simulated, (n,) [s]."""
     changed = {axis.name for axis in sweep.axes} | {draw.name for draw in sweep.draws}
-    known = sweep.constants
-
-    def value(name: str) -> np.ndarray:
-        fixed = known.get(name, sweep.parameters[name].default)
-        return rows.column(name) if name in changed else np.asarray(fixed, dtype=float)
-
-    _, end = sweep.run.seconds(value("frequency"), value("tracking.clock_ratio"))
+    values = {name: rows.column(name) if name in changed else sweep.constants[name]
+              for name in sweep.setup.timing if name in changed or name in sweep.constants}  # fmt: skip
+    _, end = sweep.run.seconds(sweep.setup.cycle_rate(values))
     return np.broadcast_to(np.asarray(end, dtype=float), len(rows))
 
 

@@ -9,13 +9,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.physics import ENGINES
+from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.rollout import METRICS, History, Simulator
 from nermo_mjx.runs.files import parquet_table
+from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
@@ -92,6 +95,8 @@ class Replay:
         status: `ok`, `fell` or `diverged`.
         history: of this one world (n = 1), until the run ends or its numbers are lost; every sample is finite, and
             there may be none.
+        about: the row's metrics, parameters, setup, run, engine and versions, see `RunResult.about`.
+        model: of the robot in its scene.
         comparison: with the table; None if the row is not in it.
     """
 
@@ -99,7 +104,17 @@ class Replay:
     metrics: dict[str, float]
     status: str
     history: History
+    about: Mapping[str, Any]
+    model: mujoco.MjModel
     comparison: Comparison | None
+
+    def recording(self) -> Recording:
+        """The recording of the run.
+
+        Raises:
+            RecordingError: it was lost in its first tick.
+        """
+        return recording_of(self.history, self.model, metadata=plain(self.about))
 
 
 def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
@@ -126,8 +141,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if stored is not None:
         engine = stored.schema.metadata[b"engine"].decode()
     line = rows.take(np.array([row]))
-    known = sweep.setup.defaults() | sweep.constants | {name: float(each[0]) for name, each in line.values.items()}
-    begin, end = sweep.run.seconds(known["frequency"], known["tracking.clock_ratio"])
+    known = sweep.constants | {name: float(each[0]) for name, each in line.values.items()}
+    begin, end = sweep.run.seconds(sweep.setup.cycle_rate(known))
     return SweepRow(
         out=out, sweep=sweep, row=row, line=line, begin=float(begin), end=float(end), engine=engine, chunk=layout[k],
         stored=None if stored is None else stored.slice(layout[k].tolist().index(row), 1).to_pylist()[0],
@@ -161,6 +176,8 @@ def replay_row(found: SweepRow, engine: str | None = None, progress: Callable[[f
         metrics=metrics,
         status=status,
         history=_until(result.trace, ticks),
+        about=result.about(),
+        model=simulator.robot.model,
         comparison=None if found.stored is None else compare(found.stored, metrics, str(found.engine)),
     )
 

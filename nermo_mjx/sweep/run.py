@@ -83,6 +83,11 @@ def run_sweep(
 ) -> SweepResult:
     """Run every variant of a sweep into a directory, or go on with what it holds.
 
+    >>> import tempfile
+    >>> spec = {"vary": {"frequency": [0.6, 0.8]}, "run": {"duration": 0.2}, "plots": False}
+    >>> run_sweep(spec, tempfile.mkdtemp(), engine="c").table.column("status").to_pylist()
+    ['ok', 'ok']
+
     Memory does not grow with what is done: a chunk is written while the next one is simulated, and the summary and the
     figures read a few columns at a time.
 

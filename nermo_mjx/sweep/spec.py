@@ -8,6 +8,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import ConfigDict, Field
@@ -15,6 +16,7 @@ from pydantic import ConfigDict, Field
 from nermo_mjx.robot import identified
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.start import START_SPREAD
+from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import ByParameter, Choice, Whole, by_parameter, refuse_parameter
@@ -120,9 +122,13 @@ class Sweep(WalkSpec):
         """Parameters that a run's body decides."""
         return tuple(identified.bodies().values) if self.bodies else ()
 
-    def resolved(self) -> dict[str, Any]:
-        """The sweep with all defaults written out; it reads back as the same sweep."""
-        data = self.walk_fields()
+    def resolved(self, folder: Path | None = None) -> dict[str, Any]:
+        """The sweep with all defaults written out; it reads back as the same sweep.
+
+        Args:
+            folder: see `walk_fields`.
+        """
+        data = self.walk_fields(folder)
         data["vary"] = {axis.name: axis.written() for axis in self.axes}
         data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
         bodies = {"from": self.bodies} if self.bodies else {}
@@ -133,23 +139,28 @@ class Sweep(WalkSpec):
         data["plots"] = self.plots
         return data
 
-    def to_yaml(self) -> str:
-        """The resolved sweep as a sweep file."""
-        return dump(self.resolved())
+    def to_yaml(self, folder: Path | None = None) -> str:
+        """The resolved sweep as a sweep file, see `resolved`."""
+        return dump(self.resolved(folder))
+
+    def decisive(self) -> dict[str, Any]:
+        """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
+        data = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots")}
+        return data | controller_identity(self.setup)
 
     def digest(self) -> str:
         """A hash of all that decides the rows of the table: the sweep, defaults of what it does not name, and bodies.
 
         How rows are cut into chunks, and whether figures are drawn, does not count.
         """
-        rows = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots")}
         defaults = {name: about.default for name, about in self.parameters.items()}
         bodies = [identified.bodies().fingerprint] if self.bodies else []
-        return hashlib.sha256(json.dumps([rows, defaults, *bodies]).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps([self.decisive(), defaults, *bodies]).encode()).hexdigest()[:16]
 
 
 def _read(doc: Document) -> Sweep:
-    file = read(doc, SweepFile)
+    with parameters_of(doc):
+        file = read(doc, SweepFile)
     walk = read_walk(doc, file)
     parameters = all_parameters(walk["setup"])
     sampler, samples = file.sample.chosen

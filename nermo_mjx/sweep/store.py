@@ -1,6 +1,7 @@
 """A sweep's directory: chunks of the result table, what they belong to, and who may write them.
 
 DIR/sweep.yaml                    the resolved sweep
+DIR/controller.py                 a copy of the file of another controller, if the sweep names one
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
 DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it; each shard has a file of its own
@@ -26,6 +27,7 @@ import pyarrow.parquet as pq
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, create_file, parquet_bytes, parquet_table
+from nermo_mjx.specs.controllers import keep_controller
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import rows_digest
 from nermo_mjx.sweep.results import chunk_files
@@ -151,7 +153,11 @@ class Store:
         if not path.exists():
             if any(self.results.glob("*.parquet")):
                 raise self._foreign("results of an unknown sweep (it has no sweep.yaml); choose another directory")
-            create_file(path, self.sweep.to_yaml().encode())
+            folder = self.out.resolve()
+            self.sweep = dataclasses.replace(
+                self.sweep, setup=keep_controller(self.sweep.setup, folder, self.directory.write)
+            )
+            create_file(path, self.sweep.to_yaml(folder).encode())
         # Even if it was written just now: another shard may have been faster, and have chosen other chunks.
         try:
             begun = Sweep.from_file(path)
@@ -170,9 +176,8 @@ class Store:
 
 def _differences(begun: Sweep, wanted: Sweep) -> str:
     """In what two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
-    there, here = _fields(begun.resolved()), _fields(wanted.resolved())
+    there, here = _fields(begun.decisive()), _fields(wanted.decisive())
     names = [name for name in {**there, **here} if there.get(name) != here.get(name)]
-    names = [name for name in names if name not in ("chunk", "plots")]  # which rows there are does not depend on them
     shown = [f"{name} is {_text(there.get(name))} there and {_text(here.get(name))} here" for name in names[:_NAMED]]
     if not names:  # the same values, but another row 0
         return "the parameters under vary or randomize stand in another order"

@@ -25,11 +25,12 @@ from typing import Any, Final
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.text import to_json
+from nermo_mjx.specs.controllers import keep_controller
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.tune.checkpoints import Checkpoints
 from nermo_mjx.tune.history import FILE, Log, history_table
 from nermo_mjx.tune.outcome import best_of, tuned_sweep
-from nermo_mjx.tune.spec import FREE, Tuning, changes
+from nermo_mjx.tune.spec import Tuning, changes
 from nermo_mjx.tune.state import TuneState, initial_state
 
 #: What a rollout is computed with.
@@ -93,7 +94,8 @@ class Directory:
         """Make the directory this tuning's; what is there and does not follow from this history is moved aside."""
         if not self._follows(log):
             self.set_aside("of another history", *_MADE, _TUNING)
-        self.tuning = keep_recording(self._run, self.tuning, self._warn)
+        setup = keep_controller(self.tuning.setup, self.out.resolve(), self._run.write)
+        self.tuning = keep_recording(self._run, dataclasses.replace(self.tuning, setup=setup), self._warn)
         write_tuning(self._run, _TUNING, self.tuning, self._warn)
 
     def begin_session(self, begun_at: int) -> None:
@@ -113,7 +115,7 @@ class Directory:
         self.write(FILE, parquet_bytes(history_table(self.tuning, log)))
         if best is not None:
             self.write("best.json", to_json(best))
-            self.write("tuned.yaml", tuned_sweep(self.tuning, best).encode())
+            self.write("tuned.yaml", tuned_sweep(self.tuning, best, self.out.resolve()).encode())
         return best
 
     def write(self, name: str, content: bytes) -> None:
@@ -142,7 +144,7 @@ class Directory:
             unknown = "checkpoints of an unknown tuning (it has no tuning.yaml)"
             unread = f"a tuning that cannot be read ({error})" if (self.out / _TUNING).exists() else unknown
             raise WrongDirectory(f"{self.out} holds {unread}; choose another directory.") from None
-        apart = changes(_decisive(begun), _decisive(self.tuning))
+        apart = changes(begun.decisive(), self.tuning.decisive())
         if apart:
             raise WrongDirectory(f"{self.out} holds another tuning, with another {', '.join(apart)} (see "
                                  f"{self.out / _TUNING}); choose another directory.")  # fmt: skip
@@ -184,8 +186,3 @@ def set_aside(held: RunDirectory, what: str, names: Iterable[str], warn: Callabl
         aside = held.move_aside(name)
         if aside is not None:
             warn(f"{held.out / name} is {what}; it is kept as {aside.name}.")
-
-
-def _decisive(tuning: Tuning) -> dict[str, Any]:
-    """The fields that may not change. A recording counts by its content, which the checkpoints know."""
-    return {key: value for key, value in tuning.resolved().items() if key not in (*FREE, "recording")}

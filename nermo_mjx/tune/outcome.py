@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -56,13 +57,19 @@ def start_of(tuning: Tuning, log: Log) -> dict[str, Any]:
     }
 
 
-def tuned_sweep(tuning: Tuning, best: dict[str, Any]) -> str:
-    """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from starts a little apart."""
+def tuned_sweep(tuning: Tuning, best: dict[str, Any], folder: Path | None = None) -> str:
+    """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from starts a little apart.
+
+    Args:
+        tuning: what was tuned.
+        best: the content of best.json.
+        folder: where the file is to stand, see `walk_fields`.
+    """
     known = tuning.parameters
     # float32 may stand a rounding outside of what is allowed: the digits that count are seven.
     values = {name: float(np.clip(value, known[name].low, known[name].high))
               for name, value in best["parameters"].items()}  # fmt: skip
     numbers = {name: float(f"{value:.7g}") if math.isfinite(value) else value for name, value in values.items()}
-    data = tuning.walk_fields() | {"set": {**tuning.fixed, **numbers}, "randomize": {"repeats": REPEATS}}
+    data = tuning.walk_fields(folder) | {"set": {**tuning.fixed, **numbers}, "randomize": {"repeats": REPEATS}}
     head = f"# Iteration {best['iteration']} of start {best['start']}: objective {best['objective']:.6g}.\n"
     return head + dump({**data, "seed": tuning.seed, "plots": False})

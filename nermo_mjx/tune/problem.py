@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.derivative import choose_mode, cost, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
@@ -19,7 +20,6 @@ from nermo_mjx.runtime import compiler_options, cpu_batch_limit
 from nermo_mjx.tune.evaluation import Evaluation
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR
 from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.view.recording import Recording, RecordingError
 
 #: Spread of a coordinate below which it counts as this large: a millimetre, and a hundredth of a radian.
 _LEAST_SPREAD: Final = (1e-3, 1e-2)

@@ -16,6 +16,7 @@ from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
 from nermo_mjx.rollout import all_parameters
+from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Refused, optional, read
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import ByParameter, Choice, Whole
@@ -129,9 +130,9 @@ class Tuning(WalkSpec):
         """The tuning with all defaults written out; it reads back as the same tuning.
 
         Args:
-            folder: where the file is to stand, resolved: a recording in it is named from there.
+            folder: where the file is to stand, resolved: a recording or a controller in it is named from there.
         """
-        data = self.walk_fields()
+        data = self.walk_fields(folder)
         data["tune"] = {each.name: each.written() for each in self.tuned}
         data["objective"] = [term.written() for term in self.objective.terms]
         if self.recording is not None:
@@ -143,6 +144,11 @@ class Tuning(WalkSpec):
     def to_yaml(self, folder: Path | None = None) -> str:
         """The resolved tuning as a tuning file, see `resolved`."""
         return dump(self.resolved(folder))
+
+    def decisive(self) -> dict[str, Any]:
+        """The fields that may not change: a recording counts beside them, a controller by what it is."""
+        data = {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")}
+        return data | controller_identity(self.setup)
 
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
@@ -157,7 +163,7 @@ class Tuning(WalkSpec):
         except OSError as error:
             raise SpecError(f"recording is {self.recording}: cannot be read ({error.strerror or error}).") from None
         return {
-            "fields": {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")},
+            "fields": self.decisive(),
             "defaults": {name: about.default for name, about in self.parameters.items()},
             "recording": "" if self.recording is None else hashlib.sha256(recorded).hexdigest(),
         }
@@ -183,7 +189,8 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def _read(doc: Document, *, recorded: bool = True) -> Tuning:
-    file = read(doc, TuningFile)
+    with parameters_of(doc):
+        file = read(doc, TuningFile)
     walk = read_walk(doc, file)
     if "distance" in walk["pilot"]:
         doc.fail(("pilot", "straight", "distance"), "ends each run at a distance: such a length jumps by whole cycles "
@@ -213,7 +220,7 @@ def _check_together(doc: Document, tuning: Tuning) -> None:
 def _check_length(doc: Document, tuning: Tuning) -> None:
     """A run of so many cycles lasts the longer, the lower its frequency."""
     low = {each.name: each.low for each in tuning.tuned}.get("frequency")
-    if low is None or tuning.run.duration is not None:
+    if low is None or "frequency" not in tuning.setup.timing or tuning.run.duration is not None:
         return
     cycles = float(tuning.run.cycles)  # type: ignore[arg-type]
     if cycles > LONGEST_RUN * low:

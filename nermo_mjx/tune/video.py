@@ -67,11 +67,9 @@ def shoot(
 
 def _span(tuning: Tuning, values: Mapping[str, np.ndarray]) -> tuple[float, float]:
     """From when to when both walks are shown [s]: some gait cycles after the longer warm-up."""
-    defaults = tuning.parameters
-    frequency, ratio = (values.get(name, np.full(2, float(defaults[name].default)))  # type: ignore[arg-type]
-                        for name in ("frequency", "tracking.clock_ratio"))  # fmt: skip
-    begin, end = (float(np.max(each)) for each in tuning.run.seconds(frequency, ratio))
-    shown = min(CYCLES * float(np.max(ratio / frequency)), LONGEST)
+    rate = tuning.setup.cycle_rate(values)
+    begin, end = (float(np.max(each)) for each in tuning.run.seconds(rate))
+    shown = min(CYCLES / float(np.min(rate)), LONGEST)
     # A run of a cycle or two is shown from its beginning on.
     begin = max(0.0, min(begin, end - shown))
     return begin, begin + min(shown, end)

@@ -1,11 +1,11 @@
 """What users see of a run: recordings, videos, and a page for the browser."""
 
+from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.encoding import VideoError
 from nermo_mjx.view.overlays import OVERLAYS
 from nermo_mjx.view.page import Page, show
 from nermo_mjx.view.playing import play, write_keyframes
 from nermo_mjx.view.recorded_robot import robot_of
-from nermo_mjx.view.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.video import CAMERAS, check_video, render
 
 __all__ = [

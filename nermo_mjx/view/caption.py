@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Final
 
-from nermo_mjx.view.recording import Recording
+from nermo_mjx.recording import Recording
 
 _GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
 _DEGREES: Final = math.degrees(1.0)
@@ -22,8 +22,8 @@ def title_of(recording: Recording) -> str:
     if "case" in recording.metadata:
         return str(recording.metadata["case"])
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
-    gait = setup.get("gait")
-    parts = [_GAITS.get(str(gait), str(gait)) if gait else "Recording"]
+    gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
+    parts = [_GAITS.get(str(gait), str(gait)) if gait else controller]
     if (frequency := _number(parameters.get("frequency"))) is not None:
         parts.append(f"{frequency:.3g} Hz")
     spine = str(setup.get("spine", "none")).replace("_", " ")

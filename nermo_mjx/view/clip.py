@@ -7,12 +7,12 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from nermo_mjx.recording import Recording
 from nermo_mjx.view.camera import body_radius, root_body, smooth_path
 from nermo_mjx.view.caption import details_of, headline_of, title_of
 from nermo_mjx.view.motion import Motion, finite_samples, motion_of
 from nermo_mjx.view.packing import Packer
 from nermo_mjx.view.recorded_robot import recorded_model, robot_of
-from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.shapes import shapes_of
 from nermo_mjx.view.signals import Plot, plots_of
 

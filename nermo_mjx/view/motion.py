@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import LIMBS
-from nermo_mjx.view.recording import Recording, RecordingError
 
 #: Points that are drawn between the two at which a tendon touches a pulley.
 ARC: Final = 5

@@ -9,8 +9,8 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view.recording import Recording, RecordingError
 from nermo_mjx.view.strips import Panel, Strip, gait_panels, servo_panels
 from nermo_mjx.view.support import draw_support
 

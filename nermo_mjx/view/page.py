@@ -11,8 +11,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
+from nermo_mjx.recording import Recording, whole_file
 from nermo_mjx.view.packing import Packer
-from nermo_mjx.view.recording import Recording, whole_file
 
 _WEB: Final = resources.files("nermo_mjx.view") / "web"
 _LIBRARIES: Final = {"three": "vendor/three/three.min.js", "meshoptimizer": "vendor/meshoptimizer/simplifier.min.js"}

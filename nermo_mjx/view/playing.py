@@ -13,11 +13,11 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view import sun
 from nermo_mjx.view.camera import body_radius, following_camera, root_body
 from nermo_mjx.view.recorded_robot import robot_of
-from nermo_mjx.view.recording import Recording, RecordingError
 
 #: Frames that the viewer is given a second [Hz].
 _REFRESH: Final = 60.0

@@ -7,9 +7,9 @@ import dataclasses
 
 import mujoco
 
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.quantity import quantities, replace_quantities
-from nermo_mjx.view.recording import Recording
 
 
 def robot_of(recording: Recording) -> Robot:

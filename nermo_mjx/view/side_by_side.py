@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import ink
 from nermo_mjx.view.camera import smooth_path
 from nermo_mjx.view.encoding import CountDone, write_video
 from nermo_mjx.view.overlays import check_overlays
-from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.video import check_video, draw, frame_samples, root_path
 
 #: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].

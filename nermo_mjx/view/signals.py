@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, SERVOS
 from nermo_mjx.view.motion import Motion
-from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.standing import STANDING
 
 _LIMB_TITLES: Final = tuple(limb.replace("_", " ") for limb in LIMBS)

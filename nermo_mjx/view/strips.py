@@ -14,9 +14,9 @@ from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.style import FOOT, OKABE_ITO, TAIL
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.view import ink
-from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.standing import STANDING, spans
 
 #: What a frame shows of a longer run [s]: the past, and paler what comes.

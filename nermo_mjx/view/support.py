@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull, QhullError
 
-from nermo_mjx.view.recording import Recording
+from nermo_mjx.recording import Recording
 from nermo_mjx.view.standing import STANDING
 
 #: Thickness of the lines, radius of the points, and their height above the ground [m].

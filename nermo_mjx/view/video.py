@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from nermo_mjx import runtime
+from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import sun
 from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
 from nermo_mjx.view.encoding import SUFFIXES, CountDone, VideoError, require_encoder, write_video
 from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
-from nermo_mjx.view.recording import Recording, RecordingError
 
 #: Without a graphics card a frame takes as long as its samples, shadow map, mirror images and facets do.
 SHADOW_MAP: Final = 2048

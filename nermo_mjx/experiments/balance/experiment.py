@@ -33,10 +33,10 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.physics import Engine, Trace, Variation, make_engine
 from nermo_mjx.physics.variation import compile_model
+from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, load_robot
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
 from nermo_mjx.rollout.simulator import BLOCK, History
-from nermo_mjx.view.recording import Recording, recording_of
 
 NAME: Final = "balance"
 SCENE: Final = "balance_stand"

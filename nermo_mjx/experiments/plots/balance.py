@@ -17,8 +17,8 @@ from nermo_mjx.experiments.plots.bars import Bar, bar_entries, draw_bars, repeat
 from nermo_mjx.experiments.plots.marks import FAIL, PASS, SPINE, profiles, shade_phases, shown, stroke, swatch
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, GRID, INK, SHADE, horizontal_grid
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS
-from nermo_mjx.view.recording import Recording
 
 PHASES: Final = ("stand", "shift", "lift", "swing")
 _WITH: Final = {False: "without compensation", True: "with compensation"}

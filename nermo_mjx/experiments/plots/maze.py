@@ -34,8 +34,8 @@ from nermo_mjx.experiments.plots.marks import (
 from nermo_mjx.experiments.published.measure import clock
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import INK, MISSING, MUTED, horizontal_grid
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import load_robot
-from nermo_mjx.view.recording import Recording
 
 #: Published numbers in these pictures: the figures of the report that hold them, by column and spine.
 NUMBERS: Final = {

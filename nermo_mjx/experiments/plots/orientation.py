@@ -30,7 +30,7 @@ from nermo_mjx.experiments.plots.marks import (
 from nermo_mjx.experiments.published.measure import clock
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import MISSING, horizontal_grid
-from nermo_mjx.view.recording import Recording
+from nermo_mjx.recording import Recording
 
 #: Published numbers in these pictures: the figures of the report that hold them.
 LARGEST_ROLL: Final = "largest roll of trt, 0.8 Hz, spine"

@@ -33,7 +33,7 @@ from nermo_mjx.experiments.plots.marks import (
 from nermo_mjx.experiments.published.measure import clock
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import GRID, INK, MISSING
-from nermo_mjx.view.recording import Recording
+from nermo_mjx.recording import Recording
 
 #: Published numbers in these pictures: the figures of the report that hold them, by the strategy.
 TIME: Final = {name: f"time for 0.5 m, trt, 0.67 Hz, {name}-based" for name in turning.STRATEGIES}

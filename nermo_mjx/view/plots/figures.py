@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 from matplotlib.figure import Figure
 
+from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view.plots.body import ground_path, orientation
 from nermo_mjx.view.plots.feet import leg_paths, over_ground
@@ -13,7 +14,6 @@ from nermo_mjx.view.plots.gait_diagram import gait_diagram
 from nermo_mjx.view.plots.servos import servo_angles
 from nermo_mjx.view.plots.walk import Walk
 from nermo_mjx.view.recorded_robot import robot_of
-from nermo_mjx.view.recording import Recording, RecordingError
 
 
 def figures_of(

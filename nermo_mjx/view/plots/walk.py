@@ -11,9 +11,9 @@ import numpy as np
 
 from nermo_mjx.control.clock import limb_states
 from nermo_mjx.control.parameters import ControlParameters, published_values
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import GAITS, LIMBS
 from nermo_mjx.rollout.attitude import attitude
-from nermo_mjx.view.recording import Recording
 from nermo_mjx.view.standing import STANDING
 
 #: Gait cycles that figures show of single steps: the last whole ones.

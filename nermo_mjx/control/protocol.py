@@ -1,0 +1,95 @@
+"""What a controller is to simulators, metrics, sweeps and tunings: pure functions over pytrees."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, runtime_checkable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.control.path import PathPoint
+from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.robot.interface import Sensors, ServoAngles
+
+#: What every controller has.
+REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
+
+
+class ControllerLike(Protocol):
+    """A controller. `params` and its state are any pytrees; values are unbatched, and engines `vmap`.
+
+    Where `parameters` is a parameter tree (`nermo_mjx.parameter_tree`), each of its quantities can be named like those
+    of the published controller: in `values`, and in sweep and tuning files.
+    """
+
+    @property
+    def dt(self) -> float:
+        """Simulated seconds of a control tick, a whole number of physics steps."""
+
+    @property
+    def parameters(self) -> Any:
+        """The parameters of one world before values are named; they give the structure and the shapes of all others."""
+
+    def init(self, params: Any, sensors: Sensors, phase: Float[Array, ""]) -> Any:
+        """State at the start, from the readings at rest; `phase` is `start.phase`."""
+
+    def initial_servo(self, params: Any, phase: Float[Array, ""]) -> ServoAngles:
+        """Servo angles in which the robot is put down."""
+
+    def update(self, params: Any, state: Any, sensors: Sensors) -> tuple[Any, ServoAngles]:
+        """One control tick: the state and the servo angles `dt` later."""
+
+    def cycle_rate(self, params: Any) -> Any:
+        """Gait cycles a simulated second [1/s]: what a run counts, and what metrics take means over.
+
+        Elementwise: in a batch the leaves of `params` have a leading axis.
+        """
+
+
+@runtime_checkable
+class FollowsPath(Protocol):
+    """A controller that has a path, beside which the robot is measured (`cross_track_rms`, the way along it)."""
+
+    def path(self, params: Any, state: Any, position: Float[Array, " 3"]) -> PathPoint | None:
+        """The point of the path beside a position [m]; None where it follows none after all."""
+
+
+@runtime_checkable
+class PlansContact(Protocol):
+    """A controller that knows which feet are to stand (`swing_loaded_rear`)."""
+
+    def stance(self, state: Any) -> Bool[Array, " 4"]:
+        """Planned contact of the limbs."""
+
+
+@runtime_checkable
+class ChecksParameters(Protocol):
+    """A controller that refuses parameters beyond the ranges of its quantities."""
+
+    def check(self, params: Any) -> None:
+        """Raise `ParameterError` with one sentence. `params` are not traced, and may have leading batch axes."""
+
+
+@runtime_checkable
+class CompletesValues(Protocol):
+    """A controller some of whose parameters follow others, unless both are named."""
+
+    def complete(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Named values, and what follows from them."""
+
+
+def leg_servos(feet: Float[Array, "4 2"], spine: Any = 0.0, routing: str = "type3") -> ServoAngles:
+    """Servo angles for feet (y, z) in their legs' frames [m] and the spine's servo [rad]; neck and tail are straight.
+
+    >>> leg_servos(jnp.asarray([[0.0, -0.045], [0.0, -0.045], [0.0, -0.05], [0.0, -0.05]])).hip.shape
+    (4,)
+
+    Args:
+        feet: y is backward, z up from the hip's axis; what a leg cannot reach is brought to its workspace's edge.
+        spine: positive turns left.
+        routing: knee tendon routing of the robot.
+    """
+    servo = inverse(four_legs(), feet, routing).servo
+    spine = jnp.asarray(spine, servo.dtype)
+    rest = jnp.zeros_like(spine)
+    return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=spine, neck=rest, tail=rest)

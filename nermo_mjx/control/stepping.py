@@ -1,0 +1,130 @@
+"""The gait: from phase and drive to planned contact and the feet's paths."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.control import clock, trajectory, turning
+from nermo_mjx.control.parameters import ControlParameters, choice
+from nermo_mjx.control.pilot import Drive
+
+
+class Stepped(Protocol):
+    """What the controller reads of a gait's state, besides what is the gait's own."""
+
+    @property
+    def phase(self) -> Float[Array, ""]:
+        """Of the gait cycle, in [0, 1)."""
+
+    @property
+    def stance(self) -> Bool[Array, " 4"]:
+        """Planned contact of the limbs."""
+
+
+class GaitLike(Protocol):
+    """A gait: pure functions over its parameters and a state of its own. Values are unbatched."""
+
+    def start(self, params: Any, phase: Float[Array, ""], drive: Drive) -> tuple[Any, Float[Array, "4 2"]]:
+        """State (see `Stepped`) in a steady gait at a phase, and the feet (y, z) in their legs' frames [m]."""
+
+    def update(self, params: Any, state: Any, before: Drive, now: Drive, dt: float) -> tuple[Any, Float[Array, "4 2"]]:
+        """State and feet `dt` simulated seconds later, driven as `before` until now and as `now` from here on."""
+
+    def walked(self, params: Any, state: Any, drive: Drive) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """(speed [m/s], yaw rate [rad/s]) without slip of the strides that the legs make now, in simulated time."""
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Steps:
+    """State of `Stepping`.
+
+    Attributes:
+        phase: of the gait cycle, in [0, 1).
+        stance: planned contact of the limbs.
+        points: control points (start, mid, end) of each limb's half-cycle, (y, z) in the leg's frame; the next
+            half-cycle starts at the end [m].
+    """
+
+    phase: Float[Array, ""]
+    stance: Bool[Array, " 4"]
+    points: Float[Array, "4 3 2"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stepping:
+    """The published gaits: a clock, half-cycles of stance and swing, and a path through three points for each.
+
+    Attributes:
+        form: of the foot path, "cubic", "linear" or "parabolic".
+
+    Raises:
+        ParameterError: an unknown form.
+    """
+
+    form: str = "cubic"
+
+    def __post_init__(self) -> None:
+        choice("trajectory", self.form, trajectory.FORMS)
+
+    def start(
+        self, params: ControlParameters, phase: Float[Array, ""], drive: Drive
+    ) -> tuple[Steps, Float[Array, "4 2"]]:
+        """See `GaitLike`."""
+        limbs = clock.limb_states(params.gait, phase)
+        points = trajectory.nominal_points(params.stance, limbs.stance, _strides(params, drive))
+        return Steps(phase, limbs.stance, points), trajectory.position(points, limbs.progress, self.form)
+
+    def update(
+        self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
+    ) -> tuple[Steps, Float[Array, "4 2"]]:
+        """See `GaitLike`."""
+        phase = clock.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
+        limbs = clock.limb_states(params.gait, phase)
+        points = _points(params, state, limbs, before, now, dt)
+        return Steps(phase, limbs.stance, points), trajectory.position(points, limbs.progress, self.form)
+
+    def walked(
+        self, params: ControlParameters, state: Steps, drive: Drive
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """See `GaitLike`."""
+        speed, yaw_rate = turning.walked(params, state.points, state.stance, drive.turn_rate)
+        return speed / params.tracking.clock_ratio, yaw_rate / params.tracking.clock_ratio
+
+
+def _strides(params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
+    stride = turning.stride_length(params.gait, params.stance, drive.speed)
+    return stride * turning.stride_shares(params.turning, drive.turn_rate)
+
+
+def _points(
+    params: ControlParameters, state: Steps, limbs: clock.LimbStates, before: Drive, now: Drive, dt: float
+) -> Float[Array, "4 3 2"]:
+    """Control points of the half-cycles that the legs are in now.
+
+    A leg switches between two ticks. Its new half-cycle starts where the old one ends, not where the foot was at
+    the tick before, and has the stride that was wanted when it switched. So the commanded feet are continuous in
+    frequency, duty and offsets, which say in which tick a switch falls.
+    """
+    duty = jnp.clip(jnp.asarray(params.gait.duty), clock.SHORTEST_HALF, 1.0 - clock.SHORTEST_HALF)
+    length, other = jnp.where(limbs.stance, duty, 1.0 - duty), jnp.where(limbs.stance, 1.0 - duty, duty)
+    # Since the leg's last switch, and in a tick, as shares of the gait cycle.
+    since = limbs.progress * length
+    in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
+    strides_before, strides_now = _strides(params, before), _strides(params, now)
+
+    def stride(ago: Array) -> Array:
+        return strides_now + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (strides_before - strides_now)
+
+    switched = clock.switches(limbs.stance, state.stance)
+    # A half-cycle shorter than a tick may pass unseen; the foot has made its way all the same.
+    skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
+    passed = trajectory.end_points(params.stance, ~limbs.stance, stride(since + other))
+    start = jnp.where(skipped[:, None], passed, state.points[:, 2])
+    planned = trajectory.plan(params.stance, start, limbs.stance, stride(since))
+    return jnp.where((switched | skipped)[:, None, None], planned, state.points)

@@ -1,0 +1,36 @@
+"""The examples in docstrings run, and every public function has one."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import inspect
+from pathlib import Path
+
+import pytest
+
+import nermo_mjx
+
+PACKAGE = Path(nermo_mjx.__file__).parent
+WITH_EXAMPLES = sorted(
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)
+    for path in PACKAGE.rglob("*.py")
+    if ">>> " in path.read_text(encoding="utf-8")
+)
+#: What runs for minutes, needs a directory or a GPU, or draws: the notebooks and the pages of docs/ run them.
+ELSEWHERE = {
+    "read_history", "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_tuning", "show",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WITH_EXAMPLES)
+def test_the_examples_of_a_module_run(name: str) -> None:
+    failed, attempted = doctest.testmod(importlib.import_module(name))
+    assert attempted > 0
+    assert failed == 0
+
+
+def test_every_public_function_has_an_example() -> None:
+    functions = {name for name in nermo_mjx.__all__ if inspect.isfunction(getattr(nermo_mjx, name))}
+    without = {name for name in functions if ">>> " not in (getattr(nermo_mjx, name).__doc__ or "")}
+    assert without - {"quantity"} == ELSEWHERE  # `parameter_tree` shows both
