@@ -64,12 +64,12 @@ class ClosedLoop:
         sensors = self.robot.sensors(sensordata)
         cycle_rate = params.control.gait.frequency / params.control.tracking.clock_ratio
         path = None
+        position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
         if self.controller.pilot in FOLLOWERS:
-            position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
             path = self.controller.locate(params.control, position, state.control.path_point.progress)
         measured = metrics.update(
             params.window, state.metrics, sensors, state.control.time, self.controller.dt, cycle_rate, path,
-            state.control.stance,
+            state.control.stance, self.robot.terrain.height(position[0], position[1]),
         )  # fmt: skip
         # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.lost, 0.0, leaf[-1]), sensors)

@@ -12,8 +12,10 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.parameters import published_values
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities
+from nermo_mjx.robot.scene import Scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 from nermo_mjx.rollout.parameters import WorldParameters
 
@@ -24,7 +26,8 @@ class Setup:
 
     Attributes:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
-            preset takes that preset's time step, unless one was given.
+            preset takes that preset's time step, unless one was given. A scene of one's own, a file or an `MjSpec`,
+            is kept as MJCF, so that setups with the same one are equal.
         gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
@@ -39,7 +42,7 @@ class Setup:
     """
 
     robot: str = "nermo_lite"
-    scene: str = "flat"
+    scene: Scene = "flat"
     tail: str = "rigid"
     routing: str = "type3"
     cone: str = "elliptic"
@@ -59,6 +62,7 @@ class Setup:
             self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
+        object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         self.controller()
         ratio = 1.0 / (self.controller().control_rate * self.timestep)
@@ -83,6 +87,7 @@ class Setup:
     def defaults(self) -> dict[str, float]:
         """Value of every parameter before a user names any."""
         values = {name: float(about.default) for name, about in quantities(WorldParameters)}  # type: ignore[arg-type]
+        values |= gravity_values(self.load().model.opt.gravity)
         return values | published_values(self.gait, steering=self.steering, profile=self.profile)
 
 

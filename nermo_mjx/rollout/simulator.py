@@ -81,7 +81,7 @@ class Batch:
         fields: model fields that differ between worlds, (n, ...) each.
         ticks: control ticks until the last world is done.
         may_end_early: whether worlds are done when they have walked their distance.
-        mass: of each robot (n,) [kg].
+        mass, gravity: of each robot (n,) [kg, m/s^2].
     """
 
     params: LoopParameters
@@ -90,6 +90,7 @@ class Batch:
     ticks: int
     may_end_early: bool
     mass: np.ndarray
+    gravity: np.ndarray
 
 
 class Simulator:
@@ -154,6 +155,7 @@ class Simulator:
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,
             mass=mass,
+            gravity=np.asarray(params.model.ground.gravity, float),
         )
 
     def run(
@@ -215,7 +217,7 @@ class Simulator:
             if done + size >= ticks:
                 break
 
-        measured = self._results(session.loop_state.metrics, batch.mass)
+        measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
         status = np.where(table["diverged"] > 0, "diverged", np.where(table["fell"] > 0, "fell", "ok"))
         return RunResult(
