@@ -49,7 +49,7 @@ def test_the_height_is_where_a_ray_from_above_meets_the_ground(kind):
     rays = np.array([from_above(model, *place) for place in places])
     hit = np.isfinite(rays)
     np.testing.assert_allclose(heights[hit], rays[hit], atol=1e-7)
-    assert hit.sum() > 30
+    assert hit.sum() > 20
     assert len(set(heights[~hit])) <= 1
     assert (heights[~hit] <= rays[hit].min()).all()
 

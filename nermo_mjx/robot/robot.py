@@ -56,6 +56,7 @@ class _Compiled:
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     joints: JointIndex
+    terrain: Terrain
 
     @functools.cached_property
     def physical(self) -> mujoco.MjModel:
@@ -176,15 +177,12 @@ class Robot:
     @functools.cached_property
     def obstacles(self) -> tuple[int, ...]:
         """Ids of the geoms that the robot may run into, in the scene's order; empty in an open scene."""
-        return self._ids(scene_geoms(str(self.config.scene)).obstacles)
+        return _ids(self.model, scene_geoms(str(self.config.scene)).obstacles)
 
-    @functools.cached_property
+    @property
     def terrain(self) -> Terrain:
         """How high the ground is."""
-        return Terrain(self.model, self._ids(scene_geoms(str(self.config.scene)).ground))
-
-    def _ids(self, geoms: tuple[str, ...]) -> tuple[int, ...]:
-        return tuple(sorted(self.model.geom(name).id for name in geoms))
+        return self._compiled.terrain
 
     def mass_table(self) -> list[dict[str, float | str]]:
         """Mass of every body [kg], and whether it counts to the front or the rear."""
@@ -211,7 +209,12 @@ def _compile(config: RobotConfig) -> _Compiled:
     except ValueError as error:  # a scene of one's own with the name of a part
         why = str(error).splitlines()[0].removeprefix("Error: ")
         raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None
-    return _Compiled(spec, model, _joint_index(model))
+    terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground))
+    return _Compiled(spec, model, _joint_index(model), terrain)
+
+
+def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(sorted(model.geom(name).id for name in geoms))
 
 
 def load_robot(

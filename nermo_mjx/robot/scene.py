@@ -18,7 +18,9 @@ from typing import Any, Final, NoReturn, TypeAlias
 import mujoco
 
 from nermo_mjx.robot.files import load_file, scenes
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.gravity import gravity_values
+from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
 
 Scene: TypeAlias = str | os.PathLike[str] | mujoco.MjSpec
 #: Default classes of the geoms that the robot stands on, and of those that stop it; a class inside of one counts, too.
@@ -166,9 +168,10 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         model = spec.compile()
     if model.nbody > 1:
         refuse(f"has a body {model.body(1).name!r} that a camera or light aims at; aim it at none")
-    x, y, z = model.opt.gravity
-    if not -z > 0:
-        refuse(f"has gravity ({x:g}, {y:g}, {z:g}), which does not point down")
+    try:
+        check_quantities(replace_quantities(ModelParameters(), gravity_values(model.opt.gravity)))
+    except ParameterError as error:
+        refuse(f"has a gravity with which {str(error).removesuffix('.')}")
     return str(spec.to_xml())
 
 

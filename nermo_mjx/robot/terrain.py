@@ -94,10 +94,10 @@ class _Field:
         s, t = column - j, row - i
         table = jnp.asarray(self.heights, jnp.result_type(float))
         origin, right, up, opposite = table[i, j], table[i, j + 1], table[i + 1, j], table[i + 1, j + 1]
-        lower = origin + s * (right - origin) + t * (up - origin)
-        upper = opposite + (1.0 - s) * (up - opposite) + (1.0 - t) * (right - opposite)
+        lower = origin + s * (right - origin) + t * (opposite - right)
+        upper = origin + t * (up - origin) + s * (opposite - up)
         inside = (jnp.abs(u) <= 1.0) & (jnp.abs(v) <= 1.0)
-        return jnp.where(inside, self.place[2] + jnp.where(s + t <= 1.0, lower, upper), -jnp.inf)
+        return jnp.where(inside, self.place[2] + jnp.where(s >= t, lower, upper), -jnp.inf)
 
 
 def _surface(model: mujoco.MjModel, geom: int) -> _Plane | _Box | _Field:
