@@ -192,7 +192,7 @@ def test_a_name_that_is_no_parameter_is_refused():
 
 
 def test_c_engine_worlds_move_like_models_compiled_for_them():
-    """Worlds of different masses, friction and slope are, bit for bit, `mj_step` of models compiled with those values."""
+    """Worlds of different masses, friction and slope are, bit for bit, `mj_step` of models compiled with them."""
     robot = load_robot()
     loop, worlds = Standing(robot), 3
     values = {
