@@ -54,8 +54,8 @@ def resolve_scene(scene: Scene) -> str:
     Args:
         scene: a name; the path of an MJCF file, relative to the working directory; MJCF itself; or an `MjSpec`, which
             is not changed. In a scene of one's own nothing moves; geoms of the default class `ground`, and the one
-            named `floor`, carry the robot, those of the class `obstacle` stop it, and no other touches it. Meshes and
-            textures stay in their files, of which the text has the absolute paths.
+            named `floor`, carry the robot, those of the class `obstacle` stop it, and no other touches it. What
+            it reads from files, such as meshes, stays there; the text has their absolute paths.
 
     Raises:
         ParameterError: there is no such scene or file; MuJoCo refuses it; it has what belongs to the robot, or no
