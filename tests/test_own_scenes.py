@@ -80,6 +80,23 @@ def test_only_ground_and_obstacles_touch_the_robot():
     assert not model.geom_contype.any()
 
 
+def test_settings_of_a_scene_do_not_reach_the_robot():
+    """Its solver, steps and masses are its own; gravity is the scene's."""
+    settings = (
+        "<option gravity='0 0 -5' solver='PGS' density='1000' iterations='3'><flag contact='disable'/></option>"
+        "<compiler boundmass='7' discardvisual='true' autolimits='false'/>"
+    )
+    own, flat = (
+        load_robot(scene=scene().replace("<worldbody>", f"{more}<worldbody>")).model
+        for more in (settings, "<option gravity='0 0 -5'/>")
+    )
+    assert own.opt.gravity[2] == -5
+    assert own.body_mass.sum() == flat.body_mass.sum() == load_robot().model.body_mass.sum()
+    for option in ("solver", "density", "iterations", "disableflags", "timestep"):
+        assert getattr(own.opt, option) == getattr(flat.opt, option) == getattr(load_robot().model.opt, option), option
+    assert own.ngeom == flat.ngeom
+
+
 def test_meshes_are_found_beside_the_file(tmp_path):
     """In the folder that the file names, from wherever the robot is built."""
     (tmp_path / "shapes").mkdir()

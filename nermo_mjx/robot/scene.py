@@ -55,7 +55,8 @@ def resolve_scene(scene: Scene) -> str:
         scene: a name; the path of an MJCF file, relative to the working directory; MJCF itself; or an `MjSpec`, which
             is not changed. In a scene of one's own nothing moves; geoms of the default class `ground`, and the one
             named `floor`, carry the robot, those of the class `obstacle` stop it, and no other touches it. What
-            it reads from files, such as meshes, stays there; the text has their absolute paths.
+            it reads from files, such as meshes, stays there; the text has their absolute paths. Of its options
+            gravity is kept.
 
     Raises:
         ParameterError: there is no such scene or file; MuJoCo refuses it; it has what belongs to the robot, or no
@@ -150,6 +151,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         ground = _geoms(spec, GROUND)
     if not ground:
         refuse(f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR!r}")
+    spec.compiler.discardvisual = False
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
     for role in (GROUND, OBSTACLE):
@@ -172,7 +174,17 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         check_quantities(replace_quantities(ModelParameters(), gravity_values(model.opt.gravity)))
     except ParameterError as error:
         refuse(f"has a gravity with which {str(error).removesuffix('.')}")
-    return str(spec.to_xml())
+    return _own_settings_only(spec.to_xml())
+
+
+def _own_settings_only(text: str) -> str:
+    """The scene without settings that would reach the robot: how it is computed, compiled and weighed is its own."""
+    tree = ElementTree.fromstring(text)
+    for name, kept in (("option", "gravity"), ("compiler", "angle"), ("size", "")):
+        for element in tree.findall(name):
+            element.attrib = {key: value for key, value in element.attrib.items() if key == kept}
+            element[:] = []
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _find_files(spec: mujoco.MjSpec) -> None:
