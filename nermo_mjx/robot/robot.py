@@ -180,6 +180,11 @@ class Robot:
         return _ids(self.model, scene_geoms(str(self.config.scene)).obstacles)
 
     @property
+    def gravity(self) -> Float[np.ndarray, " 3"]:
+        """Acceleration of free fall in the scene [m/s^2]."""
+        return np.array(self._compiled.model.opt.gravity)
+
+    @property
     def terrain(self) -> Terrain:
         """How high the ground is."""
         return self._compiled.terrain

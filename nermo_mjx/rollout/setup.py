@@ -87,7 +87,7 @@ class Setup:
     def defaults(self) -> dict[str, float]:
         """Value of every parameter before a user names any."""
         values = {name: float(about.default) for name, about in quantities(WorldParameters)}  # type: ignore[arg-type]
-        values |= gravity_values(self.load().model.opt.gravity)
+        values |= gravity_values(self.load().gravity)
         return values | published_values(self.gait, steering=self.steering, profile=self.profile)
 
 
