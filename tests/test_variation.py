@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import attrgetter
 
 import jax.numpy as jnp
 import mujoco
@@ -13,13 +14,13 @@ from nermo_mjx.physics import Variation
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
-from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, Robot, assemble, load_robot
+from nermo_mjx.robot import ModelParameters, ParameterError, Robot, assemble, load_robot
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
 ALL = {name: float(about.default) for name, about in quantities(ModelParameters)}
 #: A value for every parameter that is not the default, and no two alike.
-OTHER = {name: value * (0.6 + 0.03 * i) for i, (name, value) in enumerate(ALL.items())}
+OTHER = {name: (value or 0.5) * (0.6 + 0.03 * i) for i, (name, value) in enumerate(ALL.items())}
 
 
 class Standing:
@@ -77,7 +78,7 @@ def test_defaults_are_the_values_of_the_compiled_model(tail):
     robot = load_robot(tail=tail)
     fields = varied(robot, ALL, 3)
     for name, values in fields.items():
-        base = getattr(robot.model, name)
+        base = attrgetter(name)(robot.model)
         assert values.shape == (3, *base.shape)
         np.testing.assert_allclose(values, np.broadcast_to(base, values.shape), rtol=1e-12, err_msg=name)
     assert_same_model(compile_model(robot, ALL), robot.model)
@@ -92,24 +93,28 @@ def test_which_fields_vary_depends_on_names_alone():
     assert set(varied(robot, {"mass.front": np.array([0.2])}, 1)) == {"body_mass", "body_inertia"}
 
 
-def test_contact_parameters_reach_soles_and_tail_only():
-    """Friction, solref and solimp of soles and tail change world by world, the tail's friction by its own parameter."""
-    robot, worlds = load_robot(), np.array([0.5, 1.5])
+@pytest.mark.parametrize("scene", ["flat", "maze"])
+def test_contact_parameters_reach_what_they_name(scene):
+    """Solref and solimp of soles and tail on the ground change world by world, and friction of each kind of pair."""
+    robot, worlds = load_robot(scene=scene), np.array([0.5, 1.5])
+    friction = {"sole": worlds, "tail": np.array([0.2, 0.7]), "trunk": np.array([0.3, 0.8]), "obstacle": worlds / 4}
     values = {
-        "contact.friction": worlds, "contact.time_constant": np.array([0.008, 0.02]), "contact.damping_ratio": worlds,
+        "contact.friction": friction["sole"], "contact.tail_friction": friction["tail"],
+        "contact.trunk_friction": friction["trunk"], "contact.obstacle_friction": friction["obstacle"],
+        "contact.time_constant": np.array([0.008, 0.02]), "contact.damping_ratio": worlds,
         "contact.impedance": np.array([0.9, 0.99]), "contact.width": np.array([0.002, 0.003]),
-        "contact.tail_friction": np.array([0.2, 0.7]),
     }  # fmt: skip
     fields = varied(robot, values, 2)
     for i in range(robot.model.npair):
-        pair = robot.model.pair(i).name
-        if pair.removesuffix("_contact") in (*LIMBS, "tail_tip"):
-            friction = worlds if pair != "tail_tip_contact" else np.array([0.2, 0.7])
-            np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([friction, friction], 1))
+        ground, _, part = robot.model.pair(i).name.partition("_")
+        kind = "obstacle" if ground != "floor" else "sole" if part.endswith("sole") else part.partition("_")[0]
+        wanted = friction[kind if kind in friction else "trunk"]
+        np.testing.assert_allclose(fields["pair_friction"][:, i, :2], np.stack([wanted, wanted], 1))
+        if kind in ("sole", "tail"):
             np.testing.assert_allclose(fields["pair_solref"][:, i], [(0.008, 0.5), (0.02, 1.5)])
             np.testing.assert_allclose(fields["pair_solimp"][:, i, :3], [(0, 0.9, 0.002), (0, 0.99, 0.003)])
         else:
-            for name in ("pair_friction", "pair_solref", "pair_solimp"):
+            for name in ("pair_solref", "pair_solimp"):
                 np.testing.assert_array_equal(fields[name][:, i], [getattr(robot.model, name)[i]] * 2)
 
 
@@ -171,7 +176,7 @@ def test_varied_masses_are_those_of_a_model_compiled_with_them():
     assert robot.model.body_mass.sum() == pytest.approx(0.270)  # the robot's own model is untouched
 
 
-@pytest.mark.parametrize("group", ["servo", "contact", "stiffness", "damping", "mass"])
+@pytest.mark.parametrize("group", ["servo", "contact", "stiffness", "damping", "mass", "ground"])
 def test_varied_and_assembled_parameters_agree(group):
     """Every parameter gives the same model whether it is varied in a batch or handed to assembly."""
     robot = load_robot()
@@ -187,12 +192,13 @@ def test_a_name_that_is_no_parameter_is_refused():
 
 
 def test_c_engine_worlds_move_like_models_compiled_for_them():
-    """Worlds of different masses and friction are, bit for bit, `mj_step` of the models compiled with those values."""
+    """Worlds of different masses, friction and slope are, bit for bit, `mj_step` of models compiled with them."""
     robot = load_robot()
     loop, worlds = Standing(robot), 3
     values = {
         "mass.front": np.array([0.15, 0.1647, 0.22]), "mass.rear": np.array([0.13, 0.1053, 0.08]),
         "contact.friction": np.array([0.3, 1.0, 1.5]), "stiffness.rear_knee": np.array([0.15, 0.19, 0.25]),
+        "ground.slope": np.array([0.0, 0.1, -0.2]), "ground.gravity": np.array([9.81, 9.0, 5.0]),
     }  # fmt: skip
     qpos = np.tile(robot.model.qpos0, (worlds, 1))
     swing = np.full(worlds, 0.2, np.float32)

@@ -38,7 +38,9 @@ PARAMETERS = (
     "pilot.bandwidth", "pilot.grip", "pilot.error_gain", "pilot.change_gain", "pilot.output_limit",
     "pilot.turn_rate", "pilot.radius", "pilot.direction", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
     "servo.kv", "servo.torque_limit", "servo.speed", "contact.friction", "contact.tail_friction",
+    "contact.trunk_friction", "contact.obstacle_friction",
     "contact.time_constant", "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee",
     "stiffness.rear_knee", "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle",
-    "damping.spine", "damping.pulley", "mass.front", "mass.rear", "start.x", "start.y", "start.yaw", "start.phase",
+    "damping.spine", "damping.pulley", "mass.front", "mass.rear", "ground.gravity", "ground.slope", "ground.direction",
+    "start.x", "start.y", "start.yaw", "start.phase",
 )  # fmt: skip

@@ -50,12 +50,14 @@ def command(robot: str, scene: str, tail: str, physics: str, xml: Path | None, a
 
 def summarize(robot: Robot) -> dict[str, Any]:
     """Names of the parts, and the masses before and behind the spine."""
+    from nermo_mjx.robot.scene import scene_name
+
     model = robot.model
     masses = robot.mass_table()
     groups = {group: sum(float(row["mass"]) for row in masses if row["group"] == group) for group in ("front", "rear")}
     return {
         "robot": robot.config.robot,
-        "scene": robot.config.scene,
+        "scene": scene_name(str(robot.config.scene)),
         "tail": robot.config.tail,
         "physics": robot.config.physics,
         "timestep": model.opt.timestep,

@@ -108,7 +108,8 @@ def physics(function: F) -> F:
 
 def scene(function: F) -> F:
     """`--scene`."""
-    return click.option("--scene", default="flat", metavar="NAME", show_default=True, help="A file of mjcf/scenes.",
+    return click.option("--scene", default="flat", metavar="NAME", show_default=True,
+                        help="A file of mjcf/scenes, or the path of an MJCF file.",
                         shell_complete=names(*SCENES))(function)  # fmt: skip
 
 

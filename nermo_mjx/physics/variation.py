@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import operator
 from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
@@ -15,8 +16,11 @@ from jaxtyping import Array, Float
 
 from nermo_mjx.physics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
+from nermo_mjx.robot.equipment import contact_kinds
+from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import replace_quantities
+from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.runtime import start_jax
 
 #: Model fields that each group of body parameters reaches.
@@ -26,6 +30,7 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "stiffness": ("jnt_stiffness",),
     "damping": ("dof_damping",),
     "mass": ("body_mass", "body_inertia"),
+    "ground": ("opt.gravity",),
 }
 #: Constants that MuJoCo derives from masses (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
@@ -60,13 +65,11 @@ class Variation:
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
-        pairs = [model.pair(i).name for i in range(model.npair)]
-        self._soles = np.array([i for i, name in enumerate(pairs) if name.endswith(("left_contact", "right_contact"))])
-        self._tail = np.array([i for i, name in enumerate(pairs) if name.startswith("tail_")])
+        self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
         self._front = np.array([i > 0 and is_front(model.body(i).name) for i in range(model.nbody)])
 
     def fields(self, parameters: ModelParameters) -> dict[str, Float[Array, ...]]:
-        """Model fields of one world, shaped as in `mujoco.MjModel`; pure JAX, differentiable.
+        """Model fields of one world, named and shaped as in `mujoco.MjModel`; pure JAX, differentiable.
 
         Args:
             parameters: leaves of shape ().
@@ -78,9 +81,14 @@ class Variation:
         limit = jnp.asarray(p.servo.torque_limit)
         force = jnp.broadcast_to(jnp.stack([-limit, limit]), model.actuator_forcerange.shape)
 
-        soles, contact = np.concatenate([self._soles, self._tail]), p.contact
-        friction = jnp.asarray(model.pair_friction, float).at[self._soles, :2].set(contact.friction)
-        friction = friction.at[self._tail, :2].set(contact.tail_friction)
+        contact, pairs = p.contact, self._pairs
+        friction = jnp.asarray(model.pair_friction, float)
+        for kind, value in (
+            ("sole", contact.friction), ("tail", contact.tail_friction), ("trunk", contact.trunk_friction),
+            ("obstacle", contact.obstacle_friction),
+        ):  # fmt: skip
+            friction = friction.at[pairs[kind], :2].set(value)
+        soles = np.concatenate([pairs["sole"], pairs["tail"]])
         solref = (
             jnp.asarray(model.pair_solref, float)
             .at[soles]
@@ -103,6 +111,7 @@ class Variation:
             "actuator_gainprm": gain, "actuator_biasprm": bias, "actuator_forcerange": force, "pair_friction": friction,
             "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
             "body_mass": mass * scale, "body_inertia": jnp.asarray(model.body_inertia, float) * scale[:, None],
+            "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
         }  # fmt: skip
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
@@ -157,6 +166,6 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     model = copy.copy(robot.model)
     parameters = replace_quantities(ModelParameters(), values)
     for name, field in Variation(robot).batch(parameters, 1, values).items():
-        getattr(model, name)[...] = field[0]
+        operator.attrgetter(name)(model)[...] = field[0]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model

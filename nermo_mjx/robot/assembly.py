@@ -21,12 +21,14 @@ from nermo_mjx.robot.equipment import (
     set_masses,
     set_tendons,
 )
-from nermo_mjx.robot.files import load_file, scenes
+from nermo_mjx.robot.files import load_file
+from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.mirror import mirror
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS, ROUTINGS
 from nermo_mjx.robot.presets import PRESETS, PhysicsPreset, PresetTimestep
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
 ROBOTS: Final = ("nermo_lite",)
 TAILS: Final = ("rigid", "articulated")
@@ -53,7 +55,7 @@ class RobotConfig:
 
     Attributes:
         robot: `nermo_lite`.
-        scene: name of a file in `mjcf/scenes`.
+        scene: name of a file in `mjcf/scenes`, or one of one's own; kept as `scene.resolve_scene` gives it.
         tail: `rigid` (default: a third faster) or `articulated`, 19 joints; same mass and centre of mass.
         routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`.
         cone: of the friction, `elliptic` or `pyramidal`.
@@ -62,7 +64,7 @@ class RobotConfig:
     """
 
     robot: str = "nermo_lite"
-    scene: str = "flat"
+    scene: Scene = "flat"
     tail: str = "rigid"
     routing: str = "type3"
     cone: str = "elliptic"
@@ -70,10 +72,14 @@ class RobotConfig:
     timestep: float = None  # type: ignore[assignment]  # a number once it is made
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "scene", resolve_scene(self.scene))
         for field, allowed in (
-            ("robot", ROBOTS), ("scene", scenes()), ("tail", TAILS), ("routing", ROUTINGS), ("cone", CONES),
+            ("robot", ROBOTS),
+            ("tail", TAILS),
+            ("routing", ROUTINGS),
+            ("cone", CONES),
             ("physics", tuple(PRESETS)),
-        ):  # fmt: skip
+        ):
             if getattr(self, field) not in allowed:
                 raise ParameterError(
                     f"{field} is {getattr(self, field)!r}: allowed is {' or '.join(map(repr, allowed))}."
@@ -90,10 +96,16 @@ class RobotConfig:
 
 
 def assemble(config: RobotConfig | None = None, parameters: ModelParameters | None = None) -> mujoco.MjSpec:
-    """The whole robot in its scene, as an editable `MjSpec`."""
-    config, parameters = config or RobotConfig(), parameters or ModelParameters()
-    spec = load_file(f"scenes/{config.scene}")
-    spec.modelname = f"{config.robot}_{config.scene}"
+    """The whole robot in its scene, as an editable `MjSpec`; gravity is the scene's unless parameters are given."""
+    config = config or RobotConfig()
+    scene = str(config.scene)
+    spec = load_scene(scene)
+    if parameters is None:
+        parameters = ModelParameters()
+    else:
+        ground = parameters.ground
+        spec.option.gravity = gravity_vector(ground.gravity, ground.slope, ground.direction)
+    spec.modelname = f"{config.robot}_{scene_name(scene)}"
     _attach(spec, spec.worldbody, "torso", plain=("torso", "root", "imu", *FOLLOWING))
     _attach(spec, spec.frame("torso_spine_mount"), "spine")
     _attach(spec, spec.frame("torso_neck_mount"), "head", plain=("head", "neck", "eyes"))
@@ -107,7 +119,7 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     _pose(spec, config.routing)
     _finish(spec, config, parameters)
     add_sensors(spec)
-    add_contacts(spec, parameters, config.preset.trunk_contacts)
+    add_contacts(spec, scene_geoms(scene), parameters, config.preset.trunk_contacts)
     return spec
 
 

@@ -16,6 +16,7 @@ from nermo_mjx.robot.interface import SERVOS, servo_range
 from nermo_mjx.robot.masses import is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.robot.scene import SceneGeoms
 
 #: Rotor and gear inertia seen at the joint [kg m^2], as in the author's model.
 ARMATURE: Final = {"servo": 0.00065, "knee": 0.000065, "ankle": 0.000065, "spine": 0.00065, "tail": 0.00065}
@@ -36,14 +37,10 @@ VISUAL_GROUP: Final = 2
 #: rolling body the others may.
 TAIL_TIP: Final = ("tail_tip", "tail_touch")
 TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (16, 17, 18))
-#: Geoms of a scene whose names start so are obstacles: they touch the robot, and nothing else.
-OBSTACLE: Final = "obstacle"
 #: Geoms whose names end so touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
 #: slip into a box: these spheres and capsules complete them to the robot's outline, but for its tail and 2 mm of the
 #: soft paws. A scene without obstacles is built without them, so that they cost it nothing.
 BUMPER: Final = "_bumper"
-#: Plastic and printed parts on wood.
-OBSTACLE_FRICTION: Final = 0.4
 
 
 def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
@@ -163,39 +160,50 @@ def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:
     return [pair for pair in (TAIL_TIP, *TAIL_SEGMENTS) if spec.geom(pair[0]) is not None]
 
 
-def add_contacts(spec: mujoco.MjSpec, parameters: ModelParameters, trunk_contacts: bool = True) -> None:
+def add_contacts(
+    spec: mujoco.MjSpec, scene: SceneGeoms, parameters: ModelParameters, trunk_contacts: bool = True
+) -> None:
     """Declare the few contact pairs that matter; nothing else collides.
 
     Args:
+        scene: which of its geoms touch the robot.
         trunk_contacts: whether the spheres of `TRUNK` touch the ground, too. They always touch obstacles.
     """
     contact = parameters.contact
     solref = np.array([float(contact.time_constant), float(contact.damping_ratio)])
     solimp = np.array([0.0, float(contact.impedance), float(contact.width), 0.5, 2.0])
-    slide = float(contact.friction)
-    for limb in LIMBS:
-        pair = spec.add_pair(name=f"{limb}_contact", geomname1="floor", geomname2=f"{limb}_sole", condim=3)
-        pair.solref, pair.solimp = solref, solimp
-        pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
-    slide = float(contact.tail_friction)
-    for geom, _ in _tail_ground(spec):
-        pair = spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)
-        pair.solref, pair.solimp = solref, solimp
-        pair.friction = np.array([slide, slide, 0.005, 0.0001, 0.0001])
-    for geom in TRUNK if trunk_contacts else ():
-        spec.add_pair(name=f"{geom}_contact", geomname1="floor", geomname2=geom, condim=3)
-    _add_obstacle_contacts(spec)
-
-
-def _add_obstacle_contacts(spec: mujoco.MjSpec) -> None:
-    """Declare a contact pair of every obstacle with every part of the robot's outline."""
-    obstacles = [geom.name for geom in spec.geoms if geom.name.startswith(OBSTACLE)]
+    soft = {f"{limb}_sole": contact.friction for limb in LIMBS}
+    soft |= {geom: contact.tail_friction for geom, _ in _tail_ground(spec)}
+    hard = dict.fromkeys(TRUNK if trunk_contacts else (), contact.trunk_friction)
+    for ground in scene.ground:
+        for part, friction in (soft | hard).items():
+            pair = _add_pair(spec, ground, part, friction)
+            if part in soft:
+                pair.solref, pair.solimp = solref, solimp
     bumpers = [geom for geom in spec.geoms if geom.name.endswith(BUMPER)]
-    if not obstacles:
+    if not scene.obstacles:
         for geom in bumpers:
             spec.delete(geom)
         return
     outline = (*TRUNK, *(f"{limb}_sole" for limb in LIMBS), *(geom.name for geom in bumpers))
-    for obstacle, part in itertools.product(obstacles, outline):
-        pair = spec.add_pair(name=f"{obstacle}_{part}", geomname1=obstacle, geomname2=part, condim=3)
-        pair.friction = np.array([OBSTACLE_FRICTION, OBSTACLE_FRICTION, 0.005, 0.0001, 0.0001])
+    for obstacle, part in itertools.product(scene.obstacles, outline):
+        _add_pair(spec, obstacle, part, contact.obstacle_friction)
+
+
+def _add_pair(spec: mujoco.MjSpec, scenery: str, part: str, friction: Any) -> Any:
+    pair = spec.add_pair(name=f"{scenery}_{part}", geomname1=scenery, geomname2=part, condim=3)
+    pair.friction = np.array([float(friction), float(friction), 0.005, 0.0001, 0.0001])
+    return pair
+
+
+def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndarray]:
+    """Ids of the contact pairs by what touches: `sole`, `tail` and `trunk` the ground, any part an `obstacle`."""
+    kinds: dict[str, list[int]] = {"sole": [], "tail": [], "trunk": [], "obstacle": []}
+    for i, geoms in enumerate(zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)):
+        names = {model.geom(geom).name for geom in geoms}
+        if names & set(scene.obstacles):
+            kinds["obstacle"].append(i)
+        else:
+            (part,) = names - set(scene.ground)
+            kinds["sole" if part.endswith("_sole") else "trunk" if part in TRUNK else "tail"].append(i)
+    return {kind: np.array(ids, int) for kind, ids in kinds.items()}

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 
 
@@ -33,11 +35,14 @@ class Contact:
     Friction of the sole, time constant and damping ratio are those of the author's model (basic_scene.xml). His
     impedance is 0.9 without any depth and 0.95 at 1 mm. One that begins at 0 needs half of that width: with 1 mm the
     soles sink by 0.8 mm under the standing robot, with 0.5 mm by 0.43 (his: 0.25). Steeper still, the objective becomes
-    a staircase. The tail is printed plastic: 0.4, as for the robot against a box; the author's has MuJoCo's 1.0.
+    a staircase. The tail is printed plastic: 0.4, as for the robot against a box; the author's has MuJoCo's 1.0. With a
+    box, friction is that of plastic and printed parts on wood.
     """
 
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
     tail_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="sliding friction of the tail on the ground")
+    trunk_friction: Any = quantity(1.0, unit="1", low=0.0, high=5.0, doc="the same of chest, pelvis, head")
+    obstacle_friction: Any = quantity(0.4, unit="1", low=0.0, high=5.0, doc="friction of all parts on obstacles")
     time_constant: Any = quantity(0.008, unit="s", low=0.004, high=0.1, doc="solref time constant; >= 2 time steps")
     damping_ratio: Any = quantity(2.0, unit="1", low=0.5, high=10.0, doc="solref damping ratio")
     impedance: Any = quantity(0.95, unit="1", low=0.5, high=0.9999, doc="solimp at full depth")
@@ -74,6 +79,20 @@ class Mass:
 
 
 @parameter_tree
+class Ground:
+    """Gravity as the ground has it: a slope turns gravity, not the scene, so that heights and angles are those to it.
+
+    In a scene with a gravity of its own these are its defaults.
+    """
+
+    gravity: Any = quantity(9.81, unit="m/s^2", low=0.1, high=30.0, doc="acceleration of free fall")
+    slope: Any = quantity(0.0, unit="rad", low=-0.8, high=0.8, doc="how steep the ground rises in its direction")
+    direction: Any = quantity(
+        0.0, unit="rad", low=-np.pi, high=np.pi, doc="where it rises to: 0 is ahead at yaw 0, positive to the left"
+    )
+
+
+@parameter_tree
 class ModelParameters:
     """All body parameters; every leaf may carry leading batch axes."""
 
@@ -82,3 +101,4 @@ class ModelParameters:
     stiffness: Stiffness = group(Stiffness)
     damping: Damping = group(Damping)
     mass: Mass = group(Mass)
+    ground: Ground = group(Ground)

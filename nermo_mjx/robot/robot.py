@@ -15,12 +15,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble
-from nermo_mjx.robot.equipment import OBSTACLE
 from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.physical import physical_model
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.scene import Scene, scene_geoms, scene_name
+from nermo_mjx.robot.terrain import Terrain
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +56,7 @@ class _Compiled:
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     joints: JointIndex
+    terrain: Terrain
 
     @functools.cached_property
     def physical(self) -> mujoco.MjModel:
@@ -174,7 +177,17 @@ class Robot:
     @functools.cached_property
     def obstacles(self) -> tuple[int, ...]:
         """Ids of the geoms that the robot may run into, in the scene's order; empty in an open scene."""
-        return tuple(i for i in range(self.model.ngeom) if self.model.geom(i).name.startswith(OBSTACLE))
+        return _ids(self.model, scene_geoms(str(self.config.scene)).obstacles)
+
+    @property
+    def gravity(self) -> Float[np.ndarray, " 3"]:
+        """Acceleration of free fall in the scene [m/s^2]."""
+        return np.array(self._compiled.model.opt.gravity)
+
+    @property
+    def terrain(self) -> Terrain:
+        """How high the ground is."""
+        return self._compiled.terrain
 
     def mass_table(self) -> list[dict[str, float | str]]:
         """Mass of every body [kg], and whether it counts to the front or the rear."""
@@ -196,13 +209,22 @@ class Robot:
 @functools.lru_cache(maxsize=8)
 def _compile(config: RobotConfig) -> _Compiled:
     spec = assemble(config)
-    model = spec.compile()
-    return _Compiled(spec, model, _joint_index(model))
+    try:
+        model = spec.compile()
+    except ValueError as error:  # a scene of one's own with the name of a part
+        why = str(error).splitlines()[0].removeprefix("Error: ")
+        raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None
+    terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground))
+    return _Compiled(spec, model, _joint_index(model), terrain)
+
+
+def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(sorted(model.geom(name).id for name in geoms))
 
 
 def load_robot(
     robot: str = "nermo_lite",
-    scene: str = "flat",
+    scene: Scene = "flat",
     tail: str = "rigid",
     routing: str = "type3",
     cone: str = "elliptic",
@@ -217,7 +239,7 @@ def load_robot(
     Args: see `RobotConfig`.
 
     Raises:
-        ParameterError: an unknown name, or a time step out of range.
+        ParameterError: an unknown name, a scene that cannot be used, or a time step out of range.
     """
     given = {} if timestep is None else {"timestep": timestep}
     config = RobotConfig(robot, scene, tail, routing, cone, physics, **given)

@@ -134,7 +134,7 @@ class Rollout:
         mass = jnp.asarray(params.model.mass.front + params.model.mass.rear, float)
         # A traced frequency below `slowest` does not get through its run: no number is better than a wrong one.
         complete = loop.window.end <= (ticks - 1 + 1e-3) * self.controller.dt
-        measured = metrics.result(carry.loop.metrics, mass)
+        measured = metrics.result(carry.loop.metrics, mass, params.model.ground.gravity)
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
 
     def _parameters(self, values: Mapping[str, ArrayLike], policy: Any) -> WorldParameters:

@@ -74,14 +74,14 @@ class ClosedLoop:
         sensors = self.robot.sensors(sensordata)
         controller, own = self.controller, params.control
         path, stance = None, None
+        position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
         if isinstance(controller, FollowsPath):
-            position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
             path = controller.path(own, state.control, position)
         if isinstance(controller, PlansContact):
             stance = controller.stance(state.control)
         measured = metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
-            stance,
+            stance, self.robot.terrain.height(position[0], position[1]),
         )  # fmt: skip
         # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)

@@ -187,6 +187,7 @@ def update(
     cycle_rate: Any,
     path: PathPoint | None = None,
     stance: Bool[Array, " 4"] | None = None,
+    ground: Any = 0.0,
 ) -> MetricState:
     """Add one control tick.
 
@@ -199,6 +200,7 @@ def update(
         cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
         path: point of the pilot's path beside the torso, where it follows one.
         stance: feet that were commanded to stand during the tick; all of them where nothing is commanded.
+        ground: height of the ground beneath the torso [m].
     """
     # What is lost anywhere in the body is lost everywhere a step later; of sensors that nobody reads nothing is asked.
     told = (sensors.position, sensors.orientation, sensors.linear_velocity, sensors.servo_velocity)
@@ -208,7 +210,7 @@ def update(
     sensors = jax.tree.map(lambda leaf: jnp.where(lost | ~jnp.isfinite(leaf), 0.0, leaf), sensors)
     last = jax.tree.map(lambda leaf: leaf[-1], sensors)
 
-    fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (last.position[2] < FALLEN_HEIGHT)
+    fallen = (uprightness(last.orientation) < FALLEN_COSINE) | (last.position[2] - ground < FALLEN_HEIGHT)
     judged = ~(state.fell | state.diverged | state.finished) & begins_in_run(window, time, dt)
     fell, diverged = state.fell | (judged & fallen & ~lost), state.diverged | (judged & lost)
 
@@ -305,7 +307,7 @@ def _share(part: Array, whole: Array) -> Array:
     return jnp.where(some, part / jnp.where(some, whole, 1.0), jnp.nan)
 
 
-def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array, ""]]:
+def result(state: MetricState, mass: Float[Array, ""], gravity: Any = GRAVITY) -> dict[str, Float[Array, ""]]:
     """The metrics of one world, named as in `METRICS`. What was never measured is NaN.
 
     Derivatives are finite, also beside metrics that are NaN.
@@ -313,6 +315,7 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
     Args:
         state: accumulators at the end.
         mass: of the robot [kg].
+        gravity: that makes it a weight [m/s^2].
     """
     begun = state.begun
     time, moved = jnp.where(begun, state.time, 1.0), begun & (state.way > SHORTEST_WAY)
@@ -330,7 +333,7 @@ def result(state: MetricState, mass: Float[Array, ""]) -> dict[str, Float[Array,
         "tail_time": state.tail_loaded / time,
         "tail_load_share": _share(state.load[4], state.load.sum()),
         "cost_of_transport": jnp.where(
-            moved, state.work / (mass * GRAVITY * jnp.where(moved, state.way, 1.0)), jnp.nan
+            moved, state.work / (mass * gravity * jnp.where(moved, state.way, 1.0)), jnp.nan
         ),
     }
     for i, angle in enumerate(ANGLES):

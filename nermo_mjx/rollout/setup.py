@@ -18,8 +18,10 @@ from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
+from nermo_mjx.robot.scene import Scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 from nermo_mjx.rollout.parameters import WorldParameters
 
@@ -36,7 +38,8 @@ class Setup:
 
     Attributes:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
-            preset takes that preset's time step, unless one was given.
+            preset takes that preset's time step, unless one was given. A scene of one's own, a file or an `MjSpec`,
+            is kept as MJCF, so that setups with the same one are equal.
         gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
@@ -54,7 +57,7 @@ class Setup:
     """
 
     robot: str = "nermo_lite"
-    scene: str = "flat"
+    scene: Scene = "flat"
     tail: str = "rigid"
     routing: str = "type3"
     cone: str = "elliptic"
@@ -75,6 +78,7 @@ class Setup:
             self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
+        object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         mode_names(self.spine)
         # No robot is built for a check.
@@ -148,6 +152,7 @@ class Setup:
         """Parameters before a user names any."""
         controller = self._without_robot
         world = WorldParameters(control=controller.parameters)
+        world = replace_quantities(world, gravity_values(self.load().gravity))
         if not isinstance(controller, Controller):
             return world
         values = published_values(self.gait, steering=self.steering, profile=self.profile)

@@ -144,7 +144,7 @@ class Batch:
         fields: model fields that differ between worlds, (n, ...) each.
         ticks: control ticks until the last world is done.
         may_end_early: whether worlds are done when they have walked their distance.
-        mass: of each robot (n,) [kg].
+        mass, gravity: of each robot (n,) [kg, m/s^2].
         worlds, named, length: see `RunResult`.
     """
 
@@ -154,6 +154,7 @@ class Batch:
     ticks: int
     may_end_early: bool
     mass: np.ndarray
+    gravity: np.ndarray
     worlds: WorldParameters
     named: tuple[str, ...]
     length: Run
@@ -221,6 +222,7 @@ class Simulator:
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,
             mass=mass,
+            gravity=np.asarray(params.model.ground.gravity, float),
             worlds=params,
             named=tuple(values),
             length=run or Run(),
@@ -296,7 +298,7 @@ class Simulator:
             if done + size >= ticks:
                 break
 
-        measured = self._results(session.loop_state.metrics, batch.mass)
+        measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
         unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(

@@ -1,4 +1,4 @@
-"""The pose in which a world starts: in the posture of its gait, at rest, its lowest foot on the ground."""
+"""The pose in which a world starts: in the posture of its gait, level, at rest, a foot on the ground beneath it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.kinematics import spine
-from nermo_mjx.kinematics.body import hips, shoulders
+from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
 from nermo_mjx.rollout.lanes import Lanes
@@ -46,10 +46,14 @@ class StartPose:
         bend = spine.joint_angle(servo.spine)
         axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
         sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
-        height = sole - DEPTH - jnp.min(axis_height + pose.foot[:, 1])
-
         # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
         yaw = start.yaw + 0.5 * 4 * bend
+        # Each foot has its own ground; the body is as high as the one that needs it highest.
+        x, y, _ = jnp.moveaxis(feet_positions(bend, pose.foot), -1, 0)
+        cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
+        beneath = self.robot.terrain.height(start.x + cosine * x - sine * y, start.y + sine * x + cosine * y)
+        height = jnp.max(sole - DEPTH - (axis_height + pose.foot[:, 1]) + beneath)
+
         joints, half = self.robot.joints, yaw / 2
         zero = jnp.zeros_like(half)
         root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])

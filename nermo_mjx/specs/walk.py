@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
 
+import mujoco
 from pydantic import BeforeValidator, Field
 
 from nermo_mjx.control.fusion import MODES
@@ -19,6 +21,7 @@ from nermo_mjx.robot.files import scenes
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
+from nermo_mjx.robot.scene import resolve_scene
 from nermo_mjx.rollout import Run, Setup, all_parameters
 from nermo_mjx.specs.controllers import named_controller, written_controller
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
@@ -37,11 +40,24 @@ _NEEDS: Final = {
 _SIDES: Final = {"left": 1.0, "right": -1.0}
 
 
+def _kept(given: Any) -> Any:
+    if not isinstance(given, mujoco.MjSpec):
+        return given
+    try:
+        return resolve_scene(given)
+    except ParameterError as error:
+        raise Refused(str(error).removeprefix("scene ")) from None
+
+
 class SetupFields(Fields):
     """The static choices; `Setup` says which names there are, and their defaults."""
 
     robot: str = chosen(Setup.robot, ROBOTS, "which robot")
-    scene: str = chosen(Setup.scene, scenes(), "where it walks: a scene of mjcf/scenes")
+    scene: Annotated[str, BeforeValidator(_kept)] = Field(
+        str(Setup.scene),
+        description="where it walks: a scene of mjcf/scenes, or one's own, as the path of an MJCF file or MJCF itself",
+        json_schema_extra={"anyOf": [{"enum": [*scenes()]}, {"pattern": r"\.xml$|^\s*<"}]},
+    )
     tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
     routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
     cone: str = chosen(Setup.cone, CONES, "friction cone")
@@ -225,6 +241,9 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     given = doc.data.get("pilot", Setup.pilot)
     pilot, options = fields.pilot.chosen
     choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {"pilot": pilot}
+    beside = Path(doc.source).parent / str(choices.get("scene", ""))
+    if beside.suffix == ".xml" and os.path.isfile(beside):
+        choices["scene"] = str(beside)
     if pilot == "waypoints":
         choices["waypoints"] = tuple(map(tuple, options.points))
     if fields.controller is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import operator
 
 import mujoco
 
@@ -43,6 +44,6 @@ def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     model = copy.copy(robot.model)
     # Pairs, joints, bodies and actuators have the same ids in the whole model and in the one that engines step.
     for name, values in fields.items():
-        getattr(model, name)[:] = values[0]
+        operator.attrgetter(name)(model)[:] = values[0]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
