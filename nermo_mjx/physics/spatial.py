@@ -18,17 +18,18 @@ Matrix = Float[Array, "*#n 3 3"]
 Motion = Float[Array, "*#n 6"]
 Inertia = Float[Array, "*#n 10"]
 
-_NEXT: Final = np.array([1, 2, 0])
-_LAST: Final = np.array([2, 0, 1])
+# Indices of 32 bits: JAX keeps what it made of an array, and 64 bits would be what it was first asked for, in any mode.
+_NEXT: Final = np.array([1, 2, 0], np.int32)
+_LAST: Final = np.array([2, 0, 1], np.int32)
 #: Rows and columns of the moments in an inertia, and which moment stands where in the matrix.
-_ROW: Final = np.array([0, 1, 2, 0, 0, 1])
-_COLUMN: Final = np.array([0, 1, 2, 1, 2, 2])
-_MOMENT: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
+_ROW: Final = np.array([0, 1, 2, 0, 0, 1], np.int32)
+_COLUMN: Final = np.array([0, 1, 2, 1, 2, 2], np.int32)
+_MOMENT: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]], np.int32)
 #: (q p)_c is the sum over i of q_i p_j, j = _FACTOR[i, c], with the sign _SIGN[i, c].
-_FACTOR: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_FACTOR: Final = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]], np.int32)
 _SIGN: Final = np.array([[1, 1, 1, 1], [-1, 1, -1, 1], [-1, 1, 1, -1], [-1, -1, 1, 1]])
 #: A vector as the matrix of its cross product: which component, with which sign.
-_SKEW: Final = np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]]), np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
+_SKEW: Final = np.array([[0, 2, 1], [2, 0, 0], [1, 0, 0]], np.int32), np.array([[0, -1, 1], [1, 0, -1], [-1, 1, 0]])
 
 
 def cross(a: Vector, b: Vector) -> Vector:
