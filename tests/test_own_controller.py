@@ -18,7 +18,8 @@ from nermo_mjx.control import SpineModes, load_controller, published_controller
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.path import straight
 from nermo_mjx.robot.quantity import ParameterError, parameter_tree, quantity
-from nermo_mjx.rollout.loop import check_controller
+from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
+from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, run_sweep
@@ -329,13 +330,47 @@ def test_the_length_of_a_run_is_known_unless_it_hangs_on_what_is_traced() -> Non
     assert lengths(lambda policy: rollout.seconds({}, policy), own) == 3.0
 
 
+def without_touch(network: Any) -> Any:
+    """A network that does not feel its feet, which read nothing at the start of a `Rollout`."""
+
+    class Blind(type(network)):
+        def reads(self, phase, sensors):
+            return super().reads(phase, dataclasses.replace(sensors, foot_force=jnp.zeros(4)))
+
+    return Blind()
+
+
+def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_differences() -> None:
+    """Of all servos' targets after some ticks of controller, metrics and limits, on readings that are made up."""
+    with jax.enable_x64(True):
+        controller, robot = load_controller(f"{EXAMPLES / 'network.py'}:Network"), Setup().load()
+        loop, random = ClosedLoop(robot, controller), np.random.default_rng(0)
+        own = controller.parameters
+        policy, way = (jax.tree.map(lambda leaf: jnp.asarray(0.1 * random.normal(size=leaf.shape)), own) for _ in "ab")
+        rest = robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))
+        readings = rest + 0.1 * random.normal(size=(4, loop.steps_per_tick, rest.size))
+
+        def commands(share):
+            now = jax.tree.map(lambda at, to: at + share * to, policy, way)
+            world = Setup(controller=controller).world({}, now)
+            params = LoopParameters(world.control, world.start, Window(), 1000.0)
+            state = loop.init(params, rest)
+            return jax.lax.scan(lambda state, seen: loop.step(params, state, seen), state, readings)[1][-1]
+
+        program = jax.jit(commands)
+        slope = jax.jit(jax.jacrev(commands))(0.0)
+        expected = (program(1e-5) - program(-1e-5)) / 2e-5
+    assert np.abs(slope).max() > 1e-3
+    np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.slow
 def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
     """Along a direction in all weights, against central differences of another implementation, whose two worlds have
     policies of their own."""
     run, eps = Run(duration=0.3, warmup=0.1), 1e-5
     with jax.enable_x64(True):
-        controller = load_controller(f"{EXAMPLES / 'network.py'}:Network")
+        controller = without_touch(load_controller(f"{EXAMPLES / 'network.py'}:Network"))
         rollout = Rollout(run=run, controller=controller)
         random = np.random.default_rng(0)
         policy = jax.tree.map(lambda leaf: jnp.asarray(leaf + 0.1 * random.normal(size=leaf.shape), float),

@@ -48,8 +48,9 @@ class Rollout:
 
     Derivatives are exact: of controller, metrics, start pose and body in JAX, of the physics by
     `physics.differentiable`. In reverse mode memory grows with the square root of the run's length. The precision is
-    JAX's own when the rollout is made (`jax.enable_x64`). What it runs is what the engine `mjx` runs. The compiler's
-    options halve the time that it takes on a CPU, and can be left out.
+    JAX's own when the rollout is made (`jax.enable_x64`). What it runs is what the engine `mjx` runs, except that
+    forces and accelerations read zero before the first tick, which a controller may feel. The compiler's options halve
+    the time that it takes on a CPU, and can be left out.
     """
 
     def __init__(
