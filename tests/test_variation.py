@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from operator import attrgetter
+from typing import Any
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import Variation
+from nermo_mjx.physics import Variation, differentiable
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
+from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, assemble, load_robot
+from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
@@ -244,3 +248,21 @@ def test_no_constant_that_mjx_reads_is_left_out():
     }
     physical = {name for name in changed if not name.startswith(("cam_", "light_"))}
     assert physical == {"body_mass", "body_inertia", *DERIVED_FIELDS}
+
+
+def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
+    """A ball in free fall: after one step its velocity, and its derivatives along size, slope and direction."""
+    ball = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    )
+    model, at = mjx.put_model(ball), np.array([9.0, 0.3, 0.5])
+    blank, dt = mjx.make_data(model), ball.opt.timestep
+
+    def velocity(ground: Any) -> Any:
+        fields = {"opt.gravity": gravity_vector(*ground, jnp)}
+        return differentiable.step(model.tree_replace(fields), blank).qvel[:3]
+
+    value, slopes = jax.jit(lambda at: (velocity(at), jax.jacfwd(velocity)(at)))(at)
+    np.testing.assert_allclose(value, dt * gravity_vector(*at), rtol=1e-5)
+    differences = [(gravity_vector(*(at + d)) - gravity_vector(*(at - d))) * dt / 2e-6 for d in 1e-6 * np.eye(3)]
+    np.testing.assert_allclose(slopes, np.array(differences).T, rtol=1e-4, atol=1e-7)
