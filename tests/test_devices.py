@@ -17,6 +17,8 @@ from nermo_mjx.physics import devices
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, choose_devices
 from nermo_mjx.robot import ParameterError
 
+pytestmark = pytest.mark.process
+
 
 def test_one_device_divides_nothing():
     """Where there is one device, a function stays as it is and arrays keep their length."""

@@ -228,6 +228,7 @@ def test_contacts_too_stiff_for_the_step_are_refused():
         Rollout(Setup(physics="fast"))({"contact.time_constant": 0.005})
 
 
+@pytest.mark.compiles
 def test_the_command_line_takes_the_preset():
     """`walk --physics fast` walks with it and reports it; the names in the help are the presets."""
     assert set(choices.PHYSICS) == set(PRESETS)
