@@ -13,6 +13,7 @@ import pytest
 import tiers
 
 from nermo_mjx import runtime
+from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 
 # Programs of a test run for seconds and compile for longer: XLA does not optimize machine code, here and in processes
@@ -20,6 +21,7 @@ from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 # time on the engine c and in two thirds on mjx, and its loop takes three times as long.
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0".strip()
+files._DPI = 100  # figures are drawn at half their size
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
 #: Files that take longest, the longest first; a notebook finds the program of test_tune_walk.py compiled.

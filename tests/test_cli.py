@@ -345,6 +345,7 @@ def test_walk_sums_up_in_millimetres_and_degrees() -> None:
     assert re.search(r"^roll( +-?[\d.]+){4}$", result.stdout, re.MULTILINE)
 
 
+@pytest.mark.compiles
 def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
     """(5.33): 0.67 Hz, two strides of 60 + 15.8 mm; and 1 / 0.8 strides of 60 mm a cycle (erratum 20)."""
     result = call(*SHORT, "--spine", "stride_extension")
@@ -353,6 +354,7 @@ def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
     assert re.search(r"^speed in theory +50\.3 +mm/s$", result.stdout, re.MULTILINE)
 
 
+@pytest.mark.compiles
 def test_quiet_says_nothing(tmp_path: Path) -> None:
     result = call(*SHORT, "--quiet")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
@@ -378,6 +380,7 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     assert video.stat().st_size > 0
 
 
+@pytest.mark.compiles
 def test_sweep_json_and_directory(tmp_path: Path) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
     spec.write_text("run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n")
@@ -518,6 +521,7 @@ def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp
     assert "holds an identification" in refused("identify", "--out", out)
 
 
+@pytest.mark.compiles
 def test_what_identify_prints_can_be_pasted(identified: dict[str, Any], tmp_path: Path) -> None:
     from nermo_mjx.sweep import Sweep
 

@@ -11,6 +11,7 @@ import pytest
 
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.runtime import compiler_options
 
 pytestmark = pytest.mark.slow
 
@@ -62,7 +63,8 @@ def walked(request):
             """Value and slopes of one pass: `jacfwd` beside the speed would compile the walk twice."""
             return jax.vmap(lambda way: jax.jvp(speed, (point,), (way,)), out_axes=(None, 0))(jnp.eye(len(first)))
 
-        programs = {"forward": jax.jit(with_slopes), "reverse": jax.jit(jax.grad(speed))}
+        functions, options = {"forward": with_slopes, "reverse": jax.grad(speed)}, compiler_options()
+        programs = {mode: jax.jit(function, compiler_options=options) for mode, function in functions.items()}
         value, ahead = programs["forward"](jnp.asarray(first))
         reverse = programs["reverse"](jnp.asarray(first))
         # From the traces that are there: tracing takes ten times as long as lowering.
