@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +16,7 @@ class Item:
     """A collected test with these marks and fixtures."""
 
     def __init__(self, *marks: str, fixturenames: tuple[str, ...] = (), path: str = "test_a.py") -> None:
-        self.marks, self.fixturenames, self.path = list(marks), fixturenames, SimpleNamespace(name=path)
+        self.marks, self.fixturenames, self.path = list(marks), fixturenames, Path(path)
 
     def get_closest_marker(self, name: str) -> Any:
         return name if name in self.marks else None
@@ -46,7 +46,7 @@ def test_the_longest_files_come_first() -> None:
         Item(path="a"), Item("slow", path="b"), Item(path="c"), Item(path="b"), Item(path="d"),
     ]  # fmt: skip
     tiers.sort(items, ("d", "c"))
-    assert [item.path.name for item in items[:2]] == ["d", "c"]
+    assert [item.path.name for item in items] == ["d", "c", "b", "b", "a"]
 
 
 def test_every_test_marked_long_says_when_it_last_passed(request: pytest.FixtureRequest) -> None:
