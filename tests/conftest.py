@@ -68,7 +68,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """In the process that collects reports: what is long is noted, and told."""
     tiers.note(_passed)
-    terminalreporter.write_line(f"tests marked long (pytest -m long): {tiers.sentence(tiers.last_runs())}")
+    terminalreporter.write_line(f"tests marked long (pytest -m long): {tiers.sentence()}")
 
 
 #: Modules that make simulators by this name.

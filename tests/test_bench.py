@@ -19,6 +19,8 @@ from nermo_mjx.cli.choices import BENCH_CASES
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import RunDirectory
 
+pytestmark = pytest.mark.draws
+
 HARDWARE = {"device": "1 x cpu", "cores": 2, "cpu": "some processor", "mujoco": "3", "jax": "0", "python": "3"}
 
 

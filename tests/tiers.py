@@ -26,7 +26,7 @@ NEEDS: Final = {
 OF_FIXTURES: Final = {
     "simulator": "compiles", "walks": "compiles", "drawing": "draws", "program": "browser", "browser": "browser",
 }  # fmt: skip
-#: When each test marked `long` last passed: `pytest -m long` writes it.
+#: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.
 LAST_RUN: Final = Path(__file__).with_name("long.json")
 
 
@@ -46,9 +46,9 @@ def sort(items: list[pytest.Item], first: Sequence[str]) -> None:
     items.sort(key=lambda item: (order.get(item.path.name, len(order)), item.path not in slow))
 
 
-def last_runs() -> dict[str, dict[str, Any]]:
+def last_runs() -> dict[str, dict[str, Any] | None]:
     """Test -> day and version of its last run, and how long it took [s]."""
-    found: dict[str, dict[str, Any]] = json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
+    found: dict[str, dict[str, Any] | None] = json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
     return found
 
 
@@ -60,10 +60,10 @@ def note(seconds: Mapping[str, float]) -> None:
         LAST_RUN.write_text(json.dumps(dict(sorted((last_runs() | ran).items())), indent=1) + "\n")
 
 
-def sentence(tests: Iterable[str]) -> str:
-    """When these tests marked `long` last ran."""
+def sentence() -> str:
+    """When the tests marked `long` last passed."""
     runs = last_runs()
-    days = {test: runs[test]["day"] for test in tests if test in runs}
-    never = sorted(set(tests) - days.keys())
-    told = f"{len(days)} last passed between {min(days.values())} and {max(days.values())}" if days else ""
-    return ", ".join(part for part in (told, f"never run: {', '.join(never)}" if never else "") if part)
+    days = sorted(run["day"] for run in runs.values() if run)
+    never = sorted(test for test, run in runs.items() if not run)
+    told = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
+    return "; ".join(part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part)
