@@ -64,6 +64,6 @@ def sentence() -> str:
     """When the tests marked `long` last passed."""
     runs = last_runs()
     days = sorted(run["day"] for run in runs.values() if run)
-    never = sorted(test for test, run in runs.items() if not run)
+    never = sorted({test.partition("[")[0].partition("::")[2] or test for test, run in runs.items() if not run})
     told = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
     return "; ".join(part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part)
