@@ -19,7 +19,7 @@ NEEDS: Final = {
     "cluster": "starts a Ray cluster",
     "draws": "draws figures, pictures or videos",
     "browser": "opens pages in Chromium",
-    "slow": "compiles MJX, or takes ten seconds or more",
+    "slow": "compiles MJX, or takes several seconds",
     "long": "takes a minute or more for what other tests show almost alike: runs with -m long only",
 }
 #: Fixtures that bring what they need to whatever asks for them.
