@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import functools
 import os
 from collections.abc import Iterator
@@ -9,22 +10,87 @@ from collections.abc import Iterator
 import chromium
 import numpy as np
 import pytest
+import tiers
 
 from nermo_mjx import runtime
+from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 
+# Programs of a test run for seconds and compile for longer: XLA does not optimize machine code, here and in processes
+# that tests start, unless asked to (CI does, for what it runs of the wheel). A walk then compiles in a third of the
+# time on the engine c and in two thirds on mjx, and its loop takes three times as long.
+if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0".strip()
+files._DPI = 100  # figures are drawn at half their size
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
+#: Files that take longest, the longest first; a notebook finds the program of test_tune_walk.py compiled.
+FIRST = ("test_walk_gradient.py", "test_experiments.py", "test_tune_walk.py", "test_ray_workers.py", "test_engines.py")
+#: Memory that a process of tests needs [bytes].
+PROCESS_BYTES = 3 * 1024**3
+#: Seconds of each test marked `long` that has passed, setup included; in the process that collects reports.
+_passed: collections.Counter[str] = collections.Counter()
+LONG = pytest.StashKey[list[str]]()
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that compile for minutes come first, so that no process is left alone with one in the end."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path not in slow, item.path.name != "test_walk_gradient.py"))
+
+def pytest_configure(config: pytest.Config) -> None:
+    for name, what in {"fast": "needs nothing of the other marks", **tiers.NEEDS}.items():
+        config.addinivalue_line("markers", f"{name}: {what}")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int | None:
+    """For `-n auto`: as many processes as there are cores, and memory for them."""
+    if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
+        return None
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return max(1, min(runtime.cpu_count(), memory // PROCESS_BYTES))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    tiers.mark(items)
+    tiers.sort(items, FIRST)
+    config.stash[LONG] = [item.nodeid for item in items if item.get_closest_marker("long")]
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if "long" not in report.keywords:
+        return
+    if report.when == "setup":
+        _passed[report.nodeid] = 0
+    if report.passed and report.nodeid in _passed:
+        _passed[report.nodeid] += report.duration
+    else:
+        _passed.pop(report.nodeid, None)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """In the process that collects reports: what is long is noted, and told."""
+    tiers.note(_passed)
+    terminalreporter.write_line(f"tests marked long (pytest -m long): {tiers.sentence()}")
+
+
+#: Modules that make simulators by this name.
+MAKERS = (
+    "rollout", "sweep.replay", "sweep.simulating",
+    "experiments.straight_line", "experiments.turning", "experiments.maze",
+)  # fmt: skip
 
 
 @functools.cache
-def _simulator(setup: Setup, engine: str) -> Simulator:
+def shared_simulator(setup: Setup, engine: str = "auto") -> Simulator:
+    """One for each setup and engine, with the programs it has compiled."""
     return Simulator(setup, engine)
+
+
+@pytest.fixture(scope="module")
+def shared_simulators() -> Iterator[None]:
+    """What the tests of a file simulate by commands and functions shares simulators: one for each setup and engine."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in MAKERS:
+            patch.setattr(f"nermo_mjx.{module}.Simulator", shared_simulator)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -61,7 +127,7 @@ def simulator():
     """`simulator(engine="c", **setup)`: one simulator for each combination, with the programs it has compiled."""
 
     def make(engine: str = "c", **choices: str) -> Simulator:
-        return _simulator(Setup(**choices), engine)
+        return shared_simulator(Setup(**choices), engine)
 
     return make
 

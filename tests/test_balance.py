@@ -13,6 +13,8 @@ from nermo_mjx.experiments.balance.start import PLACE, TURN, nudge, start_pose
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 
+pytestmark = pytest.mark.compiles
+
 GRAVITY = 9.81
 #: Published, simulation: (leg, sbc) -> passed.
 PUBLISHED = {(leg, sbc): sbc or leg.startswith("front") for leg in LIMBS for sbc in (False, True)}

@@ -19,6 +19,8 @@ from nermo_mjx.cli.choices import BENCH_CASES
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import RunDirectory
 
+pytestmark = pytest.mark.draws
+
 HARDWARE = {"device": "1 x cpu", "cores": 2, "cpu": "some processor", "mujoco": "3", "jax": "0", "python": "3"}
 
 
@@ -68,6 +70,7 @@ def test_a_measurement_that_fails_is_a_sentence(place: str, option: dict[str, An
     assert "\n" not in figures["error"]
 
 
+@pytest.mark.process
 def test_a_walk_is_measured_on_the_c_engine() -> None:
     """A small batch: the figures that spec and page rely on are there, and are those of one walk and its physics."""
     result = run_bench(("throughput",), {"engine": ("c",), "worlds": (2,)})

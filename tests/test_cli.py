@@ -29,6 +29,8 @@ from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.text import plain
 from nermo_mjx.version import __version__
 
+pytestmark = pytest.mark.usefixtures("shared_simulators")
+
 COMMANDS = (
     "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
     "status", "schema", "servos", "model", "bench", "completion",
@@ -218,6 +220,7 @@ def test_what_is_no_recording_or_an_old_one_is_refused_with_the_remedy(command: 
     assert sorted(tmp_path.iterdir()) == there
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("variable", "value", "command", "remedy"),
     [
@@ -288,6 +291,7 @@ def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int
 # --- results
 
 
+@pytest.mark.compiles
 def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> None:
     from nermo_mjx.rollout import METRICS
 
@@ -302,6 +306,7 @@ def test_walk_json_is_one_object_with_the_promised_fields(tmp_path: Path) -> Non
     assert report["versions"]["mujoco"].startswith("3.")
 
 
+@pytest.mark.compiles
 def test_options_reach_the_simulation(tmp_path: Path) -> None:
     options = ("--spine", "stride_extension", "--spine-amplitude", "0.3", "--spine-phase", "0.5", "--stride", "0.8")
     more = (
@@ -331,6 +336,7 @@ def test_the_seed_decides_the_start() -> None:
     assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
 
 
+@pytest.mark.compiles
 def test_walk_sums_up_in_millimetres_and_degrees() -> None:
     result = call(*SHORT)
     assert result.exit_code == 0
@@ -339,6 +345,7 @@ def test_walk_sums_up_in_millimetres_and_degrees() -> None:
     assert re.search(r"^roll( +-?[\d.]+){4}$", result.stdout, re.MULTILINE)
 
 
+@pytest.mark.compiles
 def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
     """(5.33): 0.67 Hz, two strides of 60 + 15.8 mm; and 1 / 0.8 strides of 60 mm a cycle (erratum 20)."""
     result = call(*SHORT, "--spine", "stride_extension")
@@ -347,11 +354,13 @@ def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
     assert re.search(r"^speed in theory +50\.3 +mm/s$", result.stdout, re.MULTILINE)
 
 
+@pytest.mark.compiles
 def test_quiet_says_nothing(tmp_path: Path) -> None:
     result = call(*SHORT, "--quiet")
     assert (result.exit_code, result.stdout, result.stderr) == (0, "", "")
 
 
+@pytest.mark.draws
 @pytest.mark.usefixtures("drawing")
 def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     record, video = tmp_path / "walk.npz", tmp_path / "walk.gif"
@@ -371,6 +380,7 @@ def test_a_recorded_walk_can_be_rendered(tmp_path: Path) -> None:
     assert video.stat().st_size > 0
 
 
+@pytest.mark.compiles
 def test_sweep_json_and_directory(tmp_path: Path) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
     spec.write_text("run: {duration: 0.3, warmup: 0.1}\nvary: {frequency: [0.6, 0.9]}\nplots: false\n")
@@ -511,6 +521,7 @@ def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp
     assert "holds an identification" in refused("identify", "--out", out)
 
 
+@pytest.mark.compiles
 def test_what_identify_prints_can_be_pasted(identified: dict[str, Any], tmp_path: Path) -> None:
     from nermo_mjx.sweep import Sweep
 

@@ -17,6 +17,8 @@ from nermo_mjx.physics import devices
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, choose_devices
 from nermo_mjx.robot import ParameterError
 
+pytestmark = pytest.mark.process
+
 
 def test_one_device_divides_nothing():
     """Where there is one device, a function stays as it is and arrays keep their length."""
@@ -95,7 +97,7 @@ def four_devices(tmp_path_factory) -> dict[str, Any]:
     """What a process with four devices says of five worlds."""
     settings = ("JAX_", "PJRT_", "NERMO_", "XLA_")
     environment = {key: value for key, value in os.environ.items() if not key.startswith(settings)}
-    environment["XLA_FLAGS"] = "--xla_force_host_platform_device_count=4"
+    environment["XLA_FLAGS"] = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
     environment["NERMO_MJX_CACHE"] = str(tmp_path_factory.mktemp("cache"))
     script = FOUR.format(tests=str(Path(__file__).parent))
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, timeout=540)

@@ -7,6 +7,7 @@ and no better, and a difference over 1e-8 of a value is wrong by up to a half. M
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ import pytest
 
 from nermo_mjx.physics.differentiable import step
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.runtime import compiler_options
 
 pytestmark = pytest.mark.slow
 
@@ -188,11 +190,12 @@ def small(request):
         def ahead(point):
             return jax.vmap(lambda way: jax.jvp(end, (point,), (way,)), out_axes=(None, 0))(jnp.eye(len(first)))
 
-        state, slopes = map(np.asarray, jax.jit(ahead)(first))
-        reverse = np.asarray(jax.jit(jax.grad(lambda point: end(point) @ weights))(first))
+        jit = functools.partial(jax.jit, compiler_options=compiler_options())
+        state, slopes = map(np.asarray, jit(ahead)(first))
+        reverse = np.asarray(jit(jax.grad(lambda point: end(point) @ weights))(first))
         widths = SHARE * np.maximum(np.abs(first), 0.01)
         points = np.concatenate([first[None], first + np.diag(widths), first - np.diag(widths)])
-        plain = jax.jit(jax.vmap(_in_mjx(case, mjx.step)))
+        plain = jit(jax.vmap(_in_mjx(case, mjx.step)))
         ends = np.asarray(plain(points)) if case.mirrored_by == "mjx" else _in_c(case, points)
     high, low = np.split(ends[1:] @ weights, 2)
     return Measured(state, slopes @ weights, reverse, ends[0], (high - low) / (2 * widths))

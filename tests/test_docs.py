@@ -16,6 +16,8 @@ import pytest
 
 from nermo_mjx.cli import main
 
+pytestmark = pytest.mark.process
+
 ROOT = Path(__file__).parents[1]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 #: Its examples need a sweep, a recording and a servo table: tests/test_tables.py has them.

@@ -132,6 +132,7 @@ def test_the_theory_of_the_smallest_radius_is_the_published_one(steering, radius
     assert theory.smallest_radius(steering) == pytest.approx(radius, rel=tolerance)
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize(("servo", "radius"), [(0.3, 0.590), (0.35, 0.505), (0.4, 0.441), (0.587, 0.297)])
 def test_two_feet_with_equal_strides_turn_less_than_the_formula_says(servo, radius):
     """A reference computation's radii of least slip; (5.43) has 0.281 m at 0.4 rad, for feet like wheels on axles."""

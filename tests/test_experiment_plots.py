@@ -29,6 +29,8 @@ from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import METRICS
 
+pytestmark = pytest.mark.draws
+
 BOTH = ("exact", "as_published")
 PHASES = {"stand": [0.0, 1.0], "shift": [1.0, 2.0], "lift": [2.0, 3.0], "swing": [3.0, 6.0]}
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze")

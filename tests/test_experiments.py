@@ -12,7 +12,7 @@ from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("shared_simulators")]
 FREQUENCIES = (0.5, 0.67, 0.8)
 TROTS = ("trt", "trt1")
 

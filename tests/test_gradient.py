@@ -15,6 +15,8 @@ from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.derivative import MOST_FORWARD, choose_mode, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
 
+pytestmark = pytest.mark.compiles
+
 ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
 
 

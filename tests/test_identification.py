@@ -17,6 +17,8 @@ from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
 from nermo_mjx.runs.files import WrongDirectory
 
+pytestmark = pytest.mark.draws
+
 
 def test_a_residual_counts_tolerances_of_the_logarithm():
     """10 % off is about one; inside an interval it is none; an order is missed by 2 % a unit."""

@@ -7,6 +7,8 @@ import pytest
 
 from nermo_mjx.experiments.identification.sampling import sample, thin
 
+pytestmark = pytest.mark.compiles
+
 
 def ball(radius, centre):
     """An objective whose value 0.5 is a sphere of this radius about a centre."""

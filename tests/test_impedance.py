@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -12,6 +14,8 @@ import pytest
 
 from nermo_mjx.physics import impedance, rows
 from nermo_mjx.physics.mjx_import import mjx
+
+pytestmark = pytest.mark.compiles
 
 BALL = """
 <mujoco>
@@ -25,6 +29,20 @@ BALL = """
 """
 
 
+@jax.jit
+def at_contact(model: Any, data: Any) -> Any:
+    return mjx.collision(model, mjx.crb(model, mjx.com_pos(model, mjx.kinematics(model, data))))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def made(make: Callable[..., Any], model: Any, data: Any, largest: Any) -> tuple[Any, Any]:
+    """The contacts' rows with such an impedance: stiffness and reference acceleration."""
+    solimp = rows.contact_solimp(data)
+    changed = rows.with_contact_solimp(data, solimp.at[:, 1].set(largest))
+    stiffness, aref, _ = rows.row_arrays(make(model, changed))
+    return stiffness, aref
+
+
 @pytest.mark.parametrize("solref", ["0.005 1", "0.03 1.5", "-3000 -40"])
 @pytest.mark.parametrize("refsafe", ["enable", "disable"])
 def test_slopes_are_those_of_mjxs_rows(refsafe: str, solref: str) -> None:
@@ -34,17 +52,9 @@ def test_slopes_are_those_of_mjxs_rows(refsafe: str, solref: str) -> None:
     """
     with jax.enable_x64(True):
         model = mjx.put_model(mujoco.MjModel.from_xml_string(BALL.format(refsafe=refsafe, solref=solref)))
-        data = mjx.make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0]))
-        data = mjx.collision(model, mjx.crb(model, mjx.com_pos(model, mjx.kinematics(model, data))))
-        solimp = rows.contact_solimp(data)
-
-        def made(make: Any, largest: Any) -> tuple[Any, Any]:
-            changed = rows.with_contact_solimp(data, solimp.at[:, 1].set(largest))
-            stiffness, aref, _ = rows.row_arrays(make(model, changed))
-            return stiffness, aref
-
-        found = jax.jvp(lambda largest: made(impedance.make_constraint, largest), (0.9,), (1.0,))[1]
-        above, below = (made(mjx.make_constraint, 0.9 + step) for step in (1e-6, -1e-6))
+        data = at_contact(model, mjx.make_data(model).replace(qvel=jnp.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0])))
+        found = jax.jvp(lambda largest: made(impedance.make_constraint, model, data, largest), (0.9,), (1.0,))[1]
+        above, below = (made(mjx.make_constraint, model, data, 0.9 + step) for step in (1e-6, -1e-6))
     assert np.any(above[1] != below[1])
     for slope, high, low in zip(found, above, below, strict=True):
         np.testing.assert_allclose(slope, (high - low) / 2e-6, rtol=1e-5, atol=1e-6 * np.abs(high).max())

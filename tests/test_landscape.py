@@ -22,6 +22,8 @@ from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
 from nermo_mjx.tune.landscape.plots import figures, line_figure
 from nermo_mjx.tune.status import landscape_status
 
+pytestmark = pytest.mark.draws
+
 TUNING = Tuning.from_dict(SPEC)
 #: Height of a stair, and stairs over the bounds of the amplitude.
 STAIR, STAIRS = 0.01, 50

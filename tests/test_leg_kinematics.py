@@ -21,6 +21,8 @@ from nermo_mjx.kinematics.tendon import arm_range, knee_range, pull
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
 
+pytestmark = pytest.mark.compiles
+
 GEOMETRIES = [pytest.param(FRONT_LEG, id="front"), pytest.param(REAR_LEG, id="rear")]
 #: Hip angles of the tests [rad]: well beyond the robot's +-0.7.
 HIP = 1.5

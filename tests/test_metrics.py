@@ -19,6 +19,8 @@ from nermo_mjx.rollout import METRICS, metrics
 from nermo_mjx.rollout.attitude import attitude, uprightness
 from nermo_mjx.rollout.parameters import Window
 
+pytestmark = pytest.mark.compiles
+
 STEPS, DT, RATE, MASS, SERVOS = 5, 0.01, 1.0, 0.27, 10
 #: Of the IMU over the mat [m].
 HEIGHT = 0.063

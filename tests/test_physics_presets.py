@@ -22,6 +22,7 @@ from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.setup import all_parameters
+from nermo_mjx.runtime import compiler_options
 from nermo_mjx.sweep.spec import Sweep
 
 #: The largest change of a gait metric that `fast` may bring: what docs/benchmarks/physics.md says. The identified servo
@@ -103,7 +104,7 @@ def test_fast_walks_on_mjx_and_has_a_gradient(simulator):
     def distance(amplitude: Any) -> Any:
         return rollout({"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": -0.5})["distance"]
 
-    value, slope = jax.jit(lambda at: jax.jvp(distance, (at,), (1.0,)))(0.2)
+    value, slope = jax.jit(lambda at: jax.jvp(distance, (at,), (1.0,)), compiler_options=compiler_options())(0.2)
     values = {"frequency": 0.8, "spine.amplitude": np.array([0.19, 0.2, 0.21]), "spine.phase": -0.5}
     low, middle, high = simulator(**setup).run(values, run).metrics["distance"]
     assert float(value) == pytest.approx(middle, rel=0.01)
@@ -228,6 +229,7 @@ def test_contacts_too_stiff_for_the_step_are_refused():
         Rollout(Setup(physics="fast"))({"contact.time_constant": 0.005})
 
 
+@pytest.mark.compiles
 def test_the_command_line_takes_the_preset():
     """`walk --physics fast` walks with it and reports it; the names in the help are the presets."""
     assert set(choices.PHYSICS) == set(PRESETS)

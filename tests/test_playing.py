@@ -17,6 +17,8 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.view import RecordingError, play, recording_of, robot_of, write_keyframes
 from nermo_mjx.view.playing import set_sample
 
+pytestmark = pytest.mark.compiles
+
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:

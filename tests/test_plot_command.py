@@ -31,6 +31,8 @@ from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.landscape import run_landscape
 
+pytestmark = pytest.mark.draws
+
 
 def plot(*arguments: str | Path) -> Result:
     result = CliRunner().invoke(main, ["plot", *map(str, arguments)])

@@ -53,6 +53,7 @@ def stick() -> tuple[Any, Any]:
     return model, mjx.make_data(model)
 
 
+@pytest.mark.compiles
 def test_a_step_of_physics_and_its_derivatives_have_it(stick: tuple[Any, Any]) -> None:
     """Forward and reverse mode, also where JAX traces the derivative after the step, outside of it."""
     model, data = stick

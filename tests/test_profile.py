@@ -13,6 +13,7 @@ from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.robot import ParameterError
 
 
+@pytest.mark.compiles
 def test_the_profile_of_c_is_the_whole_step():
     """Every stage takes time, together they are the step, and MuJoCo's clock is off afterwards: it slows every step."""
     result = profile("c")

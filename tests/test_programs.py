@@ -12,6 +12,8 @@ import pytest
 
 from nermo_mjx.rollout import Run, Setup, Simulator, start
 
+pytestmark = [pytest.mark.compiles, pytest.mark.process]
+
 HEIGHT = """
 import nermo_mjx, numpy as np
 from nermo_mjx.rollout import Run, Setup, Simulator, start

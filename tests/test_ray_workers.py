@@ -29,6 +29,8 @@ from nermo_mjx.sweep import read_table, run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.version import __version__
 
+pytestmark = pytest.mark.cluster
+
 FAKE = Path(__file__).with_name("ray_fake.py")
 WALKS = {"vary": {"frequency": {"linspace": [0.7, 1.2, 7]}}, "run": {"cycles": 2, "warmup_cycles": 1}, "plots": False}
 

@@ -38,7 +38,9 @@ def test_ci_runs_the_test_command_of_the_readme_and_no_other() -> None:
     ]
     assert 'eval "$command"' in script
     assert script.count("pytest") == 1
-    subprocess.run(["bash", "-n", str(ROOT / ".ci" / "run")], check=True)
+    assert "\n.ci/wheel\n" in script
+    for name in ("run", "wheel"):
+        subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)
 
 
 def test_the_sweep_of_the_first_command_and_the_example_are_valid() -> None:

@@ -25,6 +25,8 @@ from nermo_mjx.view.plots.servos import servo_angles
 from nermo_mjx.view.plots.walk import Walk
 from nermo_mjx.view.standing import spans
 
+pytestmark = pytest.mark.draws
+
 
 def drawn_of(recording: Recording, folder: Path, formats: Sequence[str] = FORMATS) -> tuple[list[Path], list[str]]:
     """The files of a recording's figures, and the notes on those that there are not."""

@@ -20,11 +20,13 @@ from sweep_fake import FakeSimulator, speed
 
 from nermo_mjx.cli import main
 from nermo_mjx.physics.c_engine import CSession, _Block
-from nermo_mjx.rollout import METRICS
-from nermo_mjx.sweep import SpecError, read_table, run_sweep
+from nermo_mjx.rollout import METRICS, Simulator
+from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
 from nermo_mjx.sweep import replay as module
 from nermo_mjx.sweep.replay import compare, find_row, replay_row
 from nermo_mjx.view import Recording
+
+pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
 #: Eight rows in chunks of 3, 3 and 2, so that the last chunk's batch is padded. With so heavy a rear and 1.2 Hz, the
 #: robot falls. Repeats start from different places.
@@ -46,7 +48,9 @@ SHORT = {"run": {"duration": 0.4, "warmup": 0.1}, "plots": False, "vary": {"freq
 
 @pytest.fixture(scope="module")
 def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run_sweep(WALKS, tmp_path_factory.mktemp("walks"), engine="c").out
+    """Made by a simulator of its own: those that replay its rows are others."""
+    own = Simulator(Sweep.from_dict(WALKS).setup, "c")
+    return run_sweep(WALKS, tmp_path_factory.mktemp("walks"), engine="c", simulator=own).out
 
 
 @pytest.fixture(scope="module")

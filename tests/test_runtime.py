@@ -14,6 +14,8 @@ from click.testing import CliRunner
 from nermo_mjx import runtime
 from nermo_mjx.cli import options
 
+pytestmark = pytest.mark.process
+
 SETTINGS = (
     "PJRT_NPROC", "JAX_COMPILATION_CACHE_DIR", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "NERMO_MJX_CACHE",
     "XLA_FLAGS", "MUJOCO_GL", "NERMO_MJX_THREADS",

@@ -20,6 +20,8 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.interface import servo_range
 from nermo_mjx.sweep import SpecError
 
+pytestmark = pytest.mark.compiles
+
 #: The balancing spine jumps where a leg switches, so that no tick may fall on a switch but for its rounding.
 GAITS = [
     (Setup(gait="trt", spine="stride_extension"), {"frequency": 0.8, "spine.phase": -0.5}),

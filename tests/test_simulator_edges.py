@@ -16,6 +16,8 @@ from nermo_mjx.robot.servo_limits import highest_kp, highest_kv
 from nermo_mjx.rollout import Run, Setup, Simulator, all_parameters
 from nermo_mjx.rollout.differentiable import Rollout
 
+pytestmark = pytest.mark.compiles
+
 #: A servo chatters if its torque jumps by more than this share of its limit from one step to the next, while the robot
 #: stands still and nothing is asked of it.
 CHATTER = 0.05

@@ -125,6 +125,7 @@ def test_servo_range_bends_the_joints_by_their_limit():
     assert angle == pytest.approx(inner, rel=0.015)
 
 
+@pytest.mark.compiles
 def test_displacement_is_inverted_over_the_whole_range():
     """angle_for_displacement undoes the spine end's x, which rises all the way, and saturates beyond."""
     theta = np.linspace(-1, 1, 41) * spine.max_joint_angle()
@@ -171,6 +172,7 @@ def assert_finite(value):
         assert np.isfinite(leaf).all(), value
 
 
+@pytest.mark.compiles
 @settings(max_examples=100, deadline=None)
 @example(np.finfo(np.float32).max)
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False) | st.floats(-0.5, 0.5, width=32))
@@ -179,6 +181,7 @@ def test_any_float32_gives_finite_values_and_derivatives(value):
     assert_finite(np.float32(value))
 
 
+@pytest.mark.compiles
 @settings(max_examples=100, deadline=None)
 @example(np.finfo(np.float64).max)
 @given(st.floats(allow_nan=False, allow_infinity=False) | st.floats(-0.5, 0.5))

@@ -26,6 +26,8 @@ from nermo_mjx.sweep.survey import survey_figures
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.sweep.trade_off import front, named_points
 
+pytestmark = pytest.mark.draws
+
 PARAMETERS = {"frequency": ("Hz", 0.4, 1.2), "spine.phase": ("rad", -3.0, 3.0), "contact.friction": ("1", 0.5, 2.0)}
 
 

@@ -147,6 +147,7 @@ def test_chunks_made_with_other_defaults_are_kept_aside(begun, monkeypatch):
 # --- a directory of release 0.1.0, which noted no code
 
 
+@pytest.mark.compiles
 def test_the_command_refuses_a_directory_of_the_previous_release_until_it_is_told_to_go_on(old):
     """Exit code 2 and one sentence; with --accept-new-code the two old rows stay as they are."""
     command = ["sweep", str(old / "sweep.yaml"), "--out", str(old), "--engine", "c", "--json", "--quiet"]
@@ -168,6 +169,7 @@ def test_the_command_refuses_a_directory_of_the_previous_release_until_it_is_tol
     assert len(json.loads((old / "run.json").read_text())["sessions"]) == 2
 
 
+@pytest.mark.compiles
 def test_plot_and_replay_read_a_directory_of_the_previous_release(old):
     """Figures of what is there, and a row of it run again, compared with what is stored."""
     assert list(figures(old))

@@ -27,6 +27,8 @@ from nermo_mjx.runs import files
 from nermo_mjx.sweep import DirectoryError, SpecError, SweepError, SweepInterrupted, read_table, run_sweep
 from nermo_mjx.sweep.store import Store
 
+pytestmark = pytest.mark.process
+
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):

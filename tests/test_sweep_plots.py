@@ -14,6 +14,8 @@ from nermo_mjx.sweep import Results, run_sweep
 from nermo_mjx.sweep.figures import heat_maps
 from nermo_mjx.sweep.plots import figures_of
 
+pytestmark = pytest.mark.draws
+
 
 def plots_of(spec, out, simulator=None):
     return run_sweep(spec, out, simulator=simulator or FakeSimulator()).plots

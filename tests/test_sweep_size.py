@@ -133,6 +133,7 @@ class Measuring(FakeSimulator):
         return super().run(*args, **kwargs)
 
 
+@pytest.mark.slow
 def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     """Over a hundred chunks, memory grows by less than ten of their tables would take."""
     spec = {"vary": {"frequency": {"linspace": [0.5, 1.0, 1200]}, "duty": {"linspace": [0.4, 0.6, 10]}}, "plots": False}
@@ -144,6 +145,7 @@ def test_finished_chunks_are_not_kept_in_memory(tmp_path):
     assert late - early < result.table.nbytes / 120 * 10
 
 
+@pytest.mark.draws
 def test_a_table_that_does_not_fit_is_read_column_by_column(tmp_path, monkeypatch):
     """The summary and the figures of a sweep are the same where only one column fits into memory at a time."""
     spec = SPEC | {"plots": True, "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}}}

@@ -23,6 +23,7 @@ def done(tmp_path):
     return tmp_path / "out"
 
 
+@pytest.mark.draws
 def test_the_directory_holds_what_other_programs_rely_on(done):
     """results/*.parquet, summary.json, sweep.yaml, run.json and plots/ are there, and nothing half-written."""
     run_sweep(SPEC | {"plots": True}, done, simulator=FakeSimulator())  # figures may be drawn later

@@ -22,6 +22,8 @@ from nermo_mjx.tune.checkpoints import KEPT, Checkpoints
 from nermo_mjx.tune.history import empty_log
 from nermo_mjx.tune.state import initial_state
 
+pytestmark = pytest.mark.compiles
+
 TUNING = {
     "tune": {"duty": {"bounds": [0.4, 0.7]}, "stride": {"bounds": [0.5, 1.0]}},
     "objective": [{"maximize": "speed"}],

@@ -16,6 +16,8 @@ from nermo_mjx.sweep import SpecError
 from nermo_mjx.tune import Tuning, TuningInterrupted, directory, load_tuning, read_history, run_tuning
 from nermo_mjx.tune.plots import figures
 
+pytestmark = pytest.mark.compiles
+
 FEW = {"starts": 1, "iterations": 1}
 #: A tuning that compares with a recording.
 COMPARED = SPEC | FEW | {"objective": [{"minimize": "trajectory_error"}]}

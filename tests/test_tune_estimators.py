@@ -11,6 +11,8 @@ from scipy.stats import norm
 from nermo_mjx.tune.estimators import estimate
 from nermo_mjx.tune.sampling import Estimator, offsets, perturbations
 
+pytestmark = pytest.mark.compiles
+
 SIGMA, TRIALS = 0.5, 2000
 POINT = np.array([0.3, -0.8])
 MATRIX = jnp.array([[2.0, 1.0], [1.0, 3.0]])

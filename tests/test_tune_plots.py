@@ -42,6 +42,8 @@ from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.traces import MOST_STARTS, Traces
 from nermo_mjx.tune.tuner import Tuner
 
+pytestmark = pytest.mark.draws
+
 NAMES = ("objective", "parameters", "gradients", "path")
 MIXTURE = {"mixture": {"samples": 8, "sigma": 0.1}}
 

@@ -24,6 +24,8 @@ from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning,
 from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.tuner import Tuner
 
+pytestmark = pytest.mark.compiles
+
 ESTIMATORS = {
     "exact": "exact",
     "smoothed": {"smoothed": {"samples": 8, "sigma": 0.1}},

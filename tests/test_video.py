@@ -23,6 +23,8 @@ from nermo_mjx.view.side_by_side import Pane, render_side_by_side
 from nermo_mjx.view.support import INSIDE, OUTSIDE, draw_support, is_inside, support_polygon
 from nermo_mjx.view.video import frame_samples
 
+pytestmark = pytest.mark.draws
+
 SCENE = """
 <mujoco>
   <asset><texture name='c' type='2d' builtin='checker' width='64' height='64' rgb1='1 1 1' rgb2='.2 .2 .2'/>

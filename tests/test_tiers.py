@@ -1,0 +1,81 @@
+"""The tests themselves: each has a mark for what it needs, and what is not run every day says when it was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tiers
+from conftest import LONG, pytest_xdist_auto_num_workers
+
+from nermo_mjx import runtime
+
+
+class Item:
+    """A collected test with these marks and fixtures."""
+
+    def __init__(self, *marks: str, fixturenames: tuple[str, ...] = (), path: str = "test_a.py") -> None:
+        self.marks, self.fixturenames, self.path = list(marks), fixturenames, Path(path)
+
+    def get_closest_marker(self, name: str) -> Any:
+        return name if name in self.marks else None
+
+    def add_marker(self, name: str) -> None:
+        self.marks.append(name)
+
+
+@pytest.mark.parametrize(
+    ("item", "marks"),
+    [
+        (Item(), ["fast"]),
+        (Item("parametrize"), ["parametrize", "fast"]),
+        (Item("long"), ["long"]),
+        (Item(fixturenames=("tmp_path", "simulator")), ["compiles"]),
+        (Item("slow", fixturenames=("browser",)), ["slow", "browser"]),
+    ],
+)
+def test_what_needs_nothing_is_fast(item: Any, marks: list[str]) -> None:
+    """A fixture that compiles, draws or opens pages marks whoever asks for it."""
+    tiers.mark([item])
+    assert item.marks == marks
+
+
+def test_the_longest_files_come_first() -> None:
+    items: list[Any] = [
+        Item(path="a"), Item("slow", path="b"), Item(path="c"), Item(path="b"), Item(path="d"),
+    ]  # fmt: skip
+    tiers.sort(items, ("d", "c"))
+    assert [item.path.name for item in items] == ["d", "c", "b", "b", "a"]
+
+
+def test_every_test_marked_long_is_in_the_record(request: pytest.FixtureRequest) -> None:
+    """With the day when it last passed, or null: of the tests that were collected, none is forgotten."""
+    files = {path.name for path in Path(__file__).parent.glob("test_*.py")}
+    recorded = set(tiers.last_runs())
+    assert set(request.config.stash[LONG]) <= recorded
+    assert {name.partition("::")[0].removeprefix("tests/") for name in recorded} <= files
+
+
+def test_a_day_is_written_down_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tiers, "LAST_RUN", tmp_path / "long.json")
+    tiers.note({})
+    assert not tiers.LAST_RUN.exists()
+    tiers.LAST_RUN.write_text('{"a": null, "b": null}')
+    assert tiers.sentence() == "not yet: a, b"
+    tiers.note({"a": 61.4})
+    about = tiers.last_runs()["a"]
+    assert about is not None
+    assert about["seconds"] == 61
+    assert tiers.sentence() == f"1 last passed between {about['day']} and {about['day']}; not yet: b"
+
+
+def test_workers_follow_the_cores_and_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PYTEST_XDIST_AUTO_NUM_WORKERS", raising=False)
+    monkeypatch.setattr(runtime, "cpu_count", lambda: 2)
+    monkeypatch.setattr("os.sysconf", {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 64 * 2**18}.__getitem__)
+    assert pytest_xdist_auto_num_workers() == 2
+    monkeypatch.setattr(runtime, "cpu_count", lambda: 100)
+    assert pytest_xdist_auto_num_workers() == 21, "of 64 GiB"
+    monkeypatch.setenv("PYTEST_XDIST_AUTO_NUM_WORKERS", "5")
+    assert pytest_xdist_auto_num_workers() is None, "what the user says"

@@ -1,0 +1,69 @@
+"""What a test needs is its mark; what needs nothing is `fast`; and the tests marked `long` say when they last ran."""
+
+from __future__ import annotations
+
+import datetime
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from nermo_mjx.version import __version__
+
+#: Mark -> what a test needs that has it. What has none of them is marked `fast`.
+NEEDS: Final = {
+    "compiles": "compiles programs of the controller or the robot, or simulates: seconds of a core",
+    "process": "starts other processes, which import JAX anew or wait for each other",
+    "cluster": "starts a Ray cluster",
+    "draws": "draws figures, pictures or videos",
+    "browser": "opens pages in Chromium",
+    "slow": "compiles MJX, or takes several seconds",
+    "long": "takes a minute or more for what other tests show almost alike: runs with -m long only",
+}
+#: Fixtures that bring what they need to whatever asks for them.
+OF_FIXTURES: Final = {
+    "simulator": "compiles", "walks": "compiles", "drawing": "draws", "program": "browser", "browser": "browser",
+}  # fmt: skip
+#: When each test marked `long` last passed, null if it has not yet: `pytest -m long` writes it.
+LAST_RUN: Final = Path(__file__).with_name("long.json")
+
+
+def mark(items: Iterable[pytest.Item]) -> None:
+    """Mark tests by the fixtures they ask for, and as `fast` where nothing is marked."""
+    for item in items:
+        for fixture in OF_FIXTURES.keys() & set(getattr(item, "fixturenames", ())):
+            item.add_marker(OF_FIXTURES[fixture])
+        if not any(item.get_closest_marker(name) for name in NEEDS):
+            item.add_marker("fast")
+
+
+def sort(items: list[pytest.Item], first: Sequence[str]) -> None:
+    """Files that take minutes come first, so that no process is left alone with one in the end."""
+    order = {name: place for place, name in enumerate(first)}
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (order.get(item.path.name, len(order)), item.path not in slow))
+
+
+def last_runs() -> dict[str, dict[str, Any] | None]:
+    """Test -> day and version of its last run, and how long it took [s]."""
+    found: dict[str, dict[str, Any] | None] = json.loads(LAST_RUN.read_text()) if LAST_RUN.exists() else {}
+    return found
+
+
+def note(seconds: Mapping[str, float]) -> None:
+    """Write down that tests marked `long` have passed today, with the time that each took [s]."""
+    day = datetime.datetime.now(datetime.UTC).date().isoformat()
+    ran = {name: {"day": day, "version": __version__, "seconds": round(took)} for name, took in seconds.items()}
+    if ran:
+        LAST_RUN.write_text(json.dumps(dict(sorted((last_runs() | ran).items())), indent=1) + "\n")
+
+
+def sentence() -> str:
+    """When the tests marked `long` last passed."""
+    runs = last_runs()
+    days = sorted(run["day"] for run in runs.values() if run)
+    never = sorted({test.partition("[")[0].partition("::")[2] or test for test, run in runs.items() if not run})
+    told = f"{len(days)} last passed between {days[0]} and {days[-1]}" if days else ""
+    return "; ".join(part for part in (told, f"not yet: {', '.join(never)}" if never else "") if part)
