@@ -478,7 +478,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     asked: dict[str, Any] = {}
 
     def identify(
-        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None]
+        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None], workers: Any
     ) -> identification.Identified:
         asked.update(vars(wanted))
         progress(1.0)
