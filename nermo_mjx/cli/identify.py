@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 EPILOG = """\b
@@ -19,9 +19,7 @@ Examples:
 
 
 @click.command("identify", epilog=EPILOG)
-@click.option(
-    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
-)
+@options.out
 @options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=64)
 @options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=25)
 @options.number("--population", "Candidates of a generation.", click.IntRange(4), default=12)
@@ -52,7 +50,7 @@ def command(
     with stdout_reserved():
         from nermo_mjx.experiments.identification.run import run_identification
 
-        say = None if quiet else _say
+        say = sayer("identify", quiet)
         progress = Progress("identify", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             content = run_identification(
@@ -62,10 +60,6 @@ def command(
         print_json({"out": out, **content})
     elif not quiet:
         _print(content, out)
-
-
-def _say(sentence: str) -> None:
-    click.echo(f"identify: {sentence}", err=True)
 
 
 def _print(content: dict[str, Any], out: Path) -> None:

@@ -11,7 +11,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import PILOTS, ROBOTS, TAILS
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
-from nermo_mjx.cli.render import render_video
+from nermo_mjx.cli.render import check_video, save_run
 from nermo_mjx.cli.walk_plan import Plan, plan
 from nermo_mjx.cli.walk_report import print_walk
 
@@ -47,11 +47,10 @@ def command(
     """Let the robot walk once, and sum up how it went."""
     with stdout_reserved():
         wanted = plan(**chosen)
-        if video is not None:
-            _check_video(wanted, video, camera)
+        check_video(wanted.setup, video, camera)
         report, trace = _run(wanted, engine, bool(record or video), quiet)
         if trace is not None:
-            _save(trace, wanted, report, record, video, camera, quiet)
+            save_run(trace, wanted.setup, report, record, video, camera, quiet)
     if as_json:
         print_json(report)
     elif not quiet:
@@ -77,23 +76,3 @@ def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> tuple[dict[str
         "versions": versions(),
     }
     return report, result.trace
-
-
-def _check_video(wanted: Plan, video: Path, camera: str) -> None:
-    """Refuse a video that cannot be made before the robot walks."""
-    from nermo_mjx.view import check_video
-
-    check_video(wanted.setup.load().model, video, camera=camera)
-
-
-def _save(
-    trace: Any, wanted: Plan, report: dict[str, Any], record: Path | None, video: Path | None, camera: str, quiet: bool
-) -> None:
-    from nermo_mjx.runs.text import plain
-    from nermo_mjx.view import recording_of
-
-    recording = recording_of(trace, wanted.setup.load().model, metadata=plain(report))
-    if record is not None:
-        recording.save(record)
-    if video is not None:
-        render_video(recording, video, quiet, camera=camera)
