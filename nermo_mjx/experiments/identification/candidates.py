@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
+from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.space import Free, parameters_of
 from nermo_mjx.experiments.identification.targets import CASES, figures, objective
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -42,16 +43,6 @@ class Walking:
         return result.metrics["speed"], np.asarray(result.status) == "ok"
 
 
-class Memory(Protocol):
-    """Keeps what was simulated, so that a search that was killed goes on where it was."""
-
-    def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Speed and whether it was walked, (n, cases) each, of points (n, d) seen before; else None."""
-
-    def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
-        """Remember the speeds of points."""
-
-
 class Candidates:
     """Evaluates points of a space, and remembers all of them and the best.
 
@@ -70,7 +61,7 @@ class Candidates:
         cases: Mapping[str, np.ndarray],
         space: Mapping[str, Free],
         batch: int,
-        memory: Memory | None,
+        memory: CandidateFile | None,
         report: Callable[[], None],
     ) -> None:
         self.workers, self.cases, self.space, self.batch = workers, cases, space, batch

@@ -16,8 +16,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from nermo_mjx.experiments.cases import worlds
-from nermo_mjx.experiments.identification.candidates import WALKS, Candidates, Memory, Walking
+from nermo_mjx.experiments.identification.candidates import WALKS, Candidates, Walking
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE, Bodies, find_bodies
+from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS
 from nermo_mjx.experiments.settings import Settings
@@ -83,7 +84,7 @@ class Search:
 def identify(
     wanted: Search,
     engine: str = "auto",
-    memory: Memory | None = None,
+    memory: CandidateFile | None = None,
     progress: Callable[[float], None] | None = None,
     workers: Workers | None = None,
 ) -> Identified:
