@@ -5,6 +5,7 @@ gets a line for each batch that is begun: the process, and the frequency, amplit
 ray_fake.py driver OUT LOG: the same on a cluster of one node, to be killed.
 ray_fake.py tune OUT LOG: the tuning of `tune_fake` from five starts on three nodes, of which one is killed on the way.
 ray_fake.py experiments OUT: two experiments with three bodies on two nodes.
+ray_fake.py identify OUT: a small identification on two nodes.
 ray_fake.py tasks: a cluster of one node, computers that it takes and does not take, and where it listens.
 """
 
@@ -26,6 +27,8 @@ from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 
 #: A tuning from as many starts as three workers do not share evenly.
 STARTS = TUNING | {"starts": 5}
+#: An identification that takes seconds.
+IDENTIFY = {"engine": "c", "samples": 7, "generations": 1, "population": 4, "bodies": 8, "sweeps": 1, "tolerance": 9.0}
 
 
 class LoggingSimulator(FakeSimulator):
@@ -114,6 +117,23 @@ def experiments(out):
     print(json.dumps({"names": [each.name for each in result.results], "done": sorted(set(done))}))
 
 
+def identify(out):
+    """An identification whose batches two nodes share."""
+    os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
+    from ray.cluster_utils import Cluster
+
+    from nermo_mjx.experiments.identification.run import run_identification
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster.add_node(num_cpus=1)
+    try:
+        with ray_workers.RayWorkers(cluster.address) as workers:
+            content = run_identification(out, workers=workers, **IDENTIFY)
+    finally:
+        cluster.shutdown()
+    print(json.dumps(content))
+
+
 def driver(out, log):
     """A sweep whose driver can be killed."""
     from nermo_mjx.sweep import run_sweep
@@ -173,6 +193,4 @@ def tasks():
 
 
 if __name__ == "__main__":
-    {"nodes": nodes, "tune": tune, "experiments": experiments, "driver": driver, "tasks": tasks}[sys.argv[1]](
-        *sys.argv[2:]
-    )
+    {each.__name__: each for each in (nodes, tune, experiments, identify, driver, tasks)}[sys.argv[1]](*sys.argv[2:])

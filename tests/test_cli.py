@@ -87,6 +87,16 @@ def test_help_imports_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
 
 
+def test_a_walk_imports_neither_splines_nor_tables() -> None:
+    """Together they take a quarter of what a walk imports, and only courses and result tables need them."""
+    script = (
+        "import sys\nimport nermo_mjx.rollout, nermo_mjx.runs\n"
+        "from nermo_mjx.rollout import Setup\nSetup().load()\n"
+        "assert not {'scipy.interpolate', 'pyarrow'} & set(sys.modules), 'not needed'\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, capture_output=True)
+
+
 def test_the_package_is_a_command_too() -> None:
     done = subprocess.run([sys.executable, "-m", "nermo_mjx", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"nermo-mjx {__version__}\n"
@@ -488,7 +498,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     asked: dict[str, Any] = {}
 
     def identify(
-        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None]
+        wanted: identification.Search, engine: str, memory: Any, progress: Callable[[float], None], workers: Any
     ) -> identification.Identified:
         asked.update(vars(wanted))
         progress(1.0)

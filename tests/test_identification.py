@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.identification import run, search
+from nermo_mjx.experiments.identification import candidates, run
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE
 from nermo_mjx.experiments.identification.search import Search, identify
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, UNCERTAIN, names, parameters_of, point_of
@@ -16,6 +16,7 @@ from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.runs.workers import WorkersLost
 
 pytestmark = pytest.mark.draws
 
@@ -124,7 +125,7 @@ def pretended(monkeypatch):
     class Fresh(Pretended):
         pass
 
-    monkeypatch.setattr(search, "Simulator", Fresh)
+    monkeypatch.setattr(candidates, "Simulator", Fresh)
     return Fresh
 
 
@@ -182,6 +183,54 @@ def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
     run.run_identification(tmp_path / "killed", **settings)
     assert pretended.calls == needed
     assert (tmp_path / "killed" / "ensemble.csv").read_text() == (tmp_path / "whole" / "ensemble.csv").read_text()
+
+
+class Backwards:
+    """Workers that compute the last of the tasks at hand first; `lost_after` so many."""
+
+    def __init__(self, lost_after=None):
+        self.lost_after, self.done, self.at_hand = lost_after, 0, []
+
+    def begin(self, computer):
+        computer.warm()
+        self.computer = computer
+
+    def results(self, tasks, tell):
+        tasks = list(tasks)
+        self.at_hand.append(len(tasks))
+        for key, task in reversed(tasks):
+            if self.done == self.lost_after:
+                raise WorkersLost("no node came within 300 s.")
+            self.done += 1
+            yield key, self.computer(task)
+
+
+def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
+    """Batches of the even search and of the ensemble are handed out together; the same files in the end."""
+    settings, others = {**SMALL, "bodies": 24, "sweeps": 2, "engine": "c"}, Backwards()
+    ours, theirs = (
+        run.run_identification(tmp_path / name, **settings, workers=workers)
+        for name, workers in (("one", None), ("others", others))
+    )
+    assert {name: ours[name] for name in ("costs", "parameters", "objective", "targets", "ensemble")} == {
+        name: theirs[name] for name in ("costs", "parameters", "objective", "targets", "ensemble")
+    }
+    assert others.at_hand == [3, *[1] * 12, *[3] * (len(others.at_hand) - 13)]
+    assert len(others.at_hand) > 14, "the ensemble sweeps"
+    for name in ("one", "others"):
+        rows = [json.loads(line) for line in (tmp_path / name / "candidates.jsonl").read_text().splitlines()[1:]]
+        assert len(rows) == sum(others.at_hand)
+
+
+def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
+    settings = {**SMALL, "bodies": 0, "engine": "c"}
+    with pytest.raises(WorkersLost, match=r"no node came within 300 s\. What is done is kept in .*same command"):
+        run.run_identification(tmp_path / "lost", **settings, workers=Backwards(lost_after=2))
+    assert pretended.calls == 2
+    run.run_identification(tmp_path / "lost", **settings)
+    again, pretended.calls = pretended.calls, 0
+    run.run_identification(tmp_path / "whole", **settings)
+    assert again == pretended.calls, "nothing is walked twice"
 
 
 def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp_path):

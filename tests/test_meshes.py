@@ -12,9 +12,11 @@ from mujoco import mjx
 
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.files import load_file, mjcf_directory
-from nermo_mjx.robot.meshes import mesh_texts, read_obj, tail, torso
+from nermo_mjx.robot.meshes import tail, torso
+from nermo_mjx.robot.meshes.catalogue import mesh_texts
 from nermo_mjx.robot.meshes.leg import leg_shapes, lower, upper
 from nermo_mjx.robot.meshes.numbers import MM, TENDON
+from nermo_mjx.robot.meshes.obj import read_obj
 from nermo_mjx.robot.parameters import FRONT_LEG
 
 FILES = sorted((mjcf_directory() / "meshes").glob("*.obj"))

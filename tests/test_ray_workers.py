@@ -16,12 +16,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from ray_fake import STARTS
+from ray_fake import IDENTIFY, STARTS
 from sweep_fake import SPEC, FakeSimulator
 from tune_fake import SPEC as TUNING
 from tune_fake import FakeProblem
 
 from nermo_mjx.cli import main
+from nermo_mjx.experiments.identification.run import run_identification
 from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.runs.ray_workers import RayWorkers
 from nermo_mjx.runs.workers import LocalWorkers, WorkersLost
@@ -130,6 +131,15 @@ def test_experiments_on_a_cluster_give_the_tables_of_one_process(tmp_path):
             np.testing.assert_array_equal(theirs[column], ours[column], strict=True, err_msg=f"{name} {column}")
 
 
+@pytest.mark.long
+def test_an_identification_on_a_cluster_finds_what_one_process_finds(tmp_path):
+    """Real walks in MuJoCo C, bit for bit: every candidate's objective, and the bodies of the ensemble."""
+    ours = run_identification(tmp_path / "one", **IDENTIFY)
+    theirs = told(started("identify", tmp_path / "out"))
+    for name in ("costs", "parameters", "objective", "ensemble"):
+        assert theirs[name] == ours[name], name
+
+
 def test_tasks_and_nodes_that_fail_are_named(tmp_path):
     """What fails in a task, kills its worker again and again, has other code, or cannot run, is one sentence each."""
     told_by = told(started("tasks"))
@@ -173,13 +183,13 @@ def test_real_walks_are_the_same_while_nodes_and_the_driver_are_killed(tmp_path)
     assert found["nodes_killed"] >= 1
 
 
-@pytest.mark.parametrize("what", ["sweep", "tune", "experiment"])
+@pytest.mark.parametrize("what", ["sweep", "tune", "experiment", "identify"])
 def test_an_address_without_ray_is_wrong_use(tmp_path, what):
     """One sentence, and no directory."""
     spec = tmp_path / "spec.yaml"
     spec.write_text(json.dumps(TUNING if what == "tune" else WALKS))
-    subject = "body" if what == "experiment" else str(spec)
-    result = CliRunner().invoke(main, [what, subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"])
+    subject = {"experiment": ["body"], "identify": []}.get(what, [str(spec)])
+    result = CliRunner().invoke(main, [what, *subject, "--out", str(tmp_path / "out"), "--ray-address", "auto"])
     assert result.exit_code == 2
     assert "--ray-address is given without --workers ray" in result.stderr
     assert not (tmp_path / "out").exists()

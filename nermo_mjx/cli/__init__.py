@@ -2,27 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+
 import click
 
-from nermo_mjx.cli import (
-    bench,
-    completion,
-    experiment,
-    identify,
-    landscape,
-    model,
-    play,
-    plot,
-    render,
-    replay,
-    schema,
-    servos,
-    status,
-    sweep,
-    tune,
-    view,
-    walk,
-)
 from nermo_mjx.cli.group import CommandGroup
 from nermo_mjx.version import __version__
 
@@ -45,23 +28,8 @@ def main() -> None:
     """
 
 
-for module in (
-    sweep,
-    replay,
-    tune,
-    landscape,
-    experiment,
-    identify,
-    walk,
-    render,
-    view,
-    play,
-    plot,
-    status,
-    schema,
-    servos,
-    model,
-    bench,
-    completion,
-):
-    main.add_command(module.command)
+for name in (
+    "sweep", "replay", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
+    "status", "schema", "servos", "model", "bench", "completion",
+):  # fmt: skip
+    main.add_command(importlib.import_module(f"nermo_mjx.cli.{name}").command)

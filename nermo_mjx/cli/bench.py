@@ -47,28 +47,12 @@ Examples:
 @click.option("--into", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
               help="Add the run to DIR/results.jsonl, and draw its page and plots.")  # fmt: skip
 @options.report
-def command(
-    cases: tuple[str, ...],
-    engine: tuple[str, ...],
-    worlds: tuple[int, ...],
-    mode: tuple[str, ...],
-    cycles: tuple[float, ...],
-    frequency: tuple[float, ...],
-    target: tuple[str, ...],
-    program: tuple[str, ...],
-    into: Path | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: bool, **given: tuple[Any, ...]) -> None:
     """Measure throughput, compile time and memory on this machine.
 
     Without a CASE, the throughput: the robot with its controller, and the
     same physics without; the ratio of both is the price of the controller.
     """
-    given = {
-        "engine": engine, "worlds": worlds, "mode": mode, "cycles": cycles, "frequency": frequency, "target": target,
-        "program": program,
-    }  # fmt: skip
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
         from nermo_mjx.bench.page import add_run

@@ -31,9 +31,7 @@ _WIDEST = 72
 
 @click.command("experiment", epilog=EPILOG)
 @click.argument("name", type=click.Choice((*EXPERIMENTS, ALL)))
-@click.option(
-    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
-)
+@options.out
 @options.choice("--profile", ("both", *PROFILES), "Controller as described, or as published.")
 @options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @options.number("--seed", "Of the shifts that tell repeats apart.", click.IntRange(0), default=0)

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 EPILOG = """\b
@@ -19,9 +19,7 @@ Examples:
 
 
 @click.command("identify", epilog=EPILOG)
-@click.option(
-    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
-)
+@options.out
 @options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=64)
 @options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=25)
 @options.number("--population", "Candidates of a generation.", click.IntRange(4), default=12)
@@ -29,10 +27,13 @@ Examples:
 @options.number("--sweeps", "Of the ensemble, at most.", click.IntRange(1), default=5)
 @options.number("--tolerance", "Objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @options.number("--seed", "Of all of them.", click.IntRange(0), default=0)
+@options.workers
 @options.accept_new_code
 @options.engine
 @options.report
-def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any) -> None:
+def command(
+    out: Path, workers: str, ray_address: str | None, engine: str, as_json: bool, quiet: bool, **settings: Any
+) -> None:
     """Identify the body's parameters that the publication does not give.
 
     Searches servo gain and damping, and damping of the joints, within
@@ -42,15 +43,19 @@ def command(out: Path, engine: str, as_json: bool, quiet: bool, **settings: Any)
     bodies that come about as near, with the friction of sole and tail
     free as well: ensemble.csv. The same command goes on with what was
     stopped.
+
+    --workers ray shares the batches of the even search and of the ensemble
+    among a cluster's machines, which need not see DIR.
     """
-    notes: list[str] = []
     with stdout_reserved():
         from nermo_mjx.experiments.identification.run import run_identification
 
-        with Progress("identify", quiet=quiet, compiles=True) as progress:
-            content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=notes.append)
-    for note in notes if not quiet else []:
-        click.echo(f"identify: {note}", err=True)
+        say = sayer("identify", quiet)
+        progress = Progress("identify", quiet=quiet, compiles=workers == "local")
+        with options.crew(workers, ray_address, say) as crew, progress:
+            content = run_identification(
+                out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew
+            )
     if as_json:
         print_json({"out": out, **content})
     elif not quiet:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 if TYPE_CHECKING:
@@ -23,9 +23,7 @@ Examples:
 
 @click.command("landscape", epilog=EPILOG)
 @click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-@click.option(
-    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
-)
+@options.out
 @options.number("--points", "Points of each line.", click.IntRange(5, 100_000), default=41)
 @options.number("--span", "Length of the lines, as a share of the bounds.", click.FloatRange(0, 1, min_open=True),
                 default=1.0)  # fmt: skip
@@ -41,14 +39,11 @@ def command(spec: Path, out: Path, points: int, span: float, accept_new_code: bo
     with stdout_reserved():
         from nermo_mjx.tune.landscape import run_landscape
 
-        notes: list[str] = []
         with Progress("landscape", "walks", quiet=quiet, compiles=True) as progress:
             result = run_landscape(
-                spec, out, points=points, span=span, progress=progress.count, warn=notes.append,
+                spec, out, points=points, span=span, progress=progress.count, warn=sayer("landscape", quiet),
                 accept_new_code=accept_new_code,
             )  # fmt: skip
-    for note in notes if not quiet else []:
-        click.echo(f"landscape: {note}", err=True)
     if as_json:
         print_json({"out": result.out, "evaluated": result.evaluated, **result.content})
     elif not quiet:

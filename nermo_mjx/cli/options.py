@@ -7,6 +7,7 @@ import importlib.util
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -54,6 +55,12 @@ def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F
 def file(name: str, suffix: str, about: str, **more: Any) -> Callable[[F], F]:
     """An option that names a file to write."""
     return click.option(name, metavar=f"FILE{suffix}", type=FileKind(suffix, dir_okay=False), help=about, **more)
+
+
+def out(function: F) -> F:
+    """`--out`, the directory of results."""
+    folder = click.Path(file_okay=False, path_type=Path)
+    return click.option("--out", metavar="DIR", required=True, type=folder, help="Where results go.")(function)
 
 
 def engine(function: F) -> F:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
+
+import click
 
 
 def print_json(value: Any) -> None:
@@ -22,6 +24,11 @@ def stdout_reserved() -> Iterator[None]:
     """While work is done, whatever some library prints goes to standard error."""
     with contextlib.redirect_stdout(sys.stderr):
         yield
+
+
+def sayer(command: str, quiet: bool) -> Callable[[str], None] | None:
+    """What prints a sentence about a command's work on standard error; None if it is to be quiet."""
+    return None if quiet else lambda sentence: click.echo(f"{command}: {sentence}", err=True)
 
 
 def print_table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> None:

@@ -35,15 +35,8 @@ Examples:
 @click.option("--color", metavar="NAME", shell_complete=options.columns, help="and as colours.")
 @options.report
 def command(
-    path: Path,
-    out: Path | None,
-    form: str | None,
-    x: str | None,
-    y: str | None,
-    color: str | None,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+    path: Path, out: Path | None, form: str | None, as_json: bool, quiet: bool, **chosen: str | None
+) -> None:  # fmt: skip
     """Make the figures of PATH from what it holds; nothing is simulated.
 
     PATH is the directory of a sweep, a tuning, a landscape, experiments, an
@@ -56,14 +49,13 @@ def command(
     scatter. --color alone, a metric, gives the usual figures of it.
     """
     kind = RECORDING if path.is_file() else kind_of_directory(path)
-    chosen = {"x": x, "y": y, "color": color}
     if not set(chosen) <= set(kind.options) and any(chosen.values()):
         place = "" if kind is RECORDING else "the directory of "
         raise WrongUse(f"--x, --y and --color choose columns of a sweep, but {path} is {place}{kind.called}.")
     if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: say with --out DIR where its figures go.")
     notes: list[str] = []
-    given = {name: value for name, value in (chosen | {"notify": notes.append}).items() if name in kind.options}
+    given = {name: each for name, each in {**chosen, "notify": notes.append}.items() if name in kind.options}
     with stdout_reserved():
         from nermo_mjx.plotting.files import write_figures
 

@@ -14,6 +14,7 @@ from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.recordings import load_recording
 
 if TYPE_CHECKING:
+    from nermo_mjx.rollout import Setup
     from nermo_mjx.view import Recording
 
 EPILOG = """\b
@@ -37,32 +38,35 @@ Examples:
 @options.number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @options.report
-def command(
-    recordings: tuple[Path, ...],
-    out: Path,
-    camera: str,
-    overlays: tuple[str, ...],
-    fps: int,
-    width: int,
-    height: int,
-    speed: float,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+def command(recordings: tuple[Path, ...], out: Path, as_json: bool, quiet: bool, **drawn: Any) -> None:
     """Render a recording of `walk --record` into a video; several stand side by side, in step."""
     with stdout_reserved():
         loaded = [load_recording(path) for path in recordings]
-        drawn: dict[str, Any] = {"camera": camera, "fps": fps, "width": width, "height": height, "speed": speed}
-        drawn["overlays"] = overlays
         if len(loaded) == 1:
             render_video(loaded[0], out, quiet, **drawn)
         else:
             _render_side_by_side([path.stem for path in recordings], loaded, out, quiet, **drawn)
     if as_json:
-        seconds = min(each.duration for each in loaded) / speed
-        print_json({"video": str(out), "seconds": seconds, "width": width, "height": height, "fps": fps})
+        seconds = min(each.duration for each in loaded) / drawn["speed"]
+        print_json({"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}})
     elif not quiet:
         click.echo(f"wrote {out}")
+
+
+def check_video(setup: Setup, video: Path | None, camera: str) -> None:
+    """Refuse a video that cannot be made, before the robot walks for it."""
+    if video is not None:
+        from nermo_mjx.view import check_video
+
+        check_video(setup.load().model, video, camera=camera)
+
+
+def save_run(recording: Recording, record: Path | None, video: Path | None, camera: str, quiet: bool) -> None:
+    """Save a recording as it is, as a video, or both."""
+    if record is not None:
+        recording.save(record)
+    if video is not None:
+        render_video(recording, video, quiet, camera=camera)
 
 
 def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) -> None:

@@ -14,7 +14,7 @@ from nermo_mjx.cli.choices import ENGINES
 from nermo_mjx.cli.group import Failure
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
-from nermo_mjx.cli.render import render_video
+from nermo_mjx.cli.render import check_video, save_run
 from nermo_mjx.cli.walk_plan import Plan
 from nermo_mjx.cli.walk_report import print_walk
 
@@ -37,15 +37,9 @@ Examples:
 @options.camera
 @options.report
 def command(
-    out: Path,
-    row: int,
-    engine: str | None,
-    record: Path | None,
-    video: Path | None,
-    camera: str,
-    as_json: bool,
+    out: Path, row: int, engine: str | None, record: Path | None, video: Path | None, camera: str, as_json: bool,
     quiet: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Run one row of a sweep's directory again, by itself.
 
     It has the parameters, the start and the length that the sweep gives it,
@@ -62,13 +56,17 @@ def command(
         wanted = Plan(found.sweep.setup, found.sweep.run, found.values, found.parameters)
         for path in files:
             make_writable(path.parent)
-        if video is not None:
-            _check_video(wanted, video, camera)
+        check_video(wanted.setup, video, camera)
         with Progress("replay", quiet=quiet, compiles=True) as progress:
             replay = replay_row(found, engine, progress.share)
         report = _report(found, replay)
         if files:
-            _save(replay, report, record, video, camera, quiet)
+            if not len(replay.history.time):
+                raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
+            from nermo_mjx.runs.text import plain
+
+            recording = dataclasses.replace(replay.recording(), metadata=plain(report))
+            save_run(recording, record, video, camera, quiet)
     if as_json:
         print_json(report)
     elif not quiet:
@@ -105,27 +103,6 @@ def _compared(found: SweepRow, replay: Replay) -> str:
         f"{comparison.replayed:.6g} instead of {comparison.stored:.6g}"
         + (f", a share of {comparison.relative_difference:.2g}." if known else ".")
     )
-
-
-def _check_video(wanted: Plan, video: Path, camera: str) -> None:
-    """Refuse a video that cannot be made before the robot walks."""
-    from nermo_mjx.view import check_video
-
-    check_video(wanted.setup.load().model, video, camera=camera)
-
-
-def _save(
-    replay: Replay, report: dict[str, Any], record: Path | None, video: Path | None, camera: str, quiet: bool
-) -> None:
-    from nermo_mjx.runs.text import plain
-
-    if not len(replay.history.time):
-        raise Failure(f"row {report['row']} diverged in its first tick: there is nothing to record or to show.")
-    recording = dataclasses.replace(replay.recording(), metadata=plain(report))
-    if record is not None:
-        recording.save(record)
-    if video is not None:
-        render_video(recording, video, quiet, camera=camera)
 
 
 def _print(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:

@@ -40,7 +40,7 @@ def command(kind: str, out: Path | None) -> None:
     reads a file of channels.
     """
     with stdout_reserved():
-        from nermo_mjx.specs.schema import schema_of
+        from nermo_mjx.specs.fields import schema_of
 
         module, _, name = FILES[kind].partition(":")
         model = getattr(importlib.import_module(f"nermo_mjx.{module}"), name)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
+from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 if TYPE_CHECKING:
@@ -47,19 +47,9 @@ class Shard(click.ParamType):
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
 @options.report
 def command(
-    spec: Path | None,
-    out: Path | None,
-    engine: str,
-    seed: int | None,
-    chunk: int | None,
-    shard: tuple[int, int] | None,
-    workers: str,
-    ray_address: str | None,
-    accept_new_code: bool,
-    list_parameters: bool,
-    as_json: bool,
-    quiet: bool,
-) -> None:
+    spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
+    list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
+) -> None:  # fmt: skip
     """Run every variant of a sweep file.
 
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
@@ -80,23 +70,18 @@ def command(
         sweep = Sweep.from_file(spec)
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
-        say = None if quiet else _say
+        say = sayer("sweep", quiet)
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(
-                sweep, out, engine=engine, chunk=chunk, shard=shard, accept_new_code=accept_new_code, warn=say,
-                workers=crew,
-                progress=lambda p: progress.share(p.fraction, p.rows_done, p.rows),
+                sweep, out, **how, warn=say, workers=crew,
+                progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
             )  # fmt: skip
     if as_json:
         about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots}
         print_json({**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary})
     elif not quiet:
         _print_summary(result)
-
-
-def _say(sentence: str) -> None:
-    click.echo(f"sweep: {sentence}", err=True)
 
 
 def _print_summary(result: SweepResult) -> None:

@@ -28,9 +28,7 @@ _NAMED = 3
 
 @click.command("tune", epilog=EPILOG)
 @click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-@click.option(
-    "--out", metavar="DIR", required=True, type=click.Path(file_okay=False, path_type=Path), help="Where results go."
-)
+@options.out
 @options.number("--iterations", "Steps, instead of those in the file.", click.IntRange(1, 1_000_000))
 @options.number("--starts", "Points tuned side by side, instead.", click.IntRange(1, 100_000))
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))

@@ -11,12 +11,11 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import PILOTS, ROBOTS, TAILS
 from nermo_mjx.cli.output import print_json, stdout_reserved
 from nermo_mjx.cli.progress import Progress
-from nermo_mjx.cli.render import render_video
+from nermo_mjx.cli.render import check_video, save_run
 from nermo_mjx.cli.walk_plan import Plan, plan
 from nermo_mjx.cli.walk_report import print_walk
 
 if TYPE_CHECKING:
-    from nermo_mjx.recording import Recording
     from nermo_mjx.rollout import RunResult
 
 EPILOG = """\b
@@ -53,11 +52,10 @@ def command(
     """Let the robot walk once, and sum up how it went."""
     with stdout_reserved():
         wanted = plan(**chosen)
-        if video is not None:
-            _check_video(wanted, video, camera)
+        check_video(wanted.setup, video, camera)
         result = _run(wanted, engine, bool(record or video), quiet)
         if result.trace is not None:
-            _save(result.recording(), record, video, camera, quiet)
+            save_run(result.recording(), record, video, camera, quiet)
     report = result.about()
     if as_json:
         print_json(report)
@@ -71,17 +69,3 @@ def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult:
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
         return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
-
-
-def _check_video(wanted: Plan, video: Path, camera: str) -> None:
-    """Refuse a video that cannot be made before the robot walks."""
-    from nermo_mjx.view import check_video
-
-    check_video(wanted.setup.load().model, video, camera=camera)
-
-
-def _save(recording: Recording, record: Path | None, video: Path | None, camera: str, quiet: bool) -> None:
-    if record is not None:
-        recording.save(record)
-    if video is not None:
-        render_video(recording, video, quiet, camera=camera)

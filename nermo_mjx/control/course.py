@@ -14,7 +14,6 @@ from typing import Final
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.interpolate import CubicSpline
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot.quantity import ParameterError
@@ -72,6 +71,8 @@ def course_through(points: Sequence[Sequence[float]], spacing: float = 0.01) -> 
     Raises:
         ParameterError: the points give no smooth course.
     """
+    from scipy.interpolate import CubicSpline  # a second, which a walk without a course need not wait
+
     way = _checked(points, spacing)
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     curve = CubicSpline(chords, way, bc_type="natural")

@@ -44,11 +44,9 @@ class Number:
     name = "number"
 
     def holds(self, value: Value) -> bool:
-        """See `Judgement`."""
         return abs(_number(value) - self.published) <= AGREES * abs(self.published) + _ROUNDING
 
     def ratio(self, value: float) -> float | None:
-        """See `Judgement`."""
         return value / self.published if self.published else None
 
 
@@ -71,11 +69,9 @@ class Effect:
 
     @property
     def name(self) -> str:
-        """See `Judgement`."""
         return "effect" if self.neutral else "gain"
 
     def holds(self, value: Value) -> bool:
-        """See `Judgement`."""
         tolerance = max(AGREES * abs(self.published - self.neutral), 0.5 * 10.0**-self.digits)
         return abs(_number(value) - self.published) <= tolerance + _ROUNDING
 
@@ -99,15 +95,12 @@ class AtMost:
 
     @property
     def published(self) -> Interval:
-        """See `Judgement`."""
         return 0.0, self.most
 
     def holds(self, value: Value) -> bool:
-        """See `Judgement`."""
         return _number(value) <= self.most + _ROUNDING
 
     def ratio(self, value: float) -> float:
-        """See `Judgement`."""
         return _over_nearer_end(value, *self.published)
 
 
@@ -122,17 +115,14 @@ class Range:
 
     @property
     def published(self) -> Interval:
-        """See `Judgement`."""
         return self.low, self.high
 
     def holds(self, value: Value) -> bool:
-        """See `Judgement`."""
         number = _number(value)
         inside = self.low - _ROUNDING <= number <= self.high + _ROUNDING
         return inside and not (self.beyond and number <= self.low + _ROUNDING)
 
     def ratio(self, value: float) -> float:
-        """See `Judgement`."""
         return _over_nearer_end(value, self.low, self.high)
 
 
@@ -144,11 +134,9 @@ class Same:
     name = "outcome"
 
     def holds(self, value: Value) -> bool:
-        """See `Judgement`."""
         return value == self.published
 
     def ratio(self, value: float) -> None:
-        """See `Judgement`."""
         return None
 
 
@@ -162,11 +150,9 @@ class Asked:
     published = None
 
     def holds(self, value: Value) -> bool:
-        """See `Judgement`."""
         return self.low <= _number(value) <= self.high
 
     def ratio(self, value: float) -> None:
-        """See `Judgement`."""
         return None
 
 
@@ -178,11 +164,9 @@ class Shown:
     name = "not judged"
 
     def holds(self, value: Value) -> None:
-        """See `Judgement`."""
         return None
 
     def ratio(self, value: float) -> float | None:
-        """See `Judgement`."""
         return value / self.published if self.published else None
 
 

@@ -7,6 +7,7 @@ the publication's speeds on the straight line were made with (erratum 13).
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -72,18 +73,13 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
     left, other = (
         [
             _case(gait, f, radius, strategy, "left", stride)
-            for gait in gaits
-            for f in frequencies
-            for radius in chosen
-            for strategy in STRATEGIES
+            for gait, f, radius, strategy in itertools.product(gaits, frequencies, chosen, STRATEGIES)
         ]
         for chosen, stride in ((radii, STRIDE), (small, OTHER_STRIDE))
     )
     right = [
         _case(gait, 0.67, radius, strategy, "right")
-        for gait in gaits[:2]
-        for radius in radii
-        for strategy in STRATEGIES
+        for gait, radius, strategy in itertools.product(gaits[:2], radii, STRATEGIES)
     ]
     return (*left, *right, *other)
 

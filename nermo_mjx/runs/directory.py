@@ -13,7 +13,6 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 from nermo_mjx.runs.code import CodeStamp, known
@@ -79,9 +78,7 @@ class RunDirectory:
             self._held = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._held.close()
 
     def write(self, path: str | Path, content: bytes) -> None:

@@ -8,10 +8,10 @@ import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import pyarrow as pa
-import pyarrow.parquet as pq
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 #: How the name of a file ends that is being written.
 TEMPORARY: Final = ".nermo-tmp"
@@ -113,6 +113,9 @@ def sync_folder(folder: Path) -> None:
 
 def parquet_bytes(table: pa.Table) -> bytes:
     """The table as a Parquet file whose pages carry checksums."""
+    import pyarrow as pa  # here and below: many who write files write no tables
+    import pyarrow.parquet as pq
+
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, write_page_checksum=True)
     return bytes(sink.getvalue().to_pybytes())
@@ -134,6 +137,9 @@ def content_of(path: Path) -> bytes | None:
 
 def parquet_table(source: Path | bytes) -> pa.Table | None:
     """The table of a Parquet file, or of its content, every page checked; None if it is absent or damaged."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         with pq.ParquetFile(
             pa.BufferReader(source) if isinstance(source, bytes) else source, page_checksum_verification=True

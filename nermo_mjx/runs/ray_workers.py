@@ -18,7 +18,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from types import TracebackType
 from typing import Any, Final
 
 from nermo_mjx.runs.code import CodeStamp
@@ -120,9 +119,7 @@ class RayWorkers:
                 signal.signal(signal.SIGTERM, before)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end_all()
         self._ray.shutdown()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import TypeVar
 
 from nermo_mjx.runs.directory import RunDirectory, read_record
@@ -35,9 +34,7 @@ class Written:
     def __enter__(self) -> Written:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.note()
 
     def note(self) -> None:

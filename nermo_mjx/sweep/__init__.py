@@ -12,20 +12,6 @@ from nermo_mjx.sweep.summary import summarize
 from nermo_mjx.sweep.tally import SweepProgress
 
 __all__ = [
-    "DirectoryError",
-    "Results",
-    "Rows",
-    "Sample",
-    "SpecError",
-    "Sweep",
-    "SweepError",
-    "SweepInterrupted",
-    "SweepProgress",
-    "SweepResult",
-    "machine",
-    "read_table",
-    "run_sweep",
-    "sample",
-    "summarize",
-    "versions",
-]
+    "DirectoryError", "Results", "Rows", "Sample", "SpecError", "Sweep", "SweepError", "SweepInterrupted",
+    "SweepProgress", "SweepResult", "machine", "read_table", "run_sweep", "sample", "summarize", "versions",
+]  # fmt: skip

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs.files import DirectoryError, parquet_table
@@ -20,9 +19,8 @@ from nermo_mjx.runs.files import DirectoryError, parquet_table
 CHUNK_KEYS = (b"chunk", b"chunks", b"rows", b"steps", b"wall_seconds", b"engine", b"code")
 #: Numbers held at once when several columns are wanted one after the other (each 8 bytes).
 HELD = 24_000_000
-_FORMAT = ds.ParquetFileFormat(
-    default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-)
+#: Files whose columns are joined at once: ten thousand small arrays would take more memory than their numbers.
+_JOINED = 500
 
 
 class Results:
@@ -43,11 +41,12 @@ class Results:
         Raises:
             DirectoryError: a chunk cannot be read, now or when a column is asked for.
         """
-        self._files = () if isinstance(source, pa.Table) else source
-        with self._readable():
-            schema = source.schema if isinstance(source, pa.Table) else pq.read_schema(source[0])
-            data = source if isinstance(source, pa.Table) else [str(path) for path in source]
-            self._data = ds.dataset(data, schema, None if isinstance(source, pa.Table) else _FORMAT)
+        self._source = source
+        if isinstance(source, pa.Table):
+            schema = source.schema
+        else:
+            with _opened(source[0]) as file:
+                schema = file.schema_arrow
         self.schema = schema.with_metadata(_common(schema))
         table = self._read(["row", "status"])
         self._order = np.argsort(table.column("row").to_numpy(), kind="stable")
@@ -76,17 +75,27 @@ class Results:
 
     def _read(self, names: Sequence[str]) -> pa.Table:
         """Some columns, in the order of the files."""
-        with self._readable():  # what a dataset caches of ten thousand files is two gigabytes
-            return self._data.scanner(columns=list(names), cache_metadata=False).to_table()
+        if isinstance(self._source, pa.Table):
+            return self._source.select(names)
+        wanted = pa.schema([self.schema.field(name) for name in names]).empty_table()
+        joined = [wanted]
+        for start in range(0, len(self._source), _JOINED):
+            few = [wanted]
+            for path in self._source[start : start + _JOINED]:
+                with _opened(path) as file:
+                    few.append(file.read(list(names), use_threads=False).replace_schema_metadata(None))
+            joined.append(pa.concat_tables(few, promote_options="default").combine_chunks())
+        return pa.concat_tables(joined)
 
-    @contextlib.contextmanager
-    def _readable(self) -> Iterator[None]:
-        """Turn what is wrong with a file into a `DirectoryError`."""
-        try:
-            yield
-        except (OSError, pa.ArrowException) as error:
-            path = next((path for path in self._files if parquet_table(path) is None), "the table")
-            raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    """A chunk's file, whose pages are checked as they are read; what is wrong with it is a `DirectoryError`."""
+    try:
+        with pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True) as file:
+            yield file
+    except (OSError, pa.ArrowException) as error:
+        raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
 
 
 def chunk_files(out: str | os.PathLike[str]) -> dict[int, Path]:

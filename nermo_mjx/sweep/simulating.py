@@ -14,7 +14,7 @@ from nermo_mjx.runs.code import CodeStamp, stamp
 
 
 class SimulatorLike(Protocol):
-    """What a sweep needs of a simulator; see `nermo_mjx.rollout.Simulator`."""
+    """What a sweep, and what shows a tuning, need of a simulator; see `nermo_mjx.rollout.Simulator`."""
 
     #: The engine, or its name.
     engine: Any
@@ -23,6 +23,7 @@ class SimulatorLike(Protocol):
         self,
         values: Mapping[str, np.ndarray],
         run: Run,
+        record: bool = False,
         *,
         progress: Callable[[float], None] | None = None,
         notify: Callable[[str], None] | None = None,

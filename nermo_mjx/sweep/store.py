@@ -17,7 +17,6 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,10 +81,8 @@ class Store:
             stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.directory.__exit__(kind, error, trace)
+    def __exit__(self, *_: object) -> None:
+        self.directory.__exit__()
 
     def chunk_path(self, chunk: int) -> Path:
         """Where a chunk's rows are kept."""

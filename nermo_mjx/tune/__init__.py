@@ -10,18 +10,6 @@ from nermo_mjx.tune.run import TuningFailed, TuningInterrupted, TuningProgress, 
 from nermo_mjx.tune.spec import Tuning
 
 __all__ = [
-    "Evaluation",
-    "LandscapeResult",
-    "Objective",
-    "Problem",
-    "Term",
-    "Tuning",
-    "TuningFailed",
-    "TuningInterrupted",
-    "TuningProgress",
-    "TuningResult",
-    "load_tuning",
-    "read_history",
-    "run_landscape",
-    "run_tuning",
-]
+    "Evaluation", "LandscapeResult", "Objective", "Problem", "Term", "Tuning", "TuningFailed", "TuningInterrupted",
+    "TuningProgress", "TuningResult", "load_tuning", "read_history", "run_landscape", "run_tuning",
+]  # fmt: skip

@@ -7,14 +7,15 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.rollout import METRICS, Run
+from nermo_mjx.rollout import METRICS
 from nermo_mjx.runs import stamp
 from nermo_mjx.runs.files import content_of, parquet_table
+from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.bounds import FURTHEST
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR
@@ -28,19 +29,6 @@ POINTS: Final = {1: 37, 2: 17}
 #: Where a tuning's directory keeps it, so that it is simulated once.
 LANDSCAPE: Final = "plots/landscape.parquet"
 _KEY: Final = b"landscape"
-
-
-class SimulatorLike(Protocol):
-    """What pictures need of a simulator; see `nermo_mjx.rollout.Simulator`."""
-
-    def run(
-        self,
-        values: Mapping[str, np.ndarray],
-        run: Run,
-        record: bool = False,
-        *,
-        progress: Callable[[float], None] | None = None,
-    ) -> Any: ...
 
 
 @dataclasses.dataclass(frozen=True)

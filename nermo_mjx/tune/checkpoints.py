@@ -8,7 +8,6 @@ import json
 import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from types import TracebackType
 from typing import Any, Final
 
 import jax
@@ -52,9 +51,7 @@ class Checkpoints:
             self._manager = ocp.CheckpointManager(self.folder.absolute(), options=options)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._manager.close()
 
     def save(self, state: TuneState, log: Log) -> None:

@@ -19,7 +19,6 @@ import dataclasses
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 from nermo_mjx.runs import RunDirectory, session, stamp
@@ -70,9 +69,7 @@ class Directory:
             self._held = stack.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._held.close()
 
     def restore(self, *, accept: bool = False) -> tuple[TuneState, Log | None]:

@@ -11,8 +11,9 @@ import pyarrow as pa
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import parquet_bytes
+from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune import background
-from nermo_mjx.tune.background import LANDSCAPE, Background, SimulatorLike
+from nermo_mjx.tune.background import LANDSCAPE, Background
 from nermo_mjx.tune.directory import VIDEO, Directory
 from nermo_mjx.view import RecordingError, VideoError
 

@@ -17,7 +17,7 @@ import pyarrow as pa
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.workers import LocalWorkers, Workers, WorkersLost
-from nermo_mjx.tune.background import SimulatorLike
+from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.history import empty_log, history_table

@@ -10,7 +10,7 @@ import numpy as np
 
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.rollout import Run
-from nermo_mjx.tune.background import SimulatorLike
+from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.view import check_video, recording_of

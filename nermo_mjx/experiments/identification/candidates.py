@@ -2,34 +2,52 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable, Mapping
-from typing import Final, Protocol
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
+from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.space import Free, parameters_of
 from nermo_mjx.experiments.identification.targets import CASES, figures, objective
-from nermo_mjx.rollout import Run, Simulator
+from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.runs.code import CodeStamp, stamp
+from nermo_mjx.runs.workers import TaskFailed, Workers
 
+#: What the candidates walk.
+WALKS: Final = Setup(pilot="straight", spine="stride_extension")
 _CYCLES: Final = 8.0
 
 
-class Memory(Protocol):
-    """Keeps what was simulated, so that a search that was killed goes on where it was."""
+@dataclasses.dataclass
+class Walking:
+    """Walks batches of candidates on an engine; a `nermo_mjx.runs.workers.Computer`."""
 
-    def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Speed and whether it was walked, (n, cases) each, of points (n, d) seen before; else None."""
+    engine: str
 
-    def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
-        """Remember the speeds of points."""
+    def warm(self) -> None:
+        """Make the simulator; it compiles with the first batch."""
+        self._simulator = Simulator(WALKS, engine=self.engine)
+
+    def stamp(self) -> CodeStamp:
+        """Of the code, the model and the engine that walk here."""
+        return stamp(WALKS.load().fingerprint, self.engine)
+
+    def __call__(
+        self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Speed of worlds with these parameters, and whether they were walked to the end, (n,) each."""
+        result = self._simulator.run(values, Run(cycles=_CYCLES))
+        return result.metrics["speed"], np.asarray(result.status) == "ok"
 
 
 class Candidates:
     """Evaluates points of a space, and remembers all of them and the best.
 
     Args:
-        simulator: of the walks; parameters outside the space keep its defaults.
+        workers: have begun `Walking`; parameters outside the space keep their defaults.
         cases: parameters of `CASES`, (cases,) each.
         space: d free parameters, the axes of the unit cube.
         batch: candidates that are simulated together; one shape compiles once.
@@ -39,14 +57,14 @@ class Candidates:
 
     def __init__(
         self,
-        simulator: Simulator,
+        workers: Workers,
         cases: Mapping[str, np.ndarray],
         space: Mapping[str, Free],
         batch: int,
-        memory: Memory | None,
+        memory: CandidateFile | None,
         report: Callable[[], None],
     ) -> None:
-        self.simulator, self.cases, self.space, self.batch = simulator, cases, space, batch
+        self.workers, self.cases, self.space, self.batch = workers, cases, space, batch
         self.memory, self.report = memory, report
         self.points: list[np.ndarray] = []
         self.costs: list[float] = []
@@ -55,20 +73,23 @@ class Candidates:
         self.best_figures: dict[str, float] = {}
 
     def evaluate(self, points: np.ndarray) -> np.ndarray:
-        """Objective of points (n, d) of the unit cube, (n,); batches are as alike in size as they can be."""
+        """Objective of points (n, d) of the unit cube, (n,); batches are as alike in size as they can be.
+
+        Raises:
+            WorkersLost: nobody is left who walks; what was walked is remembered.
+        """
         blocks = np.array_split(points, -(-len(points) // self.batch))
-        return np.concatenate([self._evaluate(block) for block in blocks])
+        walked = self._walk(blocks)
+        return np.concatenate([self._judge(block, *walked[k]) for k, block in enumerate(blocks)])
 
     def near(self, tolerance: float) -> np.ndarray:
         """Points within a tolerance of the objective, (k, d), in the order they were tried."""
         within = [point for point, cost in zip(self.points, self.costs, strict=True) if cost <= tolerance]
         return np.reshape(within, (len(within), len(self.space)))
 
-    def _evaluate(self, points: np.ndarray) -> np.ndarray:
-        # A batch that is not full is filled up with its own points.
-        speed, walked = (each[: len(points)] for each in self._walk(np.resize(points, (self.batch, len(self.space)))))
-        found = figures(speed)
-        costs = objective(found, ~np.all(walked, axis=1))
+    def _judge(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> np.ndarray:
+        found = figures(speed[: len(points)])
+        costs = objective(found, ~np.all(walked[: len(points)], axis=1))
         if not self.costs:
             self.first_figures = {name: float(column[0]) for name, column in found.items()}
         least = int(np.argmin(costs))
@@ -77,19 +98,36 @@ class Candidates:
             self.best_figures = {name: float(column[least]) for name, column in found.items()}
         self.points += list(points)
         self.costs += costs.tolist()
-        self.report()
         return costs
 
-    def _walk(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Speed in each case, and whether it was walked to the end, (n, cases) each."""
-        known = None if self.memory is None else self.memory.recall(points)
-        if known is not None:
-            return known
+    def _walk(self, blocks: list[np.ndarray]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Of each block filled up to a batch: speed in each case, and whether it was walked to the end, (n, cases)."""
+        # A batch that is not full is filled up with its own points.
+        batches = [np.resize(block, (self.batch, len(self.space))) for block in blocks]
+        found = {}
+        for k, points in enumerate(batches):
+            if self.memory is not None and (known := self.memory.recall(points)) is not None:
+                found[k] = known
+                self.report()
+
+        def tasks() -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+            for k in range(len(batches)):
+                if k not in found:
+                    yield k, self._values(batches[k])
+
+        try:
+            for k, columns in self.workers.results(tasks(), lambda key, share: None):
+                speed, walked = (column.reshape(self.batch, -1) for column in columns)
+                found[k] = speed, walked
+                if self.memory is not None:
+                    self.memory.keep(batches[k], speed, walked)
+                self.report()
+        except TaskFailed as failed:
+            raise failed.error from None
+        return found
+
+    def _values(self, points: np.ndarray) -> dict[str, np.ndarray]:
+        """Parameters of every case of every point, (n * cases,) each."""
         values = {name: np.tile(column, len(points)) for name, column in self.cases.items()}
         own = parameters_of(points, self.space)
-        values |= {name: np.repeat(column, len(CASES)) for name, column in own.items()}
-        result = self.simulator.run(values, Run(cycles=_CYCLES))
-        speed, walked = (column.reshape(len(points), -1) for column in (result.metrics["speed"], result.status == "ok"))
-        if self.memory is not None:
-            self.memory.keep(points, speed, walked)
-        return speed, walked
+        return values | {name: np.repeat(column, len(CASES)) for name, column in own.items()}

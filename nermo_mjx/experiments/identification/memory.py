@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.runs.files import clear_errors
+from nermo_mjx.runs.files import append_line, clear_errors
 
 #: Files of an identification's directory: what was tried, and what a finished search found.
 FILE: Final = "candidates.jsonl"
@@ -19,7 +18,7 @@ RESULT: Final = "identification.json"
 
 
 class CandidateFile:
-    """Implements `search.Memory` in a file of JSON lines; the first line says what the search is.
+    """What was walked before, in a file of JSON lines; the first line says what the search is.
 
     Args:
         path: the file; made if it does not exist.
@@ -35,8 +34,7 @@ class CandidateFile:
     def __init__(self, path: Path, about: dict[str, object], code: str) -> None:
         self.path, self.code = path, code
         self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
-        text = path.read_text() if path.exists() else ""
-        lines = text.splitlines()
+        lines = path.read_text().splitlines() if path.exists() else []
         about = json.loads(json.dumps(about))
         if not lines:
             self._append(about)
@@ -45,27 +43,22 @@ class CandidateFile:
         begun = _parsed(lines[0])
         if {name: begun.get(name) for name in about} != about:
             raise ParameterError(f"{path} belongs to a search with other settings: choose another directory.")
-        if not text.endswith("\n"):  # cut off by whatever killed the search: what comes next needs its own line
-            with open(path, "a") as file:
-                file.write("\n")
         for row in candidates(lines[1:]):
             points = np.array(row["points"], float)
             self._known[points.tobytes()] = np.array(row["speed"], float), np.array(row["walked"], bool)
 
     def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """See `search.Memory.recall`."""
+        """Speed and whether it was walked, (n, cases) each, of points (n, d) seen before; else None."""
         return self._known.get(np.ascontiguousarray(points, float).tobytes())
 
     def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
-        """See `search.Memory.keep`."""
+        """Remember the speeds of points."""
         found = {"points": points.tolist(), "speed": speed.tolist(), "walked": walked.tolist()}
         self._append({"code": self.code, **found})
 
     def _append(self, row: dict[str, object]) -> None:
-        with clear_errors(self.path.parent), open(self.path, "a") as file:
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
+        with clear_errors(self.path.parent):
+            append_line(self.path, json.dumps(row))
 
 
 def candidates(lines: Iterable[str]) -> Iterator[dict[str, Any]]:

@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from nermo_mjx.experiments.identification.candidates import WALKS, Walking
 from nermo_mjx.experiments.identification.ensemble_report import csv_text, ensemble_content, ensemble_section
 from nermo_mjx.experiments.identification.memory import FILE, RESULT, CandidateFile
 from nermo_mjx.experiments.identification.plots import figures_of
-from nermo_mjx.experiments.identification.search import Identified, Search, identify, walks
+from nermo_mjx.experiments.identification.search import Identified, Search, identify
 from nermo_mjx.experiments.identification.space import FREE, START
 from nermo_mjx.experiments.identification.targets import TARGETS, Target
 from nermo_mjx.experiments.report import published
@@ -23,9 +24,10 @@ from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session, stamp
+from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.files import clear_errors, content_of
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
+from nermo_mjx.runs.workers import Workers, WorkersLost
 
 FORMULA: Final = (
     "root of the mean over all targets of r^2, where r = ln(value / published) / tolerance, of an interval its nearer "
@@ -50,6 +52,7 @@ def run_identification(
     accept_new_code: bool = False,
     progress: Callable[[float], None] | None = None,
     notify: Callable[[str], None] | None = None,
+    workers: Workers | None = None,
     **wanted: Any,
 ) -> dict[str, Any]:
     """Identify, and write the result into a directory; a search that was stopped there goes on.
@@ -60,6 +63,7 @@ def run_identification(
         accept_new_code: go on with candidates of other code; the file's `code` tells them apart.
         progress: called with the share done.
         notify: called with a sentence on files that were in the way.
+        workers: who simulates; by default this process. The result is the same.
         wanted: of `search.Search`.
 
     Returns:
@@ -69,6 +73,7 @@ def run_identification(
         ParameterError: wrong arguments, or a directory that holds a finished identification, or another search.
         OtherCode: other code made the candidates that the directory holds.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
+        WorkersLost: nobody is left who simulates; the same command resumes.
     """
     resolve_engine(engine)
     folder = Path(out)
@@ -82,8 +87,7 @@ def run_identification(
             return _publish(written, content, notify)
         if engine == "auto":
             engine = engine_of(folder) or engine
-        model, defaults = walks().load().fingerprint, walks().defaults()
-        code = stamp(model, resolve_engine(engine))
+        code, defaults = Walking(resolve_engine(engine)).stamp(), WALKS.defaults()
         held.take_code(code, holds_rows=(folder / FILE).exists(), accept=accept_new_code)
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
@@ -92,8 +96,11 @@ def run_identification(
         begun = {name: settings[name] for name in ("samples", "generations", "population", "seed")}
         with clear_errors(folder):
             memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
-        identified = identify(search, code.engine, memory, progress)
-        made = {"model": model, "defaults": defaults, "codes": list(codes_of(folder))}
+        try:
+            identified = identify(search, code.engine, memory, progress, workers)
+        except WorkersLost as lost:
+            raise WorkersLost(f"{lost} What is done is kept in {folder}: run the same command again.") from lost
+        made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
         content = {**_content(identified), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.
         held.write(RESULT, to_json(content))

@@ -16,13 +16,15 @@ import numpy as np
 from scipy.stats import qmc
 
 from nermo_mjx.experiments.cases import worlds
-from nermo_mjx.experiments.identification.candidates import Candidates, Memory
+from nermo_mjx.experiments.identification.candidates import WALKS, Candidates, Walking
 from nermo_mjx.experiments.identification.ensemble import TOLERANCE, Bodies, find_bodies
+from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS
 from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.physics.engine import resolve_engine
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import Setup, Simulator
+from nermo_mjx.runs.workers import LocalWorkers, Workers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,11 +46,6 @@ class Identified:
     start_figures: dict[str, tuple[float, float]]
     costs: tuple[float, ...]
     bodies: Bodies | None = None
-
-
-def walks() -> Setup:
-    """What the candidates walk."""
-    return Setup(pilot="straight", spine="stride_extension")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,8 +84,9 @@ class Search:
 def identify(
     wanted: Search,
     engine: str = "auto",
-    memory: Memory | None = None,
+    memory: CandidateFile | None = None,
     progress: Callable[[float], None] | None = None,
+    workers: Workers | None = None,
 ) -> Identified:
     """Search the parameters whose straight-line speeds come nearest to the published ones, then all that come near.
 
@@ -96,12 +94,17 @@ def identify(
         engine: of the simulations.
         memory: of what was simulated before, which is not simulated again.
         progress: called with the share done.
+        workers: who simulates; by default this process. The numbers are the same: a task is a batch, and what is found
+            is judged in the order of the batches.
+
+    Raises:
+        WorkersLost: nobody is left who simulates.
     """
     import cma
 
     population, bodies, seed = wanted.population, wanted.bodies, wanted.seed
-    simulator = Simulator(walks(), engine=engine)
-    defaults = simulator.setup.defaults()
+    workers, defaults = workers or LocalWorkers(), WALKS.defaults()
+    workers.begin(Walking(resolve_engine(engine)))
     cases = worlds(CASES, defaults, Settings(("exact",), repeats=1, seed=seed)).values
     first, swept = -(-(wanted.samples + 1) // population), (wanted.sweeps + 1) * -(-bodies // population)
     batches = first + wanted.generations + swept
@@ -113,7 +116,7 @@ def identify(
         if progress:
             progress(done / batches)
 
-    search = Candidates(simulator, cases, FREE, population, memory, report)
+    search = Candidates(workers, cases, FREE, population, memory, report)
     design = qmc.Sobol(len(FREE), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
     search.evaluate(np.vstack([point_of(START), design]))
     options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed + 1, "verbose": -9}
@@ -124,7 +127,7 @@ def identify(
     best = {name: float(value) for name, value in parameters_of(search.best_point).items()}
     ensemble = None
     if bodies:
-        wide = Candidates(simulator, cases, ALL, population, memory, report)
+        wide = Candidates(workers, cases, ALL, population, memory, report)
         ensemble = find_bodies(wide, best, search.best, search.near(wanted.tolerance), defaults=defaults,
                                bodies=bodies, sweeps=wanted.sweeps, tolerance=wanted.tolerance, seed=seed)  # fmt: skip
     if progress:

@@ -33,87 +33,60 @@ _LEAN: Final = "The bent spine moves the centre of mass 6 mm past the diagonal, 
 _MAZE_SWAY: Final = "The torso falls onto the tail in every diagonal stance, 4 degrees nose up and 6 degrees to the side, in the maze as on the straight line. The published stds (0.75 degrees of pitch) are half of what the publication gives for the straight line (up to 2). The author's model has 1.0 to 2.2 of pitch and 3.5 to 7.8 of roll on the straight line, tail on the ground. Without the push-down at mid-stance roll std falls by a third."
 _FRONT: Final = "The robot fails where the published simulation passes; the twin agrees with the simulation, 2 mm inside the diagonal."
 
+#: Experiment -> (reason, the names of the figures that it is of).
+_WHY: Final[dict[str, tuple[tuple[str, tuple[str, ...]], ...]]] = {
+    "straight-line": (
+        (_NO_SLIP, ("speed of trt over its theory, 0.8 Hz", "speed of trt1 over its theory, mean of the frequencies",
+            "speed of lat over its theory, mean of the frequencies",)),
+        (_GAIN, ("speed of trt, 0.5 Hz, spine over none", "speed of trt, 0.8 Hz, spine over none",
+            "hardware: speed of trt, 0.67 Hz, spine over none",)),
+        (_PITCH, ("pitch std higher with the spine", "pitch std of trt, 0.8 Hz, spine over none",
+            "upward pitch peak of trt, 0.8 Hz, spine over none",)),
+        ("Upward the tail stops the pitch at 4 degrees, at a stride of 0.8 (4.0) as at 1.0 (4.05); what grows is the mean's distance from it.", ("upward pitch peak of trt, 0.8 Hz, stride 1.0 over 0.8",)),
+        (_ROLL, ("roll std of trt, 0.8 Hz, spine over none", "roll std of trt, 0.67 Hz, spine, compensated over not",)),
+        ("Compensation takes away 20 % of the roll's amplitude and 5 % of its std (published 12.5 and 15 %): what it lowers are the ends.", ("roll amplitude of trt, 0.67 Hz, spine, compensated over not",)),
+        ("It lowers the pitch std as well, by a tenth, since a rear foot that is let down sooner ends the fall sooner; yaw stays within 1 %.", ("compensation lowers the roll, and leaves pitch and yaw",)),
+        (_YAW, ("yaw std of trt, 0.8 Hz, spine over none", "yaw amplitude of trt, 0.8 Hz, spine over none",)),
+        (_DUTY, ("roll std falls with duty: trt > trt1 > lat at each frequency",
+            "yaw std largest at the lowest duty",)),
+        ("Of the lateral walk, 2.5 and 2.7 degrees at 0.67 and 0.8 Hz: its single feet let the nose fall, not only rise (-4 to +5 degrees). Both trots stay below 2 degrees in all cases.", ("largest pitch std of all cases",)),
+        ("The twin's lateral walk saturates earlier than the robot's, but as the published simulation's (1.27 at 0.8 Hz).", ("hardware: speed of trt over lat, mean of the frequencies",)),
+        (_HARDWARE, ("hardware below simulation, trt, no spine", "hardware below simulation, trt, spine",
+            "hardware below simulation, lat",)),
+    ),
+    "turning": (
+        (_LEGS, ("speed, spine- over leg-based, mean of all paths", "largest gain in speed, spine- over leg-based",
+            "time for 0.5 m, trt, 0.67 Hz, spine- over leg-based",
+            "time for 0.5 m, trt, 0.67 Hz, mix- over leg-based",)),
+        (_EQUAL, ("speed, spine- over mix-based, trt, 1.0 m, 0.5 Hz",
+            "speed, spine- over mix-based, trt1, 1.0 m, 0.5 Hz",)),
+        (_FOLLOWED, ("paths not followed",)),
+        (_STRIDE_ONE, ("paths not followed at stride 1.0",)),
+        (_MIX, ("smallest radius of trt, mix-based", "smallest radius of all, mix-based",
+            "smallest radius of trt, mix-based below leg-based",
+            "smallest radius of trt1, mix-based below leg-based",
+            "smallest radius of lat, mix-based below leg-based", "smallest radius of trt above theory, mix-based",
+            "smallest radius off theory, mean of all cases", "smallest radius of trt, mix-based at stride 1.0",
+            "smallest radius of all, mix-based at stride 1.0",)),
+        ("0.166 m is 10 % above the theory's 0.151 m and 5 % below the published 0.174 m.", ("smallest radius of trt above theory, leg-based",)),
+        ("The robot missed the path with the published pilot; so does the twin in `as_published`, and the published simulation did not. The pilot of `exact` stays within 16 mm.", ("hardware: 0.5 m, trt, 0.67 Hz, followed, spine-based",)),
+    ),
+    "balance": (
+        ("The torso rests within half a degree of level in both cases, so that the ratio hangs on tenths of a degree: it is 8 % with ankles of 0.15 N m/rad, 14 % with half the spine's angle.", ("resting pitch reduced by compensation, front legs",)),
+        (_LEAN, ("force of the rear left foot, with compensation",
+            "force of the front right foot, with compensation",)),
+        (_FRONT, ("hardware: front left lifted, without compensation",
+            "hardware: front right lifted, without compensation",)),
+    ),
+    "maze": (
+        ("The spine adds 47 % to the speed in the maze (published 37), since it turns sharper bends than the legs, as in the turning test; the time that it saves is the published one, 32 % (29, hardware 32).", ("mean speed with spine over without",)),
+        (_MAZE_SWAY, ("roll std without spine", "roll std with spine", "pitch std without spine",
+            "pitch std with spine",)),
+        (_ROLL, ("roll std with spine over without",)),
+        (_PITCH, ("pitch std with spine over without",)),
+    ),
+}  # fmt: skip
 #: Experiment -> figure's name -> reason.
 REASONS: Final[dict[str, dict[str, str]]] = {
-    "straight-line": {
-        "speed of trt over its theory, 0.8 Hz": _NO_SLIP,
-        "speed of trt1 over its theory, mean of the frequencies": _NO_SLIP,
-        "speed of lat over its theory, mean of the frequencies": _NO_SLIP,
-        "speed of trt, 0.5 Hz, spine over none": _GAIN,
-        "speed of trt, 0.8 Hz, spine over none": _GAIN,
-        "pitch std higher with the spine": _PITCH,
-        "pitch std of trt, 0.8 Hz, spine over none": _PITCH,
-        "upward pitch peak of trt, 0.8 Hz, spine over none": _PITCH,
-        "upward pitch peak of trt, 0.8 Hz, stride 1.0 over 0.8": (
-            "Upward the tail stops the pitch at 4 degrees, at a stride of 0.8 (4.0) as at 1.0 (4.05); what grows is the mean's distance from it."
-        ),
-        "roll std of trt, 0.8 Hz, spine over none": _ROLL,
-        "roll std of trt, 0.67 Hz, spine, compensated over not": _ROLL,
-        "roll amplitude of trt, 0.67 Hz, spine, compensated over not": (
-            "Compensation takes away 20 % of the roll's amplitude and 5 % of its std (published 12.5 and 15 %): what it lowers are the ends."
-        ),
-        "compensation lowers the roll, and leaves pitch and yaw": (
-            "It lowers the pitch std as well, by a tenth, since a rear foot that is let down sooner ends the fall sooner; yaw stays within 1 %."
-        ),
-        "yaw std of trt, 0.8 Hz, spine over none": _YAW,
-        "yaw amplitude of trt, 0.8 Hz, spine over none": _YAW,
-        "roll std falls with duty: trt > trt1 > lat at each frequency": _DUTY,
-        "yaw std largest at the lowest duty": _DUTY,
-        "largest pitch std of all cases": (
-            "Of the lateral walk, 2.5 and 2.7 degrees at 0.67 and 0.8 Hz: its single feet let the nose fall, not only rise (-4 to +5 degrees). Both trots stay below 2 degrees in all cases."
-        ),
-        "hardware: speed of trt, 0.67 Hz, spine over none": _GAIN,
-        "hardware: speed of trt over lat, mean of the frequencies": (
-            "The twin's lateral walk saturates earlier than the robot's, but as the published simulation's (1.27 at 0.8 Hz)."
-        ),
-        "hardware below simulation, trt, no spine": _HARDWARE,
-        "hardware below simulation, trt, spine": _HARDWARE,
-        "hardware below simulation, lat": _HARDWARE,
-    },
-    "turning": {
-        "speed, spine- over leg-based, mean of all paths": _LEGS,
-        "largest gain in speed, spine- over leg-based": _LEGS,
-        "time for 0.5 m, trt, 0.67 Hz, spine- over leg-based": _LEGS,
-        "time for 0.5 m, trt, 0.67 Hz, mix- over leg-based": _LEGS,
-        "speed, spine- over mix-based, trt, 1.0 m, 0.5 Hz": _EQUAL,
-        "speed, spine- over mix-based, trt1, 1.0 m, 0.5 Hz": _EQUAL,
-        "paths not followed": _FOLLOWED,
-        "paths not followed at stride 1.0": _STRIDE_ONE,
-        "smallest radius of trt, mix-based": _MIX,
-        "smallest radius of all, mix-based": _MIX,
-        "smallest radius of trt, mix-based below leg-based": _MIX,
-        "smallest radius of trt1, mix-based below leg-based": _MIX,
-        "smallest radius of lat, mix-based below leg-based": _MIX,
-        "smallest radius of trt above theory, mix-based": _MIX,
-        "smallest radius off theory, mean of all cases": _MIX,
-        "smallest radius of trt, mix-based at stride 1.0": _MIX,
-        "smallest radius of all, mix-based at stride 1.0": _MIX,
-        "smallest radius of trt above theory, leg-based": (
-            "0.166 m is 10 % above the theory's 0.151 m and 5 % below the published 0.174 m."
-        ),
-        "hardware: 0.5 m, trt, 0.67 Hz, followed, spine-based": (
-            "The robot missed the path with the published pilot; so does the twin in `as_published`, and the published "
-            "simulation did not. The pilot of `exact` stays within 16 mm."
-        ),
-    },
-    "balance": {
-        "resting pitch reduced by compensation, front legs": (
-            "The torso rests within half a degree of level in both cases, so that the ratio hangs on tenths of a degree: it is 8 % with ankles of 0.15 N m/rad, 14 % with half the spine's angle."
-        ),
-        "force of the rear left foot, with compensation": _LEAN,
-        "force of the front right foot, with compensation": _LEAN,
-        "hardware: front left lifted, without compensation": _FRONT,
-        "hardware: front right lifted, without compensation": _FRONT,
-    },
-    "maze": {
-        "mean speed with spine over without": (
-            "The spine adds 47 % to the speed in the maze (published 37), since it turns sharper bends than the legs, as in the turning test; the time that it saves is the published one, 32 % (29, hardware 32)."
-        ),
-        "roll std without spine": _MAZE_SWAY,
-        "roll std with spine": _MAZE_SWAY,
-        "roll std with spine over without": _ROLL,
-        "pitch std without spine": _MAZE_SWAY,
-        "pitch std with spine": _MAZE_SWAY,
-        "pitch std with spine over without": _PITCH,
-    },
+    experiment: {name: reason for reason, names in why for name in names} for experiment, why in _WHY.items()
 }

@@ -10,10 +10,10 @@ import numpy as np
 from nermo_mjx.experiments import straight_line, theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES
 from nermo_mjx.experiments.judgement import Effect, Number, Range, Same, gain
-from nermo_mjx.experiments.line import Figure
+from nermo_mjx.experiments.line import KINDS
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published import measure, orientation
-from nermo_mjx.experiments.published.measure import HARDWARE, Measure, below, quotient
+from nermo_mjx.experiments.published.measure import HARDWARE, Measure, below, figures_of, quotient
 from nermo_mjx.experiments.published.walks import GAITS, TROT, at_each, frequencies, mean_of, speed, theory_speed
 
 #: R^2 from which points count as on a line.
@@ -38,10 +38,6 @@ def _saturates(outcome: Outcome, profile: str) -> bool | None:
         return None
     slower, faster = np.diff(speeds) / np.diff(FREQUENCIES)
     return bool(faster < slower)
-
-
-def _stride_linear(outcome: Outcome, profile: str) -> float:
-    return straight_line.stride_linearity(outcome, profile)
 
 
 def _stride_linear_with_spine(outcome: Outcome, profile: str) -> bool | None:
@@ -72,155 +68,61 @@ def _constant(value: float) -> measure.Number:
     return lambda outcome, profile: value
 
 
+_predicted, _chosen, _fitted, _theory = (figures_of(kind, "6.2.1") for kind in KINDS)
 _THEORY: Final = (
-    Figure(
-        "theory: speed of trt, 0.8 Hz, no spine", "theory", Number(96.0), theory_speed(*TROT, False), "mm/s", "6.2.1"
-    ),
-    Figure("theory: speed of trt, 0.8 Hz, spine", "theory", Number(120.0), theory_speed(*TROT, True), "mm/s", "6.2.1"),
-    Figure("theory: longer stride by the spine", "theory", Number(15.0), _gain_of_stride, "mm", "6.2.1, (5.33)"),
-    Figure(
-        "theory: speed of the spine alone (stride 0), 0.8 Hz",
-        "theory",
-        Number(24.0),
-        theory_speed(*TROT, True, 0.0),
-        "mm/s",
-        "6.2.1",
-    ),
-)
+    _theory("theory: speed of trt, 0.8 Hz, no spine", Number(96.0), theory_speed(*TROT, False), "mm/s"),
+    _theory("theory: speed of trt, 0.8 Hz, spine", Number(120.0), theory_speed(*TROT, True), "mm/s"),
+    _theory("theory: longer stride by the spine", Number(15.0), _gain_of_stride, "mm", "6.2.1, (5.33)"),
+    _theory("theory: speed of the spine alone (stride 0), 0.8 Hz", Number(24.0), theory_speed(*TROT, True, 0.0),
+            "mm/s"),
+)  # fmt: skip
 _SIMULATION: Final = (
-    Figure(
-        "speed of the spine alone (stride 0), 0.8 Hz",
-        "predicted",
-        Number(19.0),
-        speed(*TROT, True, 0.0),
-        "mm/s",
-        "6.2.1: measured, 20 % below theory",
-    ),
-    Figure(
-        "speed of trt, 0.8 Hz, no spine",
-        "fitted",
-        Number(86.4),
-        speed(*TROT, False),
-        "mm/s",
-        "6.2.1: 10 % below theory",
-    ),
-    Figure(
-        "speed of trt over its theory, 0.8 Hz",
-        "fitted",
-        Effect(0.90),
-        quotient(speed(*TROT, False), theory_speed(*TROT, False)),
-        source="6.2.1",
-    ),
+    _predicted("speed of the spine alone (stride 0), 0.8 Hz", Number(19.0), speed(*TROT, True, 0.0), "mm/s",
+               "6.2.1: measured, 20 % below theory"),
+    _fitted("speed of trt, 0.8 Hz, no spine", Number(86.4), speed(*TROT, False), "mm/s", "6.2.1: 10 % below theory"),
+    _fitted("speed of trt over its theory, 0.8 Hz", Effect(0.90), _over_theory("trt")(0.8)),
     *(
-        Figure(
-            f"speed of {gait} over its theory, mean of the frequencies",
-            "fitted",
-            Effect(0.90),
-            mean_of(_over_theory(gait)),
-            source="6.2.1; the identification's ratios to trt decide it",
-        )
+        _fitted(f"speed of {gait} over its theory, mean of the frequencies", Effect(0.90), mean_of(_over_theory(gait)),
+                source="6.2.1; the identification's ratios to trt decide it")
         for gait in GAITS[1:]
     ),
-    Figure(
-        "trot > walking trot > lateral walk at each frequency",
-        "fitted",
-        Same(True),
-        at_each(lambda f: [speed(gait, f, False) for gait in GAITS]),
-        source="6.2.1",
-    ),
+    _fitted("trot > walking trot > lateral walk at each frequency", Same(True),
+            at_each(lambda f: [speed(gait, f, False) for gait in GAITS])),
     *(
-        Figure(
-            f"{gait} faster with the spine at each frequency",
-            "fitted",
-            Same(True),
-            at_each(_with_and_without(gait)),
-            source="6.2.1",
-        )
+        _fitted(f"{gait} faster with the spine at each frequency", Same(True), at_each(_with_and_without(gait)))
         for gait in GAITS[:2]
     ),
     *(
-        Figure(
-            f"speed of trt, {f:g} Hz, spine over none",
-            "fitted",
-            Effect(ratio),
-            quotient(speed("trt", f, True), speed("trt", f, False)),
-            source="6.2.1",
-        )
+        _fitted(f"speed of trt, {f:g} Hz, spine over none", Effect(ratio), quotient(*_with_and_without("trt")(f)))
         for f, ratio in ((0.5, 1.05), (0.8, 1.22))
     ),
-    Figure("speed of trt over lat, 0.8 Hz, no spine", "fitted", Effect(1.27), _trot_over_lateral(), source="6.2.1"),
-    Figure(
-        "speed of trt with spine over lat, 0.8 Hz", "fitted", Effect(1.48), _trot_over_lateral(True), source="6.2.1"
-    ),
-    Figure("speed of trt linear in frequency", "predicted", Same(True), _linear("trt"), source="6.2.1"),
-    Figure("speed of trt1 linear in frequency", "predicted", Same(True), _linear("trt1"), source="6.2.1"),
-    Figure("speed of lat saturates with frequency", "predicted", Same(True), _saturates, source="6.2.1"),
-    Figure(
-        "speed over stride, R^2 of a line",
-        "predicted",
-        Range(LINEAR, 1.0),
-        _stride_linear,
-        source=f"6.2.1: linear; here that is an R^2 of at least {LINEAR:g}",
-    ),
-    Figure(
-        "speed over stride with the spine: a line, above that without",
-        "chosen",
-        Same(True),
-        _stride_linear_with_spine,
-        source="6.2.1, Figure 6.6(b)",
-    ),
-)
+    _fitted("speed of trt over lat, 0.8 Hz, no spine", Effect(1.27), _trot_over_lateral()),
+    _fitted("speed of trt with spine over lat, 0.8 Hz", Effect(1.48), _trot_over_lateral(True)),
+    _predicted("speed of trt linear in frequency", Same(True), _linear("trt")),
+    _predicted("speed of trt1 linear in frequency", Same(True), _linear("trt1")),
+    _predicted("speed of lat saturates with frequency", Same(True), _saturates),
+    _predicted("speed over stride, R^2 of a line", Range(LINEAR, 1.0), straight_line.stride_linearity,
+               source=f"6.2.1: linear; here that is an R^2 of at least {LINEAR:g}"),
+    _chosen("speed over stride with the spine: a line, above that without", Same(True), _stride_linear_with_spine,
+            source="6.2.1, Figure 6.6(b)"),
+)  # fmt: skip
 _ON_HARDWARE: Final = (
-    Figure(
-        "hardware: speed of trt, 0.67 Hz, no spine",
-        "predicted",
-        Number(67.0),
-        speed("trt", 0.67, False),
-        "mm/s",
-        _HARDWARE_067,
+    _predicted("hardware: speed of trt, 0.67 Hz, no spine", Number(67.0), speed("trt", 0.67, False), "mm/s",
+               _HARDWARE_067),
+    _chosen("hardware: speed of trt, 0.67 Hz, spine", Number(77.0), speed("trt", 0.67, True), "mm/s", _HARDWARE_067),
+    _chosen("hardware: speed of trt, 0.67 Hz, spine over none", Range(1.15, 1.22),
+            quotient(*_with_and_without("trt")(0.67)), source=HARDWARE),
+    _predicted("hardware: speed of trt over lat, mean of the frequencies", Effect(1.11),
+               mean_of(lambda f: _trot_over_lateral(frequency=f)), source=HARDWARE),
+    *(
+        made(f"hardware below simulation, {name}", gain(share), below(_constant(measured), speed(*case)),
+             source=f"{HARDWARE}: its 67 mm/s of trt over 1.11, below this simulation's speed at 0.67 Hz"
+                    if name == "lat" else f"{HARDWARE}: its {measured:g} mm/s below this simulation's speed at 0.67 Hz")
+        for made, name, share, measured, case in (
+            (_predicted, "trt, no spine", 0.12, 67.0, ("trt", 0.67, False)),
+            (_chosen, "trt, spine", 0.06, 77.0, ("trt", 0.67, True)),
+            (_predicted, "lat", 0.05, 67.0 / 1.11, ("lat", 0.67, False)),
+        )
     ),
-    Figure(
-        "hardware: speed of trt, 0.67 Hz, spine",
-        "chosen",
-        Number(77.0),
-        speed("trt", 0.67, True),
-        "mm/s",
-        _HARDWARE_067,
-    ),
-    Figure(
-        "hardware: speed of trt, 0.67 Hz, spine over none",
-        "chosen",
-        Range(1.15, 1.22),
-        quotient(speed("trt", 0.67, True), speed("trt", 0.67, False)),
-        source=HARDWARE,
-    ),
-    Figure(
-        "hardware: speed of trt over lat, mean of the frequencies",
-        "predicted",
-        Effect(1.11),
-        mean_of(lambda f: _trot_over_lateral(frequency=f)),
-        source=HARDWARE,
-    ),
-    Figure(
-        "hardware below simulation, trt, no spine",
-        "predicted",
-        gain(0.12),
-        below(_constant(67.0), speed("trt", 0.67, False)),
-        source=f"{HARDWARE}: its 67 mm/s below this simulation's speed at 0.67 Hz",
-    ),
-    Figure(
-        "hardware below simulation, trt, spine",
-        "chosen",
-        gain(0.06),
-        below(_constant(77.0), speed("trt", 0.67, True)),
-        source=f"{HARDWARE}: its 77 mm/s below this simulation's speed at 0.67 Hz",
-    ),
-    Figure(
-        "hardware below simulation, lat",
-        "predicted",
-        gain(0.05),
-        below(_constant(67.0 / 1.11), speed("lat", 0.67, False)),
-        source=f"{HARDWARE}: its 67 mm/s of trt over 1.11, below this simulation's speed at 0.67 Hz",
-    ),
-)
+)  # fmt: skip
 FIGURES: Final = (*_THEORY, *_SIMULATION, *orientation.FIGURES, *_ON_HARDWARE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nermo_mjx.robot.files import mjcf_directory
-from nermo_mjx.robot.meshes import mesh_texts
+from nermo_mjx.robot.meshes.catalogue import mesh_texts
 
 
 def main() -> None:
