@@ -11,6 +11,8 @@ import pytest
 
 import nermo_mjx
 
+pytestmark = pytest.mark.compiles
+
 PACKAGE = Path(nermo_mjx.__file__).parent
 WITH_EXAMPLES = sorted(
     ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)

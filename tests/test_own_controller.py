@@ -27,6 +27,8 @@ from nermo_mjx.sweep.layout import simulated_seconds
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.tune import Tuning
 
+pytestmark = pytest.mark.compiles
+
 EXAMPLES = Path(__file__).parents[1] / "docs" / "howto" / "controllers"
 BOUND = f"{EXAMPLES / 'bound.py'}:Bound"
 SHORT = Run(duration=0.5, warmup=0.1)

@@ -16,6 +16,8 @@ from nermo_mjx.physics.rows import Layout, Problem
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
 
+pytestmark = pytest.mark.compiles
+
 #: Ends of the declared ranges of the soles' contact; friction and tail as well.
 ENDS = {
     "contact.friction": (0.05, 5.0), "contact.tail_friction": (0.05, 5.0), "contact.time_constant": (0.004, 0.1),

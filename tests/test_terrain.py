@@ -9,6 +9,8 @@ import pytest
 
 from nermo_mjx.robot.terrain import Terrain
 
+pytestmark = pytest.mark.compiles
+
 #: Name -> geom, each turned and moved.
 GROUNDS = {
     "level plane": "<geom type='plane' size='9 9 1' pos='0.1 0.2 0.3'/>",
