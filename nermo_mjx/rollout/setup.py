@@ -21,7 +21,7 @@ from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_r
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
-from nermo_mjx.robot.scene import Scene
+from nermo_mjx.robot.scene import Scene, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 from nermo_mjx.rollout.parameters import WorldParameters
 
@@ -152,7 +152,7 @@ class Setup:
         """Parameters before a user names any."""
         controller = self._without_robot
         world = WorldParameters(control=controller.parameters)
-        world = replace_quantities(world, gravity_values(self.load().gravity))
+        world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
         if not isinstance(controller, Controller):
             return world
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
