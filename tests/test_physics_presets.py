@@ -62,17 +62,23 @@ def six_walks(**fixed: float) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("spine", ["none", "stride_extension"])
 @pytest.mark.parametrize("turn_rate", [0.0, 0.7])
 def test_fast_keeps_every_gait_metric_within_its_bound(simulator, spine, turn_rate):
-    """Three gaits at both ends of the published frequencies, with and without spine, straight and in a turn."""
-    values = six_walks(**{"pilot.turn_rate": turn_rate, "spine.amplitude": 0.2, "spine.phase": -0.5})
+    """Three gaits at both ends of the published frequencies, with and without spine, straight and in a turn.
+
+    In the mean of three starts in different phases: rounding alone moves a lateral walk's roll by 1 %.
+    """
+    one = six_walks(**{"pilot.turn_rate": turn_rate, "spine.amplitude": 0.2, "spine.phase": -0.5})
+    values = {name: np.tile(column, 3) for name, column in one.items()}
+    values["start.phase"] = np.repeat([0.0, 1 / 3, 2 / 3], 6)
     pilot, run = "open_loop" if turn_rate else "straight", Run(cycles=6, warmup_cycles=2)
     ours, reference = (
         simulator(physics=physics, spine=spine, pilot=pilot, steering="mix").run(values, run)
         for physics in ("fast", "reference")
     )
-    assert list(ours.status) == list(reference.status) == ["ok"] * 6
+    assert list(ours.status) == list(reference.status) == ["ok"] * 18
     for name in (*GAIT_METRICS, "turning_radius") if turn_rate else GAIT_METRICS:
         bound = BOUNDS.get(name, BOUND)
-        np.testing.assert_allclose(ours.metrics[name], reference.metrics[name], rtol=bound, err_msg=name)
+        fast, exact = (result.metrics[name].reshape(3, 6).mean(axis=0) for result in (ours, reference))
+        np.testing.assert_allclose(fast, exact, rtol=bound, err_msg=name)
 
 
 def test_a_fall_is_reported_by_both(simulator):

@@ -64,7 +64,7 @@ def test_the_walk_does_not_compute_its_accelerometer() -> None:
     """The one sensor of the robot that needs a pass over the tree and back."""
     robot = load_robot()
     setup = Setup(spine="stride_extension")
-    loop = ClosedLoop(robot, setup.controller())
+    loop = ClosedLoop(robot, setup.make_controller())
     from nermo_mjx.rollout import Simulator
 
     batch = Simulator(setup, "c").prepare({"frequency": np.full(1, 0.8)})

@@ -19,7 +19,7 @@ from tune_fake import FakeProblem
 from nermo_mjx.bench.page import add_run
 from nermo_mjx.cli import main
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.identification import run, search
+from nermo_mjx.experiments.identification import candidates, run
 from nermo_mjx.experiments.identification.targets import CASES
 from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.run import ExperimentsInterrupted, run_experiments
@@ -186,7 +186,7 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
             speed = np.resize(0.05 + 0.01 * np.arange(len(CASES)), len(values["servo.kp"]))
             return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"))
 
-    monkeypatch.setattr(search, "Simulator", Walker)
+    monkeypatch.setattr(candidates, "Simulator", Walker)
     settings = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
     with pytest.raises(KeyboardInterrupt):
         run.run_identification(tmp_path, **settings)

@@ -66,7 +66,7 @@ def resolve_scene(scene: Scene) -> str:
         return _text(scene.copy(), f"the MjSpec {scene.modelname!r}")
     if scene in scenes():
         return str(scene)
-    if isinstance(scene, str) and _is_mjcf(scene):
+    if isinstance(scene, str) and is_mjcf(scene):
         return _from_text(scene)
     path = Path(scene)
     if not os.path.isfile(path):
@@ -81,12 +81,12 @@ def resolve_scene(scene: Scene) -> str:
 
 def scene_name(scene: str) -> str:
     """What a scene as `resolve_scene` keeps it is called: its name, or that of its model."""
-    return ElementTree.fromstring(scene).get("model", "own") if _is_mjcf(scene) else scene
+    return ElementTree.fromstring(scene).get("model", "own") if is_mjcf(scene) else scene
 
 
 def load_scene(scene: str) -> mujoco.MjSpec:
     """The specification of a scene as `resolve_scene` keeps it, editable."""
-    return mujoco.MjSpec.from_string(scene) if _is_mjcf(scene) else load_file(f"scenes/{scene}")
+    return mujoco.MjSpec.from_string(scene) if is_mjcf(scene) else load_file(f"scenes/{scene}")
 
 
 @functools.lru_cache(maxsize=64)
@@ -97,7 +97,7 @@ def scene_geoms(scene: str) -> SceneGeoms:
     return SceneGeoms(tuple(ground), tuple(obstacles))
 
 
-def _is_mjcf(text: str) -> bool:
+def is_mjcf(text: str) -> bool:
     return text.lstrip().startswith("<")
 
 

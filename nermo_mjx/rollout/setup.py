@@ -21,7 +21,7 @@ from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_r
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
-from nermo_mjx.robot.scene import Scene, load_scene
+from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 from nermo_mjx.rollout.parameters import WorldParameters
 
@@ -91,6 +91,8 @@ class Setup:
                 "number."
             )
         self._check_own(controller)
+        if is_mjcf(str(self.scene)):  # of one's own, so that nobody knows yet whether the robot goes into it
+            self.load()
 
     def __getstate__(self) -> dict[str, Any]:
         """For another process, which makes for itself what is derived."""
