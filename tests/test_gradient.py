@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.physics.checkpointing import checkpointed_scan
 from nermo_mjx.physics.mass_constants import MassConstants
 from nermo_mjx.robot import ParameterError, load_robot
@@ -100,6 +101,17 @@ def test_a_rollout_in_float64_does_not_see_that_float32_was_there_before(simulat
         rollout = Rollout(Setup(spine="stride_extension"), Run(duration=0.02, warmup=0.0))
         found = jax.eval_shape(lambda a: rollout({"spine.amplitude": a}), jnp.asarray(0.2))
     assert {leaf.dtype for leaf in jax.tree.leaves(found)} == {np.dtype(float)}
+
+
+def test_default_parameters_in_float64_leave_none_of_it_behind():
+    """A program in float32 that closes over the defaults, after one in float64 that did."""
+
+    def scaled(x):
+        return x * ControlParameters().gait.stride
+
+    with jax.enable_x64(True):
+        assert jax.jit(scaled)(jnp.ones(())).dtype == np.float64
+    assert jax.jit(lambda x: scaled(x))(jnp.ones(())).dtype == np.float32
 
 
 @pytest.mark.parametrize(

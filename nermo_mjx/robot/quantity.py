@@ -78,9 +78,14 @@ def quantity(
 ) -> Any:
     """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments and `parameter_tree`."""
     about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
-    value = np.asarray(default, dtype=np.float64)
-    value.flags.writeable = False  # all trees share it
-    return dataclasses.field(default_factory=lambda: value, metadata={"quantity": about})
+
+    def own() -> np.ndarray:
+        """Each tree its own: JAX keeps what it made of an array, and would mix up programs in 32 and in 64 bits."""
+        value = np.array(default, dtype=np.float64)
+        value.flags.writeable = False
+        return value
+
+    return dataclasses.field(default_factory=own, metadata={"quantity": about})
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(quantity, dataclasses.field))
