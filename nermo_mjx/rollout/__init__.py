@@ -1,7 +1,8 @@
 """Controller x physics x metrics in one loop: from named parameters to named metrics."""
 
 from nermo_mjx.rollout.metrics import METRICS, Metric
+from nermo_mjx.rollout.result import History, RunResult
 from nermo_mjx.rollout.setup import Run, Setup, all_parameters
-from nermo_mjx.rollout.simulator import History, RunResult, Simulator
+from nermo_mjx.rollout.simulator import Simulator
 
 __all__ = ["METRICS", "History", "Metric", "Run", "RunResult", "Setup", "Simulator", "all_parameters"]

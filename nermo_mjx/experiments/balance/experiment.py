@@ -36,7 +36,8 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, load_robot
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
-from nermo_mjx.rollout.simulator import BLOCK, History
+from nermo_mjx.rollout.result import History
+from nermo_mjx.rollout.simulator import BLOCK
 
 NAME: Final = "balance"
 SCENE: Final = "balance_stand"

@@ -1,0 +1,118 @@
+"""What a batch of worlds gave: metrics, how each ended, and the recording if one was asked for."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from nermo_mjx.recording import Recording, recording_of
+from nermo_mjx.robot.quantity import ParameterError, values_of
+from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.runs.provenance import versions
+from nermo_mjx.runs.text import plain
+
+
+@dataclasses.dataclass(frozen=True)
+class History:
+    """What happened in every world, one entry a control tick.
+
+    Attributes:
+        time: end of each tick (ticks,) [s].
+        qpos, qvel: positions and velocities (n, ticks, nq), (n, ticks, nv).
+        ctrl: servo targets (n, ticks, n_servos) [rad].
+        sensors: readings by name, (n, ticks, ...).
+    """
+
+    time: np.ndarray
+    qpos: np.ndarray
+    qvel: np.ndarray
+    ctrl: np.ndarray
+    sensors: dict[str, np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class RunResult:
+    """What a batch of n worlds gave.
+
+    Attributes:
+        metrics: name -> (n,), as described in `METRICS`.
+        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
+        setup, length: what ran, and how long.
+        worlds: all parameters, leaves with a leading world axis.
+        named: those that were named.
+        engine: which engine ran.
+        steps: physics steps of one world.
+        wall_seconds: time spent.
+        compile_seconds: the part of it that JAX spent on making programs: tracing, and compiling or reading from its
+            cache; 0 where all of them had run before.
+        trace: the recording, if one was asked for.
+    """
+
+    metrics: dict[str, np.ndarray]
+    status: np.ndarray
+    setup: Setup
+    length: Run
+    worlds: WorldParameters
+    named: tuple[str, ...]
+    engine: str
+    steps: int
+    wall_seconds: float = 0.0
+    compile_seconds: float = 0.0
+    trace: History | None = None
+
+    @property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """Every parameter that has a name -> (n,), defaults included."""
+        return {name: np.asarray(values) for name, values in values_of(self.worlds)}
+
+    def recording(self, world: int = 0) -> Recording:
+        """The recording of one world, with all that `nermo-mjx replay`, `view` and `render` read of it.
+
+        >>> from nermo_mjx import Run, Simulator
+        >>> result = Simulator(engine="c").run({"frequency": 0.8}, Run(duration=0.2), record=True)
+        >>> result.recording().metadata["parameters"]["frequency"]
+        0.8
+
+        Raises:
+            ParameterError: nothing was recorded, or there is no such world.
+        """
+        if self.trace is None:
+            raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
+        if not 0 <= world < len(self.status):
+            raise ParameterError(f"world is {world}: allowed is 0 to {len(self.status) - 1}.")
+        return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
+
+    def about(self, world: int = 0) -> dict[str, Any]:
+        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`."""
+        measured = {name: float(column[world]) for name, column in self.metrics.items()}
+        flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
+        run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
+               for name, value in dataclasses.asdict(self.length).items()}  # fmt: skip
+        return {
+            "metrics": {**measured, **flags, "status": str(self.status[world])},
+            "parameters": {name: float(column[world]) for name, column in self.parameters.items()},
+            "setup": self.setup.fields(),
+            "run": run,
+            "engine": self.engine,
+            "versions": versions(),
+        }
+
+    def to_pandas(self) -> Any:
+        """A `pandas.DataFrame`, a row a world: the parameters that were named, all metrics, and the status.
+
+        >>> from nermo_mjx import Run, Simulator
+        >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))
+        >>> result.to_pandas()[["frequency", "status"]].values.tolist()
+        [[0.6, 'ok'], [0.8, 'ok']]
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        import pandas
+
+        parameters = self.parameters
+        columns = {name: parameters[name] for name in self.named} | self.metrics | {"status": self.status}
+        return pandas.DataFrame(columns)
