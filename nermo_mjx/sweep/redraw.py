@@ -49,7 +49,7 @@ def figures(
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
-    results, rows = Results(files), len(Sample(Sweep.from_file(out / "sweep.yaml")))
+    results, rows = Results(files), len(Sample(Sweep.from_directory(out)))
     remark = ""
     if results.rows < rows:
         remark = f"{results.rows:,} of {rows:,} runs so far; "
