@@ -45,15 +45,6 @@ def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = Non
     return [chunk for rows in each for chunk in np.array_split(rows, math.ceil(len(rows) / size))]
 
 
-def batch_sizes(layout: list[np.ndarray], structure: np.ndarray) -> dict[int, int]:
-    """Worlds of a batch by structure: one shape for all chunks of it, so that no engine compiles twice."""
-    sizes: dict[int, int] = {}
-    for chunk in layout:
-        at = int(structure[chunk[0]])
-        sizes[at] = max(sizes.get(at, 0), len(chunk))
-    return sizes
-
-
 def batch_values(walk: WalkSpec, rows: Rows, worlds: int) -> dict[str, np.ndarray]:
     """Values of every parameter that the sweep names, for a simulator: name -> (worlds,).
 

@@ -111,6 +111,13 @@ def chunk_files(out: str | os.PathLike[str]) -> dict[int, Path]:
     return dict(sorted((int(name[1]), path) for name, path in found if name))
 
 
+def digests_of(out: Path) -> dict[str, str]:
+    """File by digest, as all manifests of a directory have them; of a chunk that was run again there are several."""
+    texts = [path.read_text(errors="replace") for path in out.glob("manifest*.sha256")]
+    lines = (line.partition("  ") for text in texts for line in text.splitlines())
+    return {digest: name for digest, _, name in lines}
+
+
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
     """The result table of a sweep's directory, as far as it is finished, in the order of its rows.
 

@@ -128,6 +128,16 @@ class Sweep(WalkSpec):
         return _read(read_mapping(data))
 
     @classmethod
+    def from_rows(cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None) -> Sweep:
+        """The variants of a table (see `rows` of a sweep file), with all else as a sweep file says, if one is given.
+
+        What the file varies does not count. Raises `SpecError`.
+        """
+        doc = read_mapping({}) if path is None else read_file(path)
+        data = {key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")}
+        return _read(Document(doc.source, data | {"rows": str(Path(rows).resolve())}, doc.lines))
+
+    @classmethod
     def from_directory(cls, out: str | os.PathLike[str]) -> Sweep:
         """The sweep of a directory, also of one that an earlier release began; raises `SpecError`."""
         doc = read_file(Path(out) / "sweep.yaml")

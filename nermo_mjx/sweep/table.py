@@ -6,7 +6,7 @@ is a column of texts whose `scale` is `structure`; a varied parameter is null wh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,6 +85,15 @@ def chunk_table(
     columns.add("code", np.broadcast_to(np.asarray(code, object), len(index)), "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
     return columns.table({"sweep": sweep.digest(), "sampler": sampler, **about})
+
+
+def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
+    """One table of several, its rows in the order of their numbers in `index`; what one does not know is null."""
+    table = pa.concat_tables(parts, promote_options="default")
+    order = np.argsort(index, kind="stable")
+    place = np.empty(len(index), int)
+    place[order] = np.argsort(table.column("row").to_numpy(), kind="stable")
+    return table.take(place)
 
 
 def columns_of(table: Any, *roles: str) -> list[str]:
