@@ -20,7 +20,8 @@ from nermo_mjx.sweep.merging import merge
 from nermo_mjx.sweep.replay import find_row
 
 FREQUENCY, FRICTION = [0.5, 0.7, 0.9], {"contact.friction": [1.0, 1.2]}
-SMALL = {"plots": False, "vary": {"frequency": FREQUENCY, **FRICTION}, "randomize": {"mass.front": {"uniform": [0.15, 0.17]}}}
+MASS = {"mass.front": {"uniform": [0.15, 0.17]}}
+SMALL = {"plots": False, "vary": {"frequency": FREQUENCY, **FRICTION}, "randomize": MASS}
 UNIFORM = {"frequency": {"uniform": [0.5, 1.0]}, "stride": {"uniform": [0.5, 1.0]}}
 
 
@@ -174,7 +175,7 @@ def test_a_directory_is_extended_twice_and_keeps_what_left_the_table(tmp_path):
 
 
 REFUSED = {
-    "fixed": (changed(set={"stride": 0.8}), "set.stride is absent there and 0.8 here: what is not varied stays as it is"),
+    "fixed": (changed(set={"stride": 0.8}), "set.stride is absent there and 0.8 here: what is not varied stays"),
     "seed": (changed(seed=3), "seed is 0 there and 3 here"),
     "length": (changed(run={"cycles": 3}), "run.cycles is 8 there and 3 here"),
     "draws": (changed(randomize={"mass.front": {"uniform": [0.1, 0.17]}}), "randomize.mass.front.uniform is"),
@@ -199,7 +200,7 @@ def test_a_latin_hypercube_has_no_further_points(tmp_path):
     """Its points depend on how many there are; repeats can be added."""
     few, many = (changed(vary=UNIFORM, sample={"latin_hypercube": count}) for count in (4, 8))
     run_sweep(few, tmp_path, simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match="a Latin hypercube of 4 points is no part of one of 8: take a Sobol sample"):
+    with pytest.raises(DirectoryError, match="a Latin hypercube of 4 points is no part of one of 8"):
         run_sweep(many, tmp_path, simulator=FakeSimulator(), extend=True)
     more = few | {"randomize": few["randomize"] | {"repeats": 2}}
     assert run_sweep(more, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
@@ -221,7 +222,7 @@ def test_other_code_extends_only_when_it_is_told_to(tmp_path, monkeypatch):
     small, large, shared = EXTENSIONS["more repeats"]
     run_sweep(small, tmp_path, chunk=4, simulator=FakeSimulator())
     monkeypatch.setattr(code, "__version__", "9.9.9")
-    with pytest.raises(OtherCode, match="not 9.9.9"):
+    with pytest.raises(OtherCode, match=r"not 9\.9\.9"):
         run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True)
     result = run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True, accept_new_code=True)
     made = result.table.column("code").to_pylist()
@@ -253,15 +254,16 @@ def test_directories_merge_into_one(tmp_path):
     sources = [tmp_path / name for name in ("a", "b")]
     plain = {"plots": False, "gait": "lat", "vary": {"frequency": [0.5, 0.7], **FRICTION}}
     run_sweep(plain, sources[0], simulator=FakeSimulator())
-    run_sweep({"plots": False, "vary": {"gait": ["trt", "lat"], "frequency": [0.7, 0.9]}, "set": {"contact.friction": 1.2}},
-              sources[1], simulator=FakeSimulator())  # fmt: skip
+    other = {"plots": False, "vary": {"gait": ["trt", "lat"], "frequency": [0.7, 0.9]}}
+    run_sweep(other | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
     before = {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
     result = merge(sources, tmp_path / "both")
     assert result.complete
     assert result.chunks_run == 0
     kept = ["gait", "frequency", "contact.friction"]
     rows = list(zip(*(result.table.column(name).to_pylist() for name in kept), strict=True))
-    expected = {("lat", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)} | {(g, f, 1.2) for g in ("trt", "lat") for f in (0.7, 0.9)}
+    expected = {("lat", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)}
+    expected |= {(g, f, 1.2) for g in ("trt", "lat") for f in (0.7, 0.9)}
     assert sorted(rows) == sorted(expected)
     assert before == {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
     assert find_row(tmp_path / "both", 6).values["frequency"] == rows[6][1]
@@ -271,8 +273,8 @@ def test_directories_merge_into_one(tmp_path):
 
 def test_draws_of_a_row_are_the_same_whatever_else_is_varied(tmp_path):
     """So that merged directories and one go agree: a row's draws hang on its own values alone."""
-    few, many = sample(Sweep.from_dict(SMALL)), sample(Sweep.from_dict(changed(vary={"contact.friction": [1.2, 1.0],
-                                                                                   "frequency": [0.9, 0.5, 0.7]})))  # fmt: skip
+    turned = changed(vary={"contact.friction": [1.2, 1.0], "frequency": [0.9, 0.5, 0.7]})
+    few, many = sample(Sweep.from_dict(SMALL)), sample(Sweep.from_dict(turned))
     for rows in (few, many):
         assert len(np.unique(rows.seed)) == 6
     assert sorted(few.seed) == sorted(many.seed)
@@ -293,7 +295,7 @@ def test_what_does_not_go_together_is_not_merged(tmp_path):
         merge([tmp_path / "a", tmp_path / "c"], tmp_path / "out")
     for name, varied in (("e", {"frequency": [0.5]}), ("f", {"stride": [0.5, 0.6]})):
         run_sweep({"plots": False, "vary": varied}, tmp_path / name, simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match="e cannot be merged: it neither varies nor sets stride, which another one"):
+    with pytest.raises(DirectoryError, match="e cannot be merged: it neither varies nor sets stride, which"):
         merge([tmp_path / "e", tmp_path / "f"], tmp_path / "out")
     with pytest.raises(SpecError, match="two directories"):
         merge([tmp_path / "a"], tmp_path / "out")
@@ -332,7 +334,7 @@ def test_a_directory_of_an_earlier_release_is_extended(tmp_path, monkeypatch):
     held = read_table(out).num_rows
     digest = read_table(out).schema.metadata[b"sweep"].decode()
     if digest != begun.digest():  # made with other defaults than today's
-        monkeypatch.setattr(Sweep, "digest", lambda self: digest if len(self.varied) == 2 and self.variants == 9 else "x")
+        monkeypatch.setattr(Sweep, "digest", lambda self: digest if self.variants == 9 else "another")
     data = begun.resolved() | {"vary": {"frequency": [0.5, 0.7, 0.9, 1.1], "stride": [0.5, 0.75, 1.0]}}
     data.pop("seeds")
     simulator = Counting()

@@ -78,7 +78,7 @@ def command(
     with stdout_reserved():
         from nermo_mjx.sweep import Sweep, run_sweep
 
-        sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(spec)
+        sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
         say = sayer("sweep", quiet)
@@ -112,7 +112,8 @@ def print_result(result: SweepResult) -> None:
     rows = []
     for name, best in summary["best"].items():
         if best is not None:
-            at = ", ".join(f"{parameter} {value if isinstance(value, str) else format(value, '.4g')}" for parameter, value in best["parameters"].items())
+            parameters = best["parameters"].items()
+            at = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.4g}'}" for name, each in parameters)
             spread = f" ± {best['std']:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
             rows.append([name, best["side"], f"{best['mean']:.4g}{spread}", at])
     if rows:
@@ -127,12 +128,18 @@ def _list_parameters(spec: Path | None, as_json: bool) -> None:
     with stdout_reserved():
         from nermo_mjx.rollout import Setup, all_parameters
         from nermo_mjx.sweep import Sweep
+        from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
 
         parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
+        structures = {name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
+                      for name in STRUCTURES}  # fmt: skip
     if as_json:
         fields = ("default", "unit", "low", "high", "doc")
-        print_json({"parameters": {name: {f: getattr(about, f) for f in fields} for name, about in parameters.items()}})
+        shown = {name: {f: getattr(about, f) for f in fields} for name, about in parameters.items()}
+        print_json({"parameters": shown, "structures": structures})
         return
     columns = [("name", "left"), ("default", "right"), ("allowed", "left"), ("meaning", "left")]
     rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in parameters.items()]
     print_table("Parameters of a sweep (SI units, radians)", columns, rows)
+    rows = [[name, about["default"], ", ".join(about["allowed"]), about["doc"]] for name, about in structures.items()]
+    print_table("Structures, which vary and rows can name, too", columns, rows)

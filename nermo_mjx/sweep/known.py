@@ -6,7 +6,6 @@ seed, or the sweep that it was run for.
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import hashlib
 import json
@@ -54,8 +53,7 @@ class KnownRows:
     """An index of the rows of some directories.
 
     Args:
-        sources: the directories, each with a sweep.yaml and results; of rows that are in several, the first one's count.
-        codes: where it is noted which code made rows, by source; the source itself by default.
+        sources: the directories, each with a sweep.yaml and results; a row that is in several is the first one's.
         warn: called with a sentence where a chunk cannot be used.
 
     Raises:
@@ -76,7 +74,8 @@ class KnownRows:
                 self._unnamed.append(source)
             for path in chunk_files(source).values():
                 content = path.read_bytes()
-                sealed = hashlib.sha256(content).hexdigest() in digests or f"results/{path.name}" not in digests.values()
+                noted = f"results/{path.name}" in digests.values()
+                sealed = not noted or hashlib.sha256(content).hexdigest() in digests
                 table = parquet_table(content) if sealed else None
                 if table is None or (table.schema.metadata or {}).get(b"sweep") != digest:
                     if warn is not None:
@@ -116,7 +115,8 @@ class KnownRows:
         table = pa.concat_tables(parts, promote_options="default").take(np.argsort(np.concatenate(order)))
         metrics = {name: table.column(name).to_numpy() for name in columns_of(self._table(int(files[0])), "metric")}
         status = np.array(table.column("status").to_pylist(), object)
-        code = np.array(table.column("code").to_pylist() if "code" in table.column_names else [None] * len(table), object)
+        named = "code" in table.column_names  # release 0.1.0 did not say it
+        code = np.array(table.column("code").to_pylist() if named else [None] * len(table), object)
         engine = self._table(int(files[0])).schema.metadata[b"engine"].decode()
         return TakenRows(metrics, status, code, engine, steps, round(seconds, 3))
 

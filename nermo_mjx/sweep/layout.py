@@ -31,7 +31,7 @@ def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
 
 
 def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = None) -> list[np.ndarray]:
-    """Rows of each chunk: chunk-mates are of one structure and last alike long, and chunks are alike large (to one row).
+    """Rows of each chunk: chunk-mates have one structure and last alike long; chunks are alike large (to one row).
 
     Args:
         seconds: how long each row is simulated, (n,) [s].

@@ -68,7 +68,7 @@ class Results:
         return self._names[column]
 
     def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
-        """Columns of numbers, or of texts, one after the other, (rows,) each; the files are read as few times as memory allows."""
+        """Columns one after the other, (rows,) each; the files are read as few times as memory allows."""
         at_once = max(1, HELD // max(self.rows, 1))
         for start in range(0, len(names), at_once):
             table = self._read(names[start : start + at_once])

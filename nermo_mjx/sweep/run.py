@@ -129,7 +129,8 @@ def run_sweep(
     workers = LocalWorkers() if workers is None else workers
     parts = workers.parts * (1 if shard is None else shard[1])
     size = chunk or sweep.chunk or chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
-    with Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend) as store, _interruptible(store) as interruption:
+    wanted = Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend)
+    with wanted as store, _interruptible(store) as interruption:
 
         def report(share: SweepProgress) -> None:
             interruption.check()
@@ -159,7 +160,7 @@ def run_sweep(
 
 def _check(chunk: int | None, shard: tuple[int, int] | None, extend: bool) -> None:
     if extend and shard is not None:
-        raise SpecError("extend goes with one process: begin with it alone; when it simulates, shards may go on instead.")
+        raise SpecError("extend goes with one process: begin with it alone; when it simulates, shards may go on.")
     if chunk is not None and chunk < 1:
         raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
     if shard is not None and not 0 <= shard[0] < shard[1]:

@@ -17,7 +17,6 @@ from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
@@ -202,8 +201,10 @@ class Sweep(WalkSpec):
         if self.rows is not None:
             data["rows"] = self.rows.written(self.structures) if folder is None else self.kept_rows()[0]
         else:
-            listed = {name: {each.labels[name]: each.written(name) for each in self.structures} for name in self.labelled}
-            data["vary"] = {name: {"values": list(values.values())} for name, values in listed.items()}
+            data["vary"] = {}
+            for name in self.labelled:
+                values = {each.labels[name]: each.written(name) for each in self.structures}
+                data["vary"][name] = {"values": list(values.values())}
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
             data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
         bodies = {"from": self.bodies} if self.bodies else {}
@@ -301,7 +302,7 @@ def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
         return None
     for other in ("vary", "sample"):
         if doc.data.get(other) not in (None, {}):
-            doc.fail((other,), f"is given beside 'rows', which are all variants: leave out one of them.")
+            doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
     return read_row_table(doc, file.rows)
 
 
@@ -328,8 +329,8 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
     rows = sweep.variants * sweep.repeats
     if rows > LARGEST_SWEEP:
-        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
-                             "as sample: {sobol: 4096}.")  # fmt: skip
+        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
+                             "such as sample: {sobol: 4096}.")  # fmt: skip
     tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
     if sweep.rows is None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}

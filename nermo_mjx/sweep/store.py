@@ -197,7 +197,7 @@ class Store:
             apart, go_on = differences(begun, self.sweep), f"go on with {path}"
             if self.extend:
                 raise self._foreign(f"a sweep that does not go on as this one: {why}; choose another directory")
-            also = f", or add these rows to it with --extend" if not why else ""
+            also = ", or add these rows to it with --extend" if not why else ""
             raise self._foreign(f"the results of another sweep: {apart}; choose another directory, or {go_on}{also}")
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
 

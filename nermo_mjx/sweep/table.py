@@ -1,7 +1,7 @@
 """The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
 
-Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`. A varied structure
-is a column of texts whose `scale` is `structure`; a varied parameter is null where nothing reads it.
+Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`. A varied
+structure is a column of texts whose `scale` is `structure`; a varied parameter is null where nothing reads it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ def chunk_table(
     for name in sorted(metrics, key=list(METRICS).index):
         columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
-    columns.add("code", np.broadcast_to(np.asarray(code, object), len(index)), "code", "1", "which code made the row, as run.json names it")
+    codes = np.broadcast_to(np.asarray(code, object), len(index))
+    columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
     return columns.table({"sweep": sweep.digest(), "sampler": sampler, **about})
 
