@@ -204,6 +204,14 @@ class WalkSpec:
         return data
 
 
+def without_effect(name: str, setup: Setup) -> str:
+    """Why a parameter has no effect with these choices; empty if it has one."""
+    choice, wanted = _NEEDS.get(name, ("", "")) if setup.controller is None else ("", "")
+    if not choice or wanted in (given := getattr(setup, choice)).split("+"):
+        return ""
+    return f"it is read only with {choice}: {wanted}, and {choice} is {given}"
+
+
 def check_sources(
     doc: Document, walk: WalkSpec, sections: Mapping[str, list[str]], bodies: Collection[str] = ()
 ) -> None:
@@ -225,10 +233,8 @@ def check_sources(
             if name in sources:
                 doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
             sources[name] = f"under '{section}'"
-            choice, wanted = _NEEDS.get(name, ("", "")) if walk.setup.controller is None else ("", "")
-            if choice and wanted not in (chosen := getattr(walk.setup, choice)).split("+"):
-                doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
-                                          f"{chosen}.", name)  # fmt: skip
+            if idle := without_effect(name, walk.setup):
+                doc.fail((section, name), f"has no effect: {idle}.", name)
     for name, value in walk.pilot_parameters.items():
         key = name.removeprefix("pilot.")
         if name in walk.fixed:
