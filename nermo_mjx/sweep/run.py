@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -14,12 +15,15 @@ import pyarrow as pa
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
+from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
+from nermo_mjx.sweep.comparing.comparison import compare_as_asked
+from nermo_mjx.sweep.comparing.figures import figures_of as comparison_figures
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
@@ -178,11 +182,16 @@ def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
     results = Results([store.chunk_path(k) for k in range(len(work.layout))])
-    summary = {**summarize(results), **work.effort()}
+    summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
+    if (asked := store.sweep.comparison) is not None:
+        comparison = compare_as_asked(results, asked)
+        store.directory.write("comparison.parquet", parquet_bytes(comparison.table))
+        summary["comparison"] = comparison.about(only=comparison.drawn)
+        figures = itertools.chain(figures, comparison_figures(comparison.table))
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []
-    return summary, write_figures(figures_of(results), store.plots)
+    return summary, write_figures(figures, store.plots)
 
 
 def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:

@@ -22,9 +22,12 @@ from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, rea
 from nermo_mjx.specs.values import ByParameter, Choice, Whole, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
+from nermo_mjx.sweep.asked import AskedComparison, CompareFields, read_comparison
 from nermo_mjx.sweep.axes import Axis, AxisForm, Draw, DrawForm, read_axis, read_draw
 
 LARGEST_SWEEP = 10_000_000
+#: Fields that no row depends on.
+_NOT_DECISIVE = ("chunk", "plots", "compare")
 
 
 class Sampler(OneOf):
@@ -70,6 +73,7 @@ class SweepFile(WalkFields):
     seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")
+    compare: CompareFields = optional("structures or values to compare when the table is complete")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +89,7 @@ class Sweep(WalkSpec):
         seed: makes samples and draws repeatable.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
+        comparison: what is compared when it is; None if nothing is.
     """
 
     axes: tuple[Axis, ...]
@@ -96,6 +101,7 @@ class Sweep(WalkSpec):
     seed: int = 0
     chunk: int | None = None
     plots: bool = True
+    comparison: AskedComparison | None = None
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Sweep:
@@ -137,6 +143,8 @@ class Sweep(WalkSpec):
         if self.chunk is not None:
             data["chunk"] = self.chunk
         data["plots"] = self.plots
+        if self.comparison is not None:
+            data["compare"] = self.comparison.written()
         return data
 
     def to_yaml(self, folder: Path | None = None) -> str:
@@ -145,7 +153,7 @@ class Sweep(WalkSpec):
 
     def decisive(self) -> dict[str, Any]:
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
-        data = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots")}
+        data = {key: value for key, value in self.resolved().items() if key not in _NOT_DECISIVE}
         return data | controller_identity(self.setup)
 
     def digest(self) -> str:
@@ -179,6 +187,9 @@ def _read(doc: Document) -> Sweep:
         plots=file.plots,
     )
     _check_together(doc, sweep)
+    listed = {axis.name: axis.values().tolist() if sampler == "grid" or axis.form == "values" else None
+              for axis in axes}  # fmt: skip
+    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, listed))
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
 
 

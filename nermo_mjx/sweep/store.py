@@ -166,6 +166,9 @@ class Store:
                 f"with {path}"
             )
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
+        if self.shard is None and begun.comparison != self.sweep.comparison:  # no row depends on it
+            again = dataclasses.replace(begun, comparison=self.sweep.comparison)
+            self.directory.write(path, again.to_yaml(self.out.resolve()).encode())
 
     def _foreign(self, content: str) -> DirectoryError:
         return DirectoryError(f"{self.out} holds {content}.")

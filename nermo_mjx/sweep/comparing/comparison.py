@@ -14,9 +14,11 @@ from scipy import stats
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import did_you_mean
+from nermo_mjx.sweep.asked import AskedComparison
 from nermo_mjx.sweep.comparing.arms import Arm, Source, Value, two_tables, values_of, where
 from nermo_mjx.sweep.comparing.bootstrap import RESAMPLES
 from nermo_mjx.sweep.comparing.pairing import Differences, Pairing, differences, pair
+from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.summary import LEADING, OBJECTIVES
 from nermo_mjx.sweep.table import Columns, columns_of, meta
 
@@ -75,17 +77,23 @@ class Comparison:
         chosen = self.table.filter((about == other) & (group >= 0 if grouped else group < 0))
         return chosen.to_pylist()
 
-    def about(self) -> dict[str, Any]:
-        """All of it for JSON: `metrics` by name; with groups, `groups`; with several others, `comparisons` of each."""
-        each = [self._about(other) for other in self.others]
+    def about(self, only: Sequence[str] = ()) -> dict[str, Any]:
+        """All of it for JSON: `metrics` by name; with groups, `groups`; with several others, `comparisons` of each.
+
+        Args:
+            only: metrics that the groups have; by default all.
+        """
+        each = [self._about(other, only) for other in self.others]
         about = {"base": self.base, "status": self.status, "notes": list(self.notes)}
         return about | (each[0] if len(each) == 1 else {"comparisons": each})
 
-    def _about(self, other: str) -> dict[str, Any]:
+    def _about(self, other: str, only: Sequence[str]) -> dict[str, Any]:
         about: dict[str, Any] = {"other": other, "metrics": _by_metric(self.rows(other), self.groups)}
         if self.groups:
             grouped: dict[int, list[dict[str, Any]]] = {}
             for row in self.rows(other, grouped=True):
+                if only and row["metric"] not in only:
+                    continue
                 grouped.setdefault(row["group"], []).append(row)
             about["groups"] = [{"for": {name: rows[0][name] for name in self.groups},
                                 "metrics": _by_metric(rows, self.groups)} for rows in grouped.values()]  # fmt: skip
@@ -160,6 +168,11 @@ def compare(
         table=_table(lines, arms[0], groups, drawn), base=arms[0].name, others=tuple(arm.name for arm in arms[1:]),
         groups=tuple(groups), drawn=tuple(drawn), status=status, notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
+
+
+def compare_as_asked(results: Results, asked: AskedComparison) -> Comparison:
+    """The comparison that a sweep file asks for."""
+    return compare(results, by=asked.by, base=asked.base, groups=asked.groups)
 
 
 def better(field: pa.Field) -> str:
