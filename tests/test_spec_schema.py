@@ -150,8 +150,9 @@ def test_what_is_wrong_in_a_field_is_not_valid(schemas, kind, wrong):
 
 def test_every_parameter_is_offered_with_meaning_unit_default_and_range(schemas):
     """In each section that names parameters; an editor shows the description beside the name."""
-    sections = [schemas["sweep"]["properties"][name] for name in ("set", "vary")]
-    sections += [schemas["sweep"]["$defs"]["Randomized"], schemas["tune"]["properties"]["tune"]]
+    sections = [schemas["sweep"]["properties"]["set"]]
+    sections += [schemas["sweep"]["$defs"][name] for name in ("Vary", "Randomized")]
+    sections += [schemas["tune"]["properties"]["tune"]]
     for section in sections:
         for name, about in all_parameters().items():
             shown = section["properties"][name]["description"]

@@ -53,7 +53,7 @@ def command(
         from nermo_mjx.sweep.replay import find_row, replay_row
 
         found = find_row(out, row)
-        wanted = Plan(found.sweep.setup, found.sweep.run, found.values, found.parameters)
+        wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
         for path in files:
             make_writable(path.parent)
         check_video(wanted.setup, video, camera)
@@ -106,7 +106,8 @@ def _compared(found: SweepRow, replay: Replay) -> str:
 
 
 def _print(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:
-    values = "".join(f", {name} {value:.4g}" for name, value in found.values.items())
+    values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
+    values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
     click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
     print_walk(report, wanted.theory, [])
     for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):

@@ -95,7 +95,7 @@ def _print_summary(result: SweepResult) -> None:
     rows = []
     for name, best in summary["best"].items():
         if best is not None:
-            at = ", ".join(f"{parameter} {value:.4g}" for parameter, value in best["parameters"].items())
+            at = ", ".join(f"{parameter} {value if isinstance(value, str) else format(value, '.4g')}" for parameter, value in best["parameters"].items())
             spread = f" ± {best['std']:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
             rows.append([name, best["side"], f"{best['mean']:.4g}{spread}", at])
     if rows:

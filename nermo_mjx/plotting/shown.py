@@ -24,20 +24,24 @@ class ShownValues:
         name, unit: what the axis is called; the unit is empty for a pure number.
         values: (n,), in that unit.
         log: whether the axis is logarithmic.
+        names: of a choice among names, these; the values are places among them.
     """
 
     name: str
     unit: str
     values: np.ndarray
     log: bool = False
+    names: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
-        """Name and unit for an axis; a pure number has the unit 1."""
-        return f"{self.name} [{self.unit or 1}]"
+        """Name and unit for an axis; a pure number has the unit 1, a choice none."""
+        return self.name if self.names else f"{self.name} [{self.unit or 1}]"
 
     def shown(self, value: float) -> str:
-        """One value with its unit, for a title."""
+        """One value with its unit, or its name, for a title; a value that is not known is a dash."""
+        if self.names or math.isnan(value):
+            return self.names[int(value)] if self.names else "–"
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextvars import ContextVar
 from typing import Annotated, Any, Final
 
@@ -160,8 +160,13 @@ def check_value(doc: Document, path: FieldPath, name: str, about: Quantity, valu
         doc.fail(path, str(error).removeprefix(f"{name} "), name)
 
 
-def refuse_parameter(name: str) -> None:
-    """Raise `Refused` unless there is such a parameter, with the names near it: of its group, or of all groups."""
+def refuse_parameter(name: str, more: Iterable[str] = ()) -> None:
+    """Raise `Refused` unless there is such a parameter, with the names near it: of its group, or of all groups.
+
+    Args:
+        name: of the parameter.
+        more: names of what is allowed beside parameters.
+    """
     known = NAMES.get()
     if name in known:
         return
@@ -170,5 +175,6 @@ def refuse_parameter(name: str) -> None:
     if not mates:
         mates = [other for other in known if "." not in other]
         mates += dict.fromkeys(f"{other.partition('.')[0]}.*" for other in known if "." in other)
+    mates += more if "." not in name else ()
     listed = f"allowed are {', '.join(mates)} (nermo-mjx sweep --list-parameters prints all)"
-    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, known)}", name)
+    raise Refused(f"is not a parameter; {listed}{did_you_mean(name, [*more, *known])}", name)

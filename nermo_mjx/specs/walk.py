@@ -204,22 +204,25 @@ class WalkSpec:
         return data
 
 
-def without_effect(name: str, setup: Setup) -> str:
-    """Why a parameter has no effect with these choices; empty if it has one."""
+def unread(setup: Setup, name: str) -> tuple[str, str] | None:
+    """The choice, and what it would have to be, without which nothing reads a parameter; None if it is read."""
     choice, wanted = _NEEDS.get(name, ("", "")) if setup.controller is None else ("", "")
-    if not choice or wanted in (given := getattr(setup, choice)).split("+"):
-        return ""
-    return f"it is read only with {choice}: {wanted}, and {choice} is {given}"
+    return (choice, wanted) if choice and wanted not in getattr(setup, choice).split("+") else None
 
 
 def check_sources(
-    doc: Document, walk: WalkSpec, sections: Mapping[str, list[str]], bodies: Collection[str] = ()
+    doc: Document,
+    walk: WalkSpec,
+    sections: Mapping[str, list[str]],
+    bodies: Collection[str] = (),
+    setups: Collection[Setup] = (),
 ) -> None:
     """Fail where a parameter has two sources, or no effect.
 
     Args:
         sections: names of the parameters that each section of the file changes.
         bodies: names of the parameters that `randomize.from` draws together.
+        setups: where a parameter has to be read by one of several, these; else the walk's own.
     """
     parameters, pilot = walk.parameters, walk.setup.pilot
     sources = dict.fromkeys(bodies, "drawn by 'randomize.from'")
@@ -233,8 +236,12 @@ def check_sources(
             if name in sources:
                 doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
             sources[name] = f"under '{section}'"
-            if idle := without_effect(name, walk.setup):
-                doc.fail((section, name), f"has no effect: {idle}.", name)
+            lacks = [unread(setup, name) for setup in setups or [walk.setup]]
+            if lacks[0] is not None and all(lacks):
+                choice, wanted = lacks[0]
+                chosen = " or ".join(dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup]))
+                doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
+                                          f"{chosen}.", name)  # fmt: skip
     for name, value in walk.pilot_parameters.items():
         key = name.removeprefix("pilot.")
         if name in walk.fixed:

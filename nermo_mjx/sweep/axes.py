@@ -99,6 +99,7 @@ class Draw:
         form: a field of `DrawForm`; a normal distribution is cut off at the parameter's range.
         numbers: (low, high), or (mean, standard deviation).
         low, high: range of the parameter.
+        implied: whether no file names it: a start is perturbed where there are repeats, but for the first one's.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Draw:
     numbers: tuple[float, float]
     low: float
     high: float
+    implied: bool = False
 
     def at(self, share: np.ndarray) -> np.ndarray:
         """The quantile function of the distribution at shares in [0, 1)."""

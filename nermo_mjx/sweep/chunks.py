@@ -15,9 +15,9 @@ from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.layout import batch_size, batch_values, listed, rows_digest
+from nermo_mjx.sweep.layout import batch_sizes, batch_values, listed, rows_digest
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.simulating import BatchSimulator, Simulated
+from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.store import ChunkNote, Store
 from nermo_mjx.sweep.table import chunk_table
 from nermo_mjx.sweep.tally import Tally
@@ -35,7 +35,7 @@ class Work:
 
     Attributes:
         store: where they are kept.
-        rows: of the whole sweep.
+        rows: of the whole sweep, and `structures` of each of them its structure, (rows,) int.
         layout: rows of each chunk.
         tally: is told of what is done.
         done: which ones are finished, (chunks,) bool.
@@ -47,6 +47,7 @@ class Work:
 
     def __init__(self, store: Store, rows: Sample, layout: list[np.ndarray], tally: Tally) -> None:
         self.store, self.rows, self.layout, self.tally = store, rows, layout, tally
+        self.structures = rows.structures()
         shard, shards = store.shard or (0, 1)
         self.mine = np.arange(len(layout)) % shards == shard
         self.chunks_run = 0
@@ -82,6 +83,10 @@ class Work:
         """How many rows some chunks hold."""
         return sum(len(self.layout[k]) for k in chunks.tolist())
 
+    def structure_of(self, chunk: int) -> int:
+        """The place of a chunk's structure in the sweep's."""
+        return int(self.structures[self.layout[chunk][0]])
+
     def missing(self) -> str:
         """Which chunks are not there, and how to run them, in a sentence; empty if none is missing."""
         chunks = np.flatnonzero(~self.done)
@@ -94,7 +99,7 @@ class Work:
         return (f"{named} ({self.rows_of(chunks):,} runs) of {len(self.layout):,} are missing; unless they are being "
                 f"run, run them with {shares}.")  # fmt: skip
 
-    def simulate(self, simulator: BatchSimulator, workers: Workers, accept_new_code: bool) -> None:
+    def simulate(self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
         """Have the missing chunks of this process simulated; each is written while the next one is simulated.
 
         Raises:
@@ -126,11 +131,13 @@ class Work:
 
     def _results(self, chunks: list[int], workers: Workers) -> Iterator[tuple[int, Simulated]]:
         """Results of chunks, as they come."""
-        worlds = batch_size(self.layout)
+        worlds = batch_sizes(self.layout, self.structures)
 
-        def tasks() -> Iterator[tuple[int, Mapping[str, np.ndarray]]]:
+        def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
             for k in chunks:
-                yield k, batch_values(self.store.sweep, self.rows.take(self.layout[k]), worlds)
+                at = self.structure_of(k)
+                walk, rows = self.store.sweep.structures[at], self.rows.take(self.layout[k])
+                yield k, (at, batch_values(walk, rows, worlds[at]))
 
         try:
             yield from workers.results(tasks(), self.tally.tell)

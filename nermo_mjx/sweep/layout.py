@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from nermo_mjx.specs.walk import WalkSpec
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep
 
@@ -15,34 +18,58 @@ _NAMED = 4
 
 def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
     """How long each row is simulated, (n,) [s]."""
-    changed = {axis.name for axis in sweep.axes} | {draw.name for draw in sweep.draws}
-    values = {name: rows.column(name) if name in changed else sweep.constants[name]
-              for name in sweep.setup.timing if name in changed or name in sweep.constants}  # fmt: skip
-    _, end = sweep.run.seconds(sweep.setup.cycle_rate(values))
-    return np.broadcast_to(np.asarray(end, dtype=float), len(rows))
+    changed = {*sweep.varied, *(draw.name for draw in sweep.draws)}
+    structure, seconds = rows.structures(), np.empty(len(rows))
+    columns = {name: rows.column(name) for name in changed if any(name in at.setup.timing for at in sweep.structures)}
+    for at, walk in enumerate(sweep.structures):
+        here = structure == at
+        values: dict[str, Any] = {name: value for name, value in walk.constants.items() if name in walk.setup.timing}
+        values |= known({name: column[here] for name, column in columns.items() if name in walk.setup.timing})
+        _, end = walk.run.seconds(walk.setup.cycle_rate(values))
+        seconds[here] = np.asarray(end, dtype=float)
+    return seconds
 
 
-def layout_of(seconds: np.ndarray, size: int) -> list[np.ndarray]:
-    """Rows of each chunk: chunk-mates last alike long, and chunks are alike large (to one row)."""
+def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = None) -> list[np.ndarray]:
+    """Rows of each chunk: chunk-mates are of one structure and last alike long, and chunks are alike large (to one row).
+
+    Args:
+        seconds: how long each row is simulated, (n,) [s].
+        size: of a chunk, at most.
+        structure: of each row, (n,) int; one for all by default.
+    """
     order = np.argsort(seconds, kind="stable")
-    return np.array_split(order, math.ceil(len(order) / size))
+    if structure is None:
+        return np.array_split(order, math.ceil(len(order) / size))
+    each = (order[structure[order] == at] for at in np.unique(structure))
+    return [chunk for rows in each for chunk in np.array_split(rows, math.ceil(len(rows) / size))]
 
 
-def batch_size(layout: list[np.ndarray]) -> int:
-    """Worlds of every chunk's batch: one shape for all chunks, so that no engine compiles twice."""
-    return max(map(len, layout))
+def batch_sizes(layout: list[np.ndarray], structure: np.ndarray) -> dict[int, int]:
+    """Worlds of a batch by structure: one shape for all chunks of it, so that no engine compiles twice."""
+    sizes: dict[int, int] = {}
+    for chunk in layout:
+        at = int(structure[chunk[0]])
+        sizes[at] = max(sizes.get(at, 0), len(chunk))
+    return sizes
 
 
-def batch_values(sweep: Sweep, rows: Rows, worlds: int) -> dict[str, np.ndarray]:
+def batch_values(walk: WalkSpec, rows: Rows, worlds: int) -> dict[str, np.ndarray]:
     """Values of every parameter that the sweep names, for a simulator: name -> (worlds,).
 
     Args:
+        walk: of the rows' structure.
         rows: those of the chunk, n; the last one is repeated until the batch is full.
         worlds: size of the batch, n or more.
     """
     padded = rows.take(np.pad(np.arange(len(rows)), (0, worlds - len(rows)), mode="edge"))
-    constants = {name: np.full(worlds, value) for name, value in sweep.constants.items()}
-    return {**constants, **padded.values}
+    constants = {name: np.full(worlds, value) for name, value in walk.constants.items()}
+    return {**constants, **known(padded.values)}
+
+
+def known(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The columns of one structure's rows without those that nothing reads in it."""
+    return {name: column for name, column in values.items() if not np.isnan(column).any()}
 
 
 def rows_digest(index: np.ndarray) -> str:

@@ -40,7 +40,7 @@ class Points:
     def differing(self) -> tuple[str, ...]:
         """The parameters that are not the same in all points."""
         values = self.results.columns(self.parameters)
-        return tuple(name for name, column in values if len(self.rows) and np.ptp(column[self.rows]) > 0)
+        return tuple(name for name, column in values if len(self.rows) and not alike(column[self.rows]))
 
     @property
     def what(self) -> str:
@@ -70,12 +70,20 @@ def points_of(results: Results, metrics: Sequence[str]) -> Points:
 def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
     """Values of a column as shown."""
     about = meta(results.schema.field(name))
+    if about.get("scale") == "structure":
+        names = results.names(name)
+        return ShownValues(name, "", np.array([names.index(each) for each in values], float), names=names)
     return shown(name, about["unit"], values, log=about.get("scale") == "log")
 
 
 def quantities(results: Results, names: Sequence[str]) -> list[ShownValues]:
     """Columns as shown."""
     return [quantity(results, name, values) for name, values in results.columns(names)]
+
+
+def alike(values: np.ndarray) -> bool:
+    """Whether all values are one; what is not known does not count."""
+    return len(np.unique(values[values == values])) < 2
 
 
 def metric_of(results: Results, metric: str) -> ShownValues:

@@ -52,7 +52,7 @@ def figures(
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
-    results, sweep = Results(files), Sweep.from_file(out / "sweep.yaml")
+    results, sweep = Results(files), Sweep.from_directory(out)
     rows = len(Sample(sweep))
     remark = ""
     if results.rows < rows:

@@ -21,10 +21,11 @@ from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
-from nermo_mjx.sweep.layout import layout_of, simulated_seconds
+from nermo_mjx.sweep.layout import known, layout_of, simulated_seconds
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.structures import Structure
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,13 +57,18 @@ class SweepRow:
 
     @property
     def values(self) -> dict[str, float]:
-        """Varied and randomized parameters of the row."""
-        return {name: float(column[0]) for name, column in self.line.values.items()}
+        """Varied and randomized parameters of the row, as far as its structure reads them."""
+        return _values(self.line)
+
+    @property
+    def walk(self) -> Structure:
+        """The setup, length and fixed parameters of the row's structure, and what it is called in the table."""
+        return self.sweep.structures[int(self.line.structure[0])]
 
     @property
     def parameters(self) -> dict[str, float]:
         """Every parameter of the row, defaults included."""
-        return self.sweep.setup.defaults() | self.sweep.constants | self.values
+        return self.walk.setup.defaults() | self.walk.constants | self.values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,12 +134,12 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
     if not (out / "sweep.yaml").exists():
         raise SpecError(f"{out}: not the directory of a sweep; allowed is one with a file sweep.yaml.")
-    sweep = Sweep.from_file(out / "sweep.yaml")
+    sweep = Sweep.from_directory(out)
     rows, engine = Sample(sweep), _begun_with(out, sweep.digest())
     if not 0 <= row < len(rows):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
     seconds = simulated_seconds(sweep, rows)
-    layout = layout_of(seconds, sweep.chunk or chunk_rows_here("auto", len(rows)))
+    layout = layout_of(seconds, sweep.chunk or chunk_rows_here("auto", len(rows)), rows.structures())
     k = next(k for k, index in enumerate(layout) if row in index)
     path = chunk_files(out).get(k)
     table = None if path is None else parquet_table(path)
@@ -141,8 +147,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if stored is not None:
         engine = stored.schema.metadata[b"engine"].decode()
     line = rows.take(np.array([row]))
-    known = sweep.constants | {name: float(each[0]) for name, each in line.values.items()}
-    begin, end = sweep.run.seconds(sweep.setup.cycle_rate(known))
+    walk = sweep.structures[int(line.structure[0])]
+    begin, end = walk.run.seconds(walk.setup.cycle_rate(walk.constants | _values(line)))
     return SweepRow(
         out=out, sweep=sweep, row=row, line=line, begin=float(begin), end=float(end), engine=engine, chunk=layout[k],
         stored=None if stored is None else stored.slice(layout[k].tolist().index(row), 1).to_pylist()[0],
@@ -161,9 +167,9 @@ def replay_row(found: SweepRow, engine: str | None = None, progress: Callable[[f
     Raises:
         ParameterError: an unknown engine.
     """
-    simulator = Simulator(found.sweep.setup, engine or (found.engine if found.engine in ENGINES else "auto"))
-    values = {name: np.array([value]) for name, value in (found.sweep.constants | found.values).items()}
-    result = simulator.run(values, found.sweep.run, record=True, progress=progress)
+    simulator = Simulator(found.walk.setup, engine or (found.engine if found.engine in ENGINES else "auto"))
+    values = {name: np.array([value]) for name, value in (found.walk.constants | found.values).items()}
+    result = simulator.run(values, found.walk.run, record=True, progress=progress)
     metrics = {name: float(result.metrics[name][0]) for name in METRICS}
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
@@ -195,6 +201,10 @@ def compare(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: str
     if differences[worst] == 0.0:
         return Comparison(engine, equal=True)
     return Comparison(engine, False, worst, differences[worst], float(stored[worst]), float(metrics[worst]))
+
+
+def _values(line: Rows) -> dict[str, float]:
+    return {name: float(column[0]) for name, column in known(line.values).items()}
 
 
 def _difference(a: float, b: float) -> float:

@@ -42,6 +42,7 @@ class Results:
             DirectoryError: a chunk cannot be read, now or when a column is asked for.
         """
         self._source = source
+        self._names: dict[str, tuple[str, ...]] = {}
         if isinstance(source, pa.Table):
             schema = source.schema
         else:
@@ -60,8 +61,14 @@ class Results:
         """Whether the varied parameters are a grid's."""
         return (self.schema.metadata or {}).get(b"sampler") == b"grid"
 
+    def names(self, column: str) -> tuple[str, ...]:
+        """The different texts of a column, in the order in which they come."""
+        if column not in self._names:
+            self._names[column] = tuple(dict.fromkeys(self.column(column).tolist()))
+        return self._names[column]
+
     def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
-        """Columns of numbers one after the other, (rows,) each; the files are read as few times as memory allows."""
+        """Columns of numbers, or of texts, one after the other, (rows,) each; the files are read as few times as memory allows."""
         at_once = max(1, HELD // max(self.rows, 1))
         for start in range(0, len(names), at_once):
             table = self._read(names[start : start + at_once])
@@ -70,7 +77,7 @@ class Results:
                 table = table.drop([name])
 
     def column(self, name: str) -> np.ndarray:
-        """One column of numbers, (rows,)."""
+        """One column, (rows,)."""
         return next(self.columns([name]))[1]
 
     def _read(self, names: Sequence[str]) -> pa.Table:

@@ -28,7 +28,7 @@ from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
+from nermo_mjx.sweep.simulating import SimulatorLike, SweepSimulator
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
 from nermo_mjx.sweep.summary import summarize
@@ -119,10 +119,9 @@ def run_sweep(
     """
     sweep = spec if isinstance(spec, Sweep) else _as_sweep(spec)
     _check(chunk, shard)
-    rows, workers = Sample(sweep), LocalWorkers() if workers is None else workers
-    seconds = simulated_seconds(sweep, rows)
+    workers = LocalWorkers() if workers is None else workers
     parts = workers.parts * (1 if shard is None else shard[1])
-    size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), parts)
+    size = chunk or sweep.chunk or chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
 
         def report(share: SweepProgress) -> None:
@@ -130,11 +129,13 @@ def run_sweep(
             if progress is not None:
                 progress(share)
 
-        layout = layout_of(seconds, store.sweep.chunk or size)
+        rows = Sample(store.sweep)
+        seconds = simulated_seconds(store.sweep, rows)
+        layout = layout_of(seconds, store.sweep.chunk or size, rows.structures())
         first, step = shard or (0, 1)
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
-        simulates = BatchSimulator(sweep.setup, sweep.run, _engine(engine, simulator, work), simulator, notify)
+        simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify)
         _finish(work, simulates, workers, accept_new_code, warn)
         complete = bool(work.done.all())
         summary, plots = _sum_up(work) if complete else ({}, [])
@@ -161,7 +162,7 @@ def _engine(wanted: str, simulator: SimulatorLike | None, work: Work) -> str:
 
 def _finish(
     work: Work,
-    simulator: BatchSimulator,
+    simulator: SweepSimulator,
     workers: Workers,
     accept_new_code: bool,
     warn: Callable[[str], None] | None,

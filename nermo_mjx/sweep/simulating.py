@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.runs.code import CodeStamp, stamp
+from nermo_mjx.specs.walk import WalkSpec
 
 
 class SimulatorLike(Protocol):
@@ -89,3 +90,55 @@ class BatchSimulator:
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
         return Simulated(metrics, status, result.steps * len(status), round(time.perf_counter() - began, 3))
+
+
+class SweepSimulator:
+    """Simulates batches of a sweep's structures, each by a simulator of its own; a `nermo_mjx.runs.workers.Computer`.
+
+    Batches come structure by structure, so that one simulator is kept, and another made where the next one begins.
+    """
+
+    def __init__(
+        self,
+        walks: Sequence[WalkSpec],
+        engine: str,
+        simulator: SimulatorLike | None = None,
+        notify: Callable[[str], None] | None = None,
+    ) -> None:
+        """
+        Args:
+            walks: of the structures.
+            engine, simulator, notify: see `BatchSimulator`.
+        """
+        self.walks, self.engine = tuple(walks), engine
+        self._given, self._notify = simulator, notify
+        self._current: tuple[int, BatchSimulator] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For another machine; see `BatchSimulator`."""
+        return self.__dict__ | {"_notify": None, "_current": None}
+
+    def warm(self) -> None:
+        """Make the first structure's simulator; raises `ParameterError` where its engine cannot run."""
+        self._of(0 if self._current is None else self._current[0]).warm()
+
+    def stamp(self, structure: int = 0) -> CodeStamp:
+        """Of the code, a structure's model and the engine that simulate here."""
+        return self._new(structure).stamp()
+
+    def __call__(
+        self, task: tuple[int, Mapping[str, np.ndarray]], progress: Callable[[float], None] | None = None
+    ) -> Simulated:
+        """Simulate a batch of a structure: its place, and name -> (worlds,)."""
+        structure, values = task
+        return self._of(structure)(values, progress)
+
+    def _new(self, structure: int) -> BatchSimulator:
+        walk = self.walks[structure]
+        return BatchSimulator(walk.setup, walk.run, self.engine, self._given, self._notify)
+
+    def _of(self, structure: int) -> BatchSimulator:
+        if self._current is None or self._current[0] != structure:
+            self._current = None  # its memory goes before the next one takes some
+            self._current = structure, self._new(structure)
+        return self._current[1]

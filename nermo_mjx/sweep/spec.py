@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+import numpy as np
 from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
+from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
-from nermo_mjx.specs.values import ByParameter, Choice, Whole, by_parameter, refuse_parameter
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
+from nermo_mjx.specs.values import Choice, Whole, by_parameter, refuse_parameter
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, unread
 from nermo_mjx.specs.workspace import check_workspace
-from nermo_mjx.sweep.asked import AskedComparison, CompareFields, read_comparison
-from nermo_mjx.sweep.axes import Axis, AxisForm, Draw, DrawForm, read_axis, read_draw
+from nermo_mjx.sweep.asked import AskedComparison, CompareFields, Value, read_comparison
+from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
+from nermo_mjx.sweep.listing import RowList, RowsForm, RowTable, listed_rows, read_row_table
+from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
 
 LARGEST_SWEEP = 10_000_000
 #: Fields that no row depends on.
@@ -67,10 +72,14 @@ class SweepFile(WalkFields):
 
     what: ClassVar = "a field of a sweep"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
-    vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({}, description="varied parameters")
+    vary: Vary = Field(Vary.model_validate({}), description="varied structures and parameters")
+    rows: Annotated[Any, RowsForm()] = optional("exactly these variants, instead of vary: a table, or a list")
     sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
     randomize: Randomized = Field(Randomized.model_validate({}), description="what is left to chance in each run")
     seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
+    seeds: Annotated[str, Choice(("content", "position"))] = Field(
+        "content", description="what seeds the draws of a run: its values, or its place, as in earlier releases"
+    )
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")
     compare: CompareFields = optional("structures or values to compare when the table is complete")
@@ -81,12 +90,15 @@ class Sweep(WalkSpec):
     """A checked sweep. Build it with `from_file`, `from_text` or `from_dict`.
 
     Attributes:
-        setup, run, fixed, pilot: see `WalkSpec`.
+        setup, run, fixed, pilot: see `WalkSpec`; where structures vary, those of the first one.
         axes: varied parameters in the order of the file.
-        sampler, samples: "grid", or a sampler and its number of variants.
+        sampler, samples: "grid" or "rows", or a sampler and its number of variants.
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
+        structures: each combination of the varied structures, at least one; see `Structure`.
+        rows: the variants, where they are given one by one.
         bodies: "identified", if each run has a body of that ensemble; else None.
         seed: makes samples and draws repeatable.
+        seeds: what seeds the draws of a run beside it: "content", its values, or "position", the number of its variant.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
         comparison: what is compared when it is; None if nothing is.
@@ -97,8 +109,11 @@ class Sweep(WalkSpec):
     samples: int
     draws: tuple[Draw, ...]
     repeats: int
+    structures: tuple[Structure, ...]
+    rows: RowList | None = None
     bodies: str | None = None
     seed: int = 0
+    seeds: str = "content"
     chunk: int | None = None
     plots: bool = True
     comparison: AskedComparison | None = None
@@ -118,10 +133,53 @@ class Sweep(WalkSpec):
         """Read a dict with the fields of a sweep file; raises `SpecError`."""
         return _read(read_mapping(data))
 
+    @classmethod
+    def from_directory(cls, out: str | os.PathLike[str]) -> Sweep:
+        """The sweep of a directory, also of one that an earlier release began; raises `SpecError`."""
+        doc = read_file(Path(out) / "sweep.yaml")
+        doc.data.setdefault("seeds", "position")
+        return _read(doc)
+
+    @functools.cached_property
+    def counts(self) -> tuple[int, ...]:
+        """The number of variants of each structure, before repeats.
+
+        A parameter that nothing reads in a structure is not varied there. So a grid has fewer variants of it.
+        """
+        if self.rows is not None:
+            return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
+        if self.sampler == "grid":
+            return tuple(math.prod(len(axis.values()) for axis in self.read_axes(at)) for at in self.structures)
+        return tuple(self.samples if self.read_axes(at) or not self.axes else 1 for at in self.structures)
+
     @property
     def variants(self) -> int:
         """The number of variants, before repeats."""
-        return math.prod(len(axis.values()) for axis in self.axes) if self.sampler == "grid" else self.samples
+        return sum(self.counts)
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the varied parameters."""
+        return tuple(axis.name for axis in self.axes) if self.rows is None else tuple(self.rows.values)
+
+    @property
+    def labelled(self) -> tuple[str, ...]:
+        """Names of the varied structures."""
+        return tuple(self.structures[0].labels)
+
+    @functools.cached_property
+    def is_grid(self) -> bool:
+        """Whether the variants are every combination of their values."""
+        return self.sampler == "grid" if self.rows is None else self.rows.is_product()
+
+    def seeded(self, seeds: str) -> Sweep:
+        """The sweep with draws that are seeded in another way."""
+        draws = tuple(dataclasses.replace(draw, implied=draw.implied and seeds == "content") for draw in self.draws)
+        return dataclasses.replace(self, seeds=seeds, draws=draws)
+
+    def read_axes(self, structure: Structure) -> list[Axis]:
+        """The axes whose parameters a structure reads."""
+        return [axis for axis in self.axes if unread(structure.setup, axis.name) is None]
 
     @property
     def body_parameters(self) -> tuple[str, ...]:
@@ -134,12 +192,21 @@ class Sweep(WalkSpec):
         Args:
             folder: see `walk_fields`.
         """
-        data = self.walk_fields(folder)
-        data["vary"] = {axis.name: axis.written() for axis in self.axes}
-        data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
+        data = {name: value for name, value in self.walk_fields(folder).items() if name not in self.labelled}
+        if len({each.setup.timestep for each in self.structures}) > 1:
+            del data["timestep"]  # each has that of its physics
+        if self.rows is not None:
+            data["rows"] = self.rows.written(self.structures) if folder is None else self.kept_rows()[0]
+        else:
+            listed = {name: {each.labels[name]: each.written(name) for each in self.structures} for name in self.labelled}
+            data["vary"] = {name: {"values": list(values.values())} for name, values in listed.items()}
+            data["vary"] |= {axis.name: axis.written() for axis in self.axes}
+            data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
         bodies = {"from": self.bodies} if self.bodies else {}
-        data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in self.draws}
+        named = [draw for draw in self.draws if not draw.implied]
+        data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
         data["seed"] = self.seed
+        data["seeds"] = self.seeds
         if self.chunk is not None:
             data["chunk"] = self.chunk
         data["plots"] = self.plots
@@ -147,74 +214,161 @@ class Sweep(WalkSpec):
             data["compare"] = self.comparison.written()
         return data
 
+    def kept_rows(self) -> tuple[str, bytes]:
+        """Name and content of the file that a directory has of the rows; only where they are given one by one."""
+        assert self.rows is not None
+        return self.rows.file(self.structures)
+
     def to_yaml(self, folder: Path | None = None) -> str:
         """The resolved sweep as a sweep file, see `resolved`."""
         return dump(self.resolved(folder))
 
     def decisive(self) -> dict[str, Any]:
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
-        data = {key: value for key, value in self.resolved().items() if key not in _NOT_DECISIVE}
-        return data | controller_identity(self.setup)
+        first = self.rows.fingerprint if self.rows is not None else None
+        data = {key: value for key, value in (self if first is None else _few(self)).resolved().items()
+                if key not in _NOT_DECISIVE and (key, value) != ("seeds", "position")}  # fmt: skip
+        return data | controller_identity(self.setup) | ({} if first is None else {"rows": first})
 
     def digest(self) -> str:
         """A hash of all that decides the rows of the table: the sweep, defaults of what it does not name, and bodies.
 
         How rows are cut into chunks, and whether figures are drawn, does not count.
         """
-        defaults = {name: about.default for name, about in self.parameters.items()}
+        defaults: Any = {name: about.default for name, about in self.parameters.items()}
+        if self.labelled:
+            defaults = [[each.setup.defaults(), each.walk_fields()] for each in self.structures]
         bodies = [identified.bodies().fingerprint] if self.bodies else []
-        return hashlib.sha256(json.dumps([self.decisive(), defaults, *bodies]).encode()).hexdigest()[:16]
+        implied = [{draw.name: draw.numbers for draw in self.draws if draw.implied}] if self.seeds == "content" else []
+        parts = [self.decisive(), defaults, *bodies, *filter(None, implied)]
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def _few(sweep: Sweep) -> Sweep:
+    """The sweep without its rows, which may be many."""
+    assert sweep.rows is not None
+    none = RowList({name: column[:0] for name, column in sweep.rows.values.items()}, sweep.rows.structure[:0])
+    return dataclasses.replace(sweep, rows=none)
 
 
 def _read(doc: Document) -> Sweep:
     with parameters_of(doc):
         file = read(doc, SweepFile)
-    walk = read_walk(doc, file)
-    parameters = all_parameters(walk["setup"])
-    sampler, samples = file.sample.chosen
-    axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in file.vary.items()]
+        table = _row_table(doc, file)
+        chosen, which = table.combinations() if table is not None else (combinations_of(doc, file.vary), None)
+        found = read_structures(doc, SweepFile, chosen)
+    if table is None:
+        check_repeats(doc, chosen, found)
+    different = {tuple(each.labels.items()): each for each in found}
+    structures, parameters = tuple(different.values()), _narrowest(found)
+    rows = None
+    if table is not None:
+        place = {labels: at for at, labels in enumerate(different)}
+        at = np.array([place[tuple(each.labels.items())] for each in found])[which]
+        rows = listed_rows(table, structures, at, parameters)
+    sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
+    varied = file.vary.model_extra or {}
+    axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
     drawn = file.randomize.model_extra or {}
+    first = structures[0]
     sweep = Sweep(
-        **walk,
+        setup=first.setup,
+        run=first.run,
+        fixed=first.fixed,
+        pilot=first.pilot,
         axes=tuple(axes),
         sampler=sampler,
         samples=samples or 0,
         draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
         repeats=file.randomize.repeats,
+        structures=structures,
+        rows=rows,
         bodies=file.randomize.bodies,
         seed=file.seed,
+        seeds=file.seeds,
         chunk=file.chunk,
         plots=file.plots,
     )
     _check_together(doc, sweep)
-    listed = {axis.name: axis.values().tolist() if sampler == "grid" or axis.form == "values" else None
-              for axis in axes}  # fmt: skip
-    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, listed))
+    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, _values(sweep)))
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
+
+
+def _values(sweep: Sweep) -> dict[str, list[Value] | None]:
+    """The values of each varied column; None where they are drawn between bounds."""
+    values: dict[str, list[Value] | None] = {
+        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
+    }
+    for axis in sweep.axes:
+        values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+    rows = {} if sweep.rows is None else sweep.rows.values
+    return values | {name: np.unique(column[~np.isnan(column)]).tolist() for name, column in rows.items()}
+
+
+def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
+    """The table of `rows`, if that is given."""
+    if file.rows is None:
+        return None
+    for other in ("vary", "sample"):
+        if doc.data.get(other) not in (None, {}):
+            doc.fail((other,), f"is given beside 'rows', which are all variants: leave out one of them.")
+    return read_row_table(doc, file.rows)
+
+
+def _narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
+    """Every parameter, with the range that it has in all structures: the time step is one of its bounds."""
+    each = {walk.setup.timestep: walk.parameters for walk in reversed(structures)}
+    return {
+        name: dataclasses.replace(about, low=max(other[name].low for other in each.values()),
+                                  high=min(other[name].high for other in each.values()))
+        for name, about in structures[0].parameters.items()
+    }  # fmt: skip
 
 
 def _check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
-    varied, drawn = [axis.name for axis in sweep.axes], [draw.name for draw in sweep.draws]
-    check_sources(doc, sweep, {"vary": varied, "randomize": drawn}, bodies=sweep.body_parameters)
-    if not sweep.axes and not sweep.draws and not sweep.bodies and sweep.repeats == 1:
+    section = "vary" if sweep.rows is None else "rows"
+    varied, drawn = list(sweep.varied), [draw.name for draw in sweep.draws]
+    setups = [each.setup for each in sweep.structures]
+    for walk in sweep.structures:
+        check_sources(doc, walk, {section: varied, "randomize": drawn}, bodies=sweep.body_parameters, setups=setups)
+    if not (varied or sweep.labelled or sweep.draws or sweep.bodies or sweep.repeats > 1):
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
-    if not sweep.axes and sweep.sampler != "grid":
+    if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
     rows = sweep.variants * sweep.repeats
     if rows > LARGEST_SWEEP:
-        doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
-                            "as sample: {sobol: 4096}.")  # fmt: skip
-    tried = {"vary": {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes},
-             "randomize": {draw.name: draw.tried() for draw in sweep.draws}}  # fmt: skip
-    check_workspace(doc, sweep.setup, sweep.fixed, tried)
+        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
+                             "as sample: {sobol: 4096}.")  # fmt: skip
+    tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
+    if sweep.rows is None:
+        tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
+    for setup in {(each.gait, each.routing): each for each in setups}.values():
+        check_workspace(doc, setup, sweep.fixed, tried)
+    if sweep.rows is not None:
+        _check_rows(doc, sweep, sweep.rows)
+
+
+def _check_rows(doc: Document, sweep: Sweep, rows: RowList) -> None:
+    """Fail where the values of a row do not go together."""
+    for at, walk in enumerate(sweep.structures):
+        values = {name: column[rows.structure == at] for name, column in rows.values.items()
+                  if unread(walk.setup, name) is None}  # fmt: skip
+        try:
+            walk.setup.check(walk.setup.world(walk.constants | values))
+        except ParameterError as error:
+            doc.fail(("rows",), f"has values that do not go together: {error}")
 
 
 def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:
-    """The perturbation of the start that makes repeats differ, for what the file does not place itself."""
-    named = {*sweep.constants, *(axis.name for axis in sweep.axes), *(draw.name for draw in sweep.draws)}
+    """The perturbation of the start that makes repeats differ, for what the file does not place itself.
+
+    Of draws that are seeded by content the first repeat starts as a single one does, so that more can follow it.
+    """
+    named = {*sweep.constants, *sweep.varied, *(draw.name for draw in sweep.draws)}
+    implied = sweep.seeds == "content"
     return tuple(
-        Draw(name, "uniform", (-spread, spread), sweep.parameters[name].low, sweep.parameters[name].high)
+        Draw(name, "uniform", (-spread, spread), sweep.parameters[name].low, sweep.parameters[name].high, implied)
         for name, spread in START_SPREAD.items()
         if name not in named
     )

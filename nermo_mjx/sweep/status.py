@@ -19,7 +19,7 @@ def status(out: Path) -> Status:
     """How many runs of its sweep a directory holds."""
     notes, rows, done, engines = list[str](), None, 0, list[str]()
     try:
-        rows = len(Sample(Sweep.from_file(out / "sweep.yaml")))
+        rows = len(Sample(Sweep.from_directory(out)))
     except (SpecError, OSError) as error:
         notes.append(f"Its sweep cannot be read: {error}")
     for path in chunk_files(out).values():

@@ -154,12 +154,17 @@ class Store:
             self.sweep = dataclasses.replace(
                 self.sweep, setup=keep_controller(self.sweep.setup, folder, self.directory.write)
             )
+            if self.sweep.rows is not None:
+                self.directory.write(*self.sweep.kept_rows())
             create_file(path, self.sweep.to_yaml(folder).encode())
         # Even if it was written just now: another shard may have been faster, and have chosen other chunks.
         try:
-            begun = Sweep.from_file(path)
+            begun = Sweep.from_directory(self.out)
         except SpecError as error:
             raise self._foreign(f"a sweep that cannot be read ({error}); choose another directory") from None
+        if begun.seeds == "position":  # as earlier releases did it: its rows stay what they are
+            self.sweep = self.sweep.seeded("position")
+        self._digest = self.sweep.digest().encode()
         if begun.digest() != self.sweep.digest():
             raise self._foreign(
                 f"the results of another sweep: {_differences(begun, self.sweep)}; choose another directory, or go on "

@@ -12,7 +12,7 @@ import pyarrow as pa
 from scipy import stats
 
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.table import columns_of
+from nermo_mjx.sweep.table import columns_of, labelled
 
 #: Metrics with a better side, and which one it is.
 OBJECTIVES = {
@@ -40,11 +40,13 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
     results = table if isinstance(table, Results) else Results(table)
     well = results.well
     varied, metrics = columns_of(results, "varied"), columns_of(results, "metric")
+    named = labelled(results)
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied", "randomized")])
     variants = Variants.of(next(columns)[1], well)
     speed, correlations = next(columns)[1][well], {}
     for name, values in columns:
-        correlations[name] = _correlation(values[well], speed)
+        if name not in named:
+            correlations[name] = _correlation(values[well], speed)
         if name in varied:
             variants.values[name] = values[well][variants.first]
     spreads, best = {}, {}
@@ -133,19 +135,25 @@ def _best(variants: Variants, metric: str, values: np.ndarray) -> dict[str, Any]
         "mean": float(mean[at]),
         "std": float(std[at]),
         "runs": int(variants.count[at]),
-        "parameters": {parameter: float(column[at]) for parameter, column in variants.values.items()},
+        "parameters": _plain(variants.values, at),
     }
 
 
-def _marginal(parameter: np.ndarray, speed: np.ndarray) -> list[dict[str, float]]:
-    """Mean of the leading metric at each value of a parameter, over everything else."""
-    return [
-        {"value": float(value), LEADING: float(np.nanmean(speed[parameter == value]))} for value in np.unique(parameter)
-    ]
+def _plain(values: Mapping[str, np.ndarray], at: int) -> dict[str, Any]:
+    """The varied parameters and structures of a variant, as far as it has them."""
+    parts = {name: column[at] for name, column in values.items()}
+    return {name: each if isinstance(each, str) else float(each) for name, each in parts.items() if each == each}
+
+
+def _marginal(parameter: np.ndarray, speed: np.ndarray) -> list[dict[str, Any]]:
+    """Mean of the leading metric at each value of a parameter or structure, over everything else."""
+    mean = ((value, float(np.nanmean(speed[parameter == value]))) for value in np.unique(parameter) if value == value)
+    return [{"value": value if isinstance(value, str) else float(value), LEADING: each} for value, each in mean]
 
 
 def _correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
-    """Spearman's rank correlation of two columns (runs,)."""
+    """Spearman's rank correlation of two columns (runs,), where the first has a number."""
+    parameter, speed = parameter[~np.isnan(parameter)], speed[~np.isnan(parameter)]
     constant = len(speed) < 3 or np.ptp(parameter) == 0 or np.ptp(speed) == 0
     return math.nan if constant else float(stats.spearmanr(parameter, speed).statistic)
 
@@ -154,10 +162,10 @@ def _spine_ratio(values: Mapping[str, np.ndarray], speed: np.ndarray) -> tuple[n
     """Speed over speed at amplitude 0, all else but the spine's phase alike, and that speed at amplitude 0."""
     group = np.zeros(len(speed), int)  # a number for all that is alike
     for name, column in values.items():
-        if name not in ("spine.amplitude", "spine.phase"):
+        if name not in ("spine", "spine.amplitude", "spine.phase"):
             distinct, place = np.unique(column, return_inverse=True)
             group = np.unique(group * len(distinct) + place, return_inverse=True)[1]
-    still = (values["spine.amplitude"] == 0) & np.isfinite(speed)
+    still = ~(values["spine.amplitude"] > 0) & np.isfinite(speed)  # a structure without it has no number
     groups = int(group.max(initial=-1)) + 1
     runs = np.bincount(group[still], minlength=groups)
     total = np.bincount(group[still], speed[still], groups)
@@ -178,7 +186,7 @@ def _spine_gain(values: Mapping[str, np.ndarray], speed: np.ndarray) -> list[dic
         for word, pick in (("best", np.argmax), ("worst", np.argmin)):
             if here.any():
                 at = int(np.flatnonzero(here)[pick(ratio[here])])
-                parameters = {name: float(column[at]) for name, column in values.items() if name != "frequency"}
+                parameters = {name: each for name, each in _plain(values, at).items() if name != "frequency"}
                 line[word] = {
                     "ratio": float(ratio[at]),
                     "speed": float(speed[at]),

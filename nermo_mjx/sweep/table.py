@@ -1,6 +1,7 @@
 """The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
 
-Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`.
+Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`. A varied structure
+is a column of texts whose `scale` is `structure`; a varied parameter is null where nothing reads it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import pyarrow as pa
 from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.structures import about_structure
 
 _INDEX = {
     "row": "position of the run in the sweep",
@@ -30,9 +32,11 @@ class Columns:
         self._arrays: dict[str, pa.Array] = {}
         self._fields: list[pa.Field] = []
 
-    def add(self, name: str, values: np.ndarray, role: str, unit: str, description: str, **more: str) -> None:
-        """Add a column of (n,) values."""
-        self._arrays[name] = pa.array(_plain(values))
+    def add(
+        self, name: str, values: np.ndarray, role: str, unit: str, description: str, *, nulls: bool = False, **more: str
+    ) -> None:
+        """Add a column of (n,) values; with `nulls` a NaN is one."""
+        self._arrays[name] = pa.array(_plain(values), from_pandas=nulls)
         metadata = {"unit": unit, "description": description, "role": role, **more}
         self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))
 
@@ -48,7 +52,7 @@ def chunk_table(
     index: np.ndarray,
     metrics: Mapping[str, np.ndarray],
     status: np.ndarray,
-    code: str,
+    code: str | np.ndarray,
     about: Mapping[str, Any],
 ) -> pa.Table:
     """The table of one chunk.
@@ -56,31 +60,41 @@ def chunk_table(
     Args:
         rows: the runs of the chunk, and `index` their positions in the sweep, (n,).
         metrics: name -> (n,) results; status: (n,) texts, "ok" where a run went well.
-        code: short name of the code that made them.
+        code: short name of the code that made them, or (n,) names.
         about: what to note about the chunk in the schema's metadata (engine, steps, ...).
     """
     columns = Columns()
     parameters = sweep.parameters
     forms = {axis.name: axis.form for axis in sweep.axes} | {draw.name: draw.form for draw in sweep.draws}
     forms |= dict.fromkeys(sweep.body_parameters, "loguniform")  # the prior of the identification
-    varied = {axis.name for axis in sweep.axes}
+    forms |= dict.fromkeys(sweep.varied if sweep.rows is not None else (), "values")
     for name, values in zip(_INDEX, (index, rows.variant, rows.repeat, rows.seed), strict=True):
         columns.add(name, values, "index", "1", _INDEX[name])
     if rows.body is not None:
         columns.add("body", rows.body, "index", "1", "body of the identified ensemble; 0 is the default one")
+    for name in sweep.labelled:
+        labels = np.array([each.labels[name] for each in sweep.structures], object)[rows.structure]
+        columns.add(name, labels, "varied", "1", about_structure(name), scale="structure")
     for name, values in rows.values.items():
-        role, scale = "varied" if name in varied else "randomized", "log" if forms[name].startswith("log") else "linear"
-        columns.add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)
+        role = "varied" if name in sweep.varied else "randomized"
+        scale = "log" if forms[name].startswith("log") else "linear"
+        columns.add(name, values, role, parameters[name].unit, parameters[name].doc, nulls=True, scale=scale)
     for name in sorted(metrics, key=list(METRICS).index):
         columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
-    columns.add("code", np.full(len(index), code), "code", "1", "which code made the row, as run.json names it")
-    return columns.table({"sweep": sweep.digest(), "sampler": sweep.sampler, **about})
+    columns.add("code", np.broadcast_to(np.asarray(code, object), len(index)), "code", "1", "which code made the row, as run.json names it")
+    sampler = "grid" if sweep.is_grid else sweep.sampler
+    return columns.table({"sweep": sweep.digest(), "sampler": sampler, **about})
 
 
 def columns_of(table: Any, *roles: str) -> list[str]:
     """Names of the columns with one of the roles, in order; of whatever has a schema."""
     return [field.name for field in table.schema if meta(field)["role"] in roles]
+
+
+def labelled(table: Any) -> list[str]:
+    """Names of the varied structures, whose columns are texts."""
+    return [field.name for field in table.schema if meta(field).get("scale") == "structure"]
 
 
 def meta(field: pa.Field) -> dict[str, str]:

@@ -15,10 +15,11 @@ import pyarrow as pa
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError, did_you_mean
-from nermo_mjx.specs.walk import without_effect
+from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import columns_of
 
 #: A directory of a sweep, or its table.
@@ -69,7 +70,7 @@ def opened(source: Source) -> tuple[str, Results, Sweep | None, list[str]]:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     results, sweep, notes = Results(files), None, []
     if (out / "sweep.yaml").exists():
-        sweep = Sweep.from_file(out / "sweep.yaml")
+        sweep = Sweep.from_directory(out)
         if results.rows < (rows := len(Sample(sweep))):
             notes.append(f"{out} is not complete: {results.rows:,} of {rows:,} runs.")
     return str(source), results, sweep, notes
@@ -187,11 +188,11 @@ def _fixed(arm: Arm, sweep: Sweep | None, names: Sequence[str]) -> dict[str, np.
         if sweep is None or name in columns_of(arm.results, "randomized"):
             found[name] = np.full(len(arm.rows), np.nan)
         elif name in sweep.parameters:
-            known = sweep.setup.defaults() | sweep.constants
-            idle = without_effect(name, sweep.setup)
-            found[name] = np.full(len(arm.rows), np.nan if idle else known.get(name, np.nan))
+            known = {(walk.setup.defaults() | walk.constants)[name] for walk in sweep.structures
+                     if unread(walk.setup, name) is None}  # fmt: skip
+            found[name] = np.full(len(arm.rows), known.pop() if len(known) == 1 else np.nan)
         else:
-            found[name] = np.full(len(arm.rows), str(getattr(sweep.setup, name, "")))
+            found[name] = np.full(len(arm.rows), label_of(sweep.walk_fields()[name]))
     return found
 
 
@@ -201,6 +202,8 @@ def _differences(base: Sweep, other: Sweep, varied: Mapping[str, Any]) -> list[s
     names = [name for name in {**first, **second} if name != "set" and name not in varied]
     told = []
     for name in names:
+        if name in base.labelled or name in other.labelled:
+            continue
         values = [dict(each).get(name) for each in (first, second)]
         if values[0] != values[1]:
             told.append("{}: {} and {}".format(name, *("the default" if each is None else each for each in values)))

@@ -226,15 +226,15 @@ def _table(
     """The lines as a table whose fields say what they are."""
     columns = Columns()
 
-    def add(name: str, role: str, about: str, unit: str = "1", **more: str) -> None:
-        columns.add(name, np.array([line.get(name) for line in lines]), role, unit, about, **more)
+    def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:
+        columns.add(name, np.array([line.get(name) for line in lines]), role, unit, about, scale=scale)
 
     add("other", "index", "what is compared with the base")
     add("group", "index", "number of the group; -1: over all variants")
     for name in groups:
         known = meta(base.results.schema.field(name)) if name in base.results.schema.names else {}
         add(name, "varied", known.get("description", name), known.get("unit", "1"),
-            **{key: known[key] for key in ("scale",) if key in known})  # fmt: skip
+            scale=known.get("scale", "linear"))  # fmt: skip
     add("metric", "index", "which metric differs")
     add("metric_unit", "index", "unit of its means and of their difference")
     for name, about in _NUMBERS.items():

@@ -36,10 +36,14 @@ class Side:
 class Pairing:
     """Two sides over common variants.
 
+    A key that one side lacks, because nothing reads it there, tells no variants apart: all of its runs on the other
+    side are averaged, or in groups by it those of one value.
+
     Attributes:
         base, other: their runs.
         variants: how many there are in common.
-        values: the keys of the common variants, name -> (variants,); absent where the sides are averaged over a key.
+        values: the keys of the common variants, name -> (variants,).
+        alone: keys that one side has alone.
         notes: what is averaged or left out, in sentences.
     """
 
@@ -47,22 +51,40 @@ class Pairing:
     other: Side
     variants: int
     values: Mapping[str, np.ndarray]
+    alone: tuple[str, ...]
     notes: tuple[str, ...]
 
     def groups(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Pairing]]:
         """One pairing for each combination of values of some keys."""
         label = np.zeros(self.variants, int)
         for name in names:
-            check_name(name, [*self.values], "for")
+            check_name(name, [*self.values, *self.alone], "for")
+            if name in self.alone:
+                continue
             code = _codes(self.values[name])
             label = np.unique(label * (code.max(initial=0) + 1) + code, return_inverse=True)[1]
         for each in np.unique(label):
             here = label == each
             first = int(here.argmax())
             sides = (side.take(here[side.variant]) for side in (self.base, self.other))
-            yield {name: self.values[name][first].item() for name in names}, dataclasses.replace(
-                self, base=next(sides), other=next(sides)
-            )
+            whole = dataclasses.replace(self, base=next(sides), other=next(sides))
+            known = {name: self.values[name][first].item() for name in names if name in self.values}
+            for values, part in whole._by_value([name for name in names if name in self.alone]):
+                yield {name: (known | values)[name] for name in names}, part
+
+    def _by_value(self, names: Sequence[str]) -> Iterator[tuple[dict[str, Value], Pairing]]:
+        """One pairing for each combination of values of keys that one side has alone."""
+        if not names:
+            yield {}, self
+            return
+        of_base = not absent(self.base.arm.keys[names[0]]).all()
+        own = self.base if of_base else self.other
+        column = own.arm.keys[names[0]]
+        for value in np.unique(column[~absent(column)]):
+            kept = own.take(column == value)
+            part = dataclasses.replace(self, base=kept) if of_base else dataclasses.replace(self, other=kept)
+            for more, smallest in part._by_value(names[1:]):
+                yield {names[0]: value.item(), **more}, smallest
 
 
 def pair(base: Arm, other: Arm) -> Pairing:
@@ -71,16 +93,20 @@ def pair(base: Arm, other: Arm) -> Pairing:
     Raises:
         ParameterError: they have no variant in common.
     """
+    names = list(dict.fromkeys((*base.keys, *other.keys)))
+    base, other = (_with_keys(arm, names) for arm in (base, other))
     codes, notes = (np.zeros(len(base.rows), int), np.zeros(len(other.rows), int)), list[str]()
     values: dict[str, np.ndarray] = {}
+    alone: list[str] = []
     split = len(base.rows)
-    for name in dict.fromkeys((*base.keys, *other.keys)):
-        sides = [arm.keys.get(name, np.full(len(arm.rows), np.nan)) for arm in (base, other)]
+    for name in names:
+        sides = [arm.keys[name] for arm in (base, other)]
         lacking = [bool(absent(side).all()) for side in sides]
         if any(lacking):
             if not all(lacking):
                 one = base if lacking[1] else other
-                notes.append(f"{name} varies in {one.name} alone, and is averaged there.")
+                alone.append(name)
+                notes.append(f"{name} varies in {one.name} alone, and is averaged there, but for groups by it.")
             continue
         joined = np.concatenate(sides)
         values[name] = joined
@@ -105,7 +131,7 @@ def pair(base: Arm, other: Arm) -> Pairing:
     paired = [Side(arm.take(at >= 0), at[at >= 0], seed[at >= 0])
              for arm, at, seed in zip((base, other), variants, seeds, strict=True)]  # fmt: skip
     kept = {name: column[first] for name, column in values.items()}
-    return Pairing(paired[0], paired[1], len(common), kept, tuple(notes))
+    return Pairing(paired[0], paired[1], len(common), kept, tuple(alone), tuple(notes))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -207,6 +233,11 @@ def _mean_of_means(values: np.ndarray, variant: np.ndarray, variants: int) -> np
     np.add.at(total, variant, values)
     mean: np.ndarray = (total / np.bincount(variant, minlength=variants)[:, None]).mean(axis=0)
     return mean
+
+
+def _with_keys(arm: Arm, names: Sequence[str]) -> Arm:
+    """The runs with a key for each of the names, absent where they have none."""
+    return dataclasses.replace(arm, keys={name: np.full(len(arm.rows), np.nan) for name in names} | dict(arm.keys))
 
 
 def _codes(values: np.ndarray) -> np.ndarray:
