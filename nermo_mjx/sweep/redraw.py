@@ -14,9 +14,8 @@ from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import did_you_mean
-from nermo_mjx.sweep.comparing.comparison import compare_as_asked
-from nermo_mjx.sweep.comparing.figures import figures_of as comparison_figures
 from nermo_mjx.sweep.figures import pair_scatters, scatters
+from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
 from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_remark, thinned
 from nermo_mjx.sweep.results import Results, chunk_files
@@ -66,15 +65,8 @@ def figures(
     if color is not None and color not in columns_of(results, "metric"):
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
-    usual = _usual(out, results, color or LEADING, remark)
-    if sweep.comparison is None or color not in (None, LEADING):
-        return usual
-    try:
-        return itertools.chain(usual, comparison_figures(compare_as_asked(results, sweep.comparison).table))
-    except ParameterError as error:  # of a part of the runs
-        if notify is not None:
-            notify(f"The comparison is not drawn: {error}")
-        return usual
+    found = findings(results, sweep, color or LEADING, notify)
+    return itertools.chain(_usual(out, results, color or LEADING, remark), *(finding.figures for finding in found))
 
 
 def chosen_figure(

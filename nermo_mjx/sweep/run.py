@@ -22,8 +22,7 @@ from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
-from nermo_mjx.sweep.comparing.comparison import compare_as_asked
-from nermo_mjx.sweep.comparing.figures import figures_of as comparison_figures
+from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
@@ -138,7 +137,7 @@ def run_sweep(
         simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify)
         _finish(work, simulates, workers, accept_new_code, warn)
         complete = bool(work.done.all())
-        summary, plots = _sum_up(work) if complete else ({}, [])
+        summary, plots = _sum_up(work, warn) if complete else ({}, [])
         return SweepResult(
             out=store.out, summary=summary, plots=plots, complete=complete, chunks_run=work.chunks_run,
             rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
@@ -179,16 +178,15 @@ def _finish(
     raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
 
 
-def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(work: Work, warn: Callable[[str], None] | None) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
     results = Results([store.chunk_path(k) for k in range(len(work.layout))])
     summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
-    if (asked := store.sweep.comparison) is not None:
-        comparison = compare_as_asked(results, asked)
-        store.directory.write("comparison.parquet", parquet_bytes(comparison.table))
-        summary["comparison"] = comparison.about(only=comparison.drawn)
-        figures = itertools.chain(figures, comparison_figures(comparison.table))
+    for finding in findings(results, store.sweep, notify=warn):
+        store.directory.write(f"{finding.name}.parquet", parquet_bytes(finding.table))
+        summary[finding.name] = finding.about
+        figures = itertools.chain(figures, finding.figures)
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []

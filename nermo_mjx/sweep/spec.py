@@ -28,6 +28,7 @@ from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.asked import AskedComparison, CompareFields, Value, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
 from nermo_mjx.sweep.listing import RowList, RowsForm, RowTable, listed_rows, read_row_table
+from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
 from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
 
 LARGEST_SWEEP = 10_000_000
@@ -38,13 +39,14 @@ _NOT_DECISIVE = ("chunk", "plots", "compare")
 class Sampler(OneOf):
     """Where the variants lie between the values of the axes."""
 
-    expected: ClassVar = "grid, {sobol: N} or {latin_hypercube: N}"
+    expected: ClassVar = "grid, {sobol: N}, {latin_hypercube: N} or {saltelli: N}"
     other: ClassVar = "is not a sampler"
     alone: ClassVar = ("grid",)
     short: ClassVar = ({"enum": [*alone]},)
     grid: None = optional("every combination of the listed values")
     sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of a Sobol sequence")
     latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of one")
+    saltelli: Saltelli = optional("the design for Sobol indices, from so many points, a power of two")
 
 
 def _list_parameters(schema: dict[str, Any]) -> None:
@@ -92,7 +94,8 @@ class Sweep(WalkSpec):
     Attributes:
         setup, run, fixed, pilot: see `WalkSpec`; where structures vary, those of the first one.
         axes: varied parameters in the order of the file.
-        sampler, samples: "grid" or "rows", or a sampler and its number of variants.
+        sampler, samples: "grid" or "rows", or a sampler and its number of points.
+        second_order: whether a design of Saltelli's has the variants for indices of pairs.
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
         structures: each combination of the varied structures, at least one; see `Structure`.
         rows: the variants, where they are given one by one.
@@ -115,6 +118,7 @@ class Sweep(WalkSpec):
     seed: int = 0
     seeds: str = "content"
     chunk: int | None = None
+    second_order: bool = False
     plots: bool = True
     comparison: AskedComparison | None = None
 
@@ -150,7 +154,8 @@ class Sweep(WalkSpec):
             return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
         if self.sampler == "grid":
             return tuple(math.prod(len(axis.values()) for axis in self.read_axes(at)) for at in self.structures)
-        return tuple(self.samples if self.read_axes(at) or not self.axes else 1 for at in self.structures)
+        points = self.samples * (saltelli_size(len(self.axes), self.second_order) if self.sampler == "saltelli" else 1)
+        return tuple(points if self.read_axes(at) or not self.axes else 1 for at in self.structures)
 
     @property
     def variants(self) -> int:
@@ -201,7 +206,8 @@ class Sweep(WalkSpec):
             listed = {name: {each.labels[name]: each.written(name) for each in self.structures} for name in self.labelled}
             data["vary"] = {name: {"values": list(values.values())} for name, values in listed.items()}
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
-            data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
+            size: Any = {"points": self.samples, "second_order": True} if self.second_order else self.samples
+            data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: size}
         bodies = {"from": self.bodies} if self.bodies else {}
         named = [draw for draw in self.draws if not draw.implied]
         data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
@@ -267,6 +273,7 @@ def _read(doc: Document) -> Sweep:
         at = np.array([place[tuple(each.labels.items())] for each in found])[which]
         rows = listed_rows(table, structures, at, parameters)
     sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
+    design = samples if isinstance(samples, Saltelli) else None
     varied = file.vary.model_extra or {}
     axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
     drawn = file.randomize.model_extra or {}
@@ -278,7 +285,8 @@ def _read(doc: Document) -> Sweep:
         pilot=first.pilot,
         axes=tuple(axes),
         sampler=sampler,
-        samples=samples or 0,
+        samples=(samples if design is None else design.points) or 0,
+        second_order=design is not None and design.second_order,
         draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
         repeats=file.randomize.repeats,
         structures=structures,

@@ -84,7 +84,8 @@ def chunk_table(
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
     columns.add("code", np.broadcast_to(np.asarray(code, object), len(index)), "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
-    return columns.table({"sweep": sweep.digest(), "sampler": sampler, **about})
+    pairs = {"second_order": "true"} if sweep.second_order else {}
+    return columns.table({"sweep": sweep.digest(), "sampler": sampler, **pairs, **about})
 
 
 def columns_of(table: Any, *roles: str) -> list[str]:

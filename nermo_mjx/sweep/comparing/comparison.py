@@ -14,11 +14,9 @@ from scipy import stats
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import did_you_mean
-from nermo_mjx.sweep.asked import AskedComparison
 from nermo_mjx.sweep.comparing.arms import Arm, Source, Value, two_tables, values_of, where
 from nermo_mjx.sweep.comparing.bootstrap import RESAMPLES
 from nermo_mjx.sweep.comparing.pairing import Differences, Pairing, differences, pair
-from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.summary import LEADING, OBJECTIVES
 from nermo_mjx.sweep.table import Columns, columns_of, meta
 
@@ -165,14 +163,10 @@ def compare(
     if not any(math.isfinite(line["low"]) for line in lines):
         notes.append("No interval: each side has one run of one variant, which tells no noise; give repeats.")
     return Comparison(
-        table=_table(lines, arms[0], groups, drawn), base=arms[0].name, others=tuple(arm.name for arm in arms[1:]),
-        groups=tuple(groups), drawn=tuple(drawn), status=status, notes=tuple(dict.fromkeys(notes)),
+        table=_table(lines, arms[0], by or "", groups, drawn),
+        base=arms[0].name, others=tuple(arm.name for arm in arms[1:]), groups=tuple(groups), drawn=tuple(drawn),
+        status=status, notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
-
-
-def compare_as_asked(results: Results, asked: AskedComparison) -> Comparison:
-    """The comparison that a sweep file asks for."""
-    return compare(results, by=asked.by, base=asked.base, groups=asked.groups)
 
 
 def better(field: pa.Field) -> str:
@@ -221,7 +215,7 @@ def _of_metrics(pairing: Pairing, found: Differences) -> Iterator[dict[str, Any]
 
 
 def _table(
-    lines: Sequence[Mapping[str, Any]], base: Arm, groups: Sequence[str], drawn: Sequence[str]
+    lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], drawn: Sequence[str]
 ) -> pa.Table:
     """The lines as a table whose fields say what they are."""
     columns = Columns()
@@ -244,7 +238,7 @@ def _table(
     add("better", "index", "whether high or low is better, or what is nearer to zero; empty if none is")
     for name, about in _COUNTS.items():
         add(name, "metric", about)
-    return columns.table({"comparison": base.name, "drawn": " ".join(drawn), "resamples": RESAMPLES})
+    return columns.table({"comparison": base.name, "by": by, "drawn": " ".join(drawn), "resamples": RESAMPLES})
 
 
 def _by_metric(rows: Sequence[Mapping[str, Any]], groups: Sequence[str]) -> dict[str, dict[str, Any]]:

@@ -40,7 +40,7 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     for other in dict.fromkeys(line["other"] for line in lines):
         own = [line for line in lines if line["other"] == other]
         # Directories may have long names, and one figure is of two values of a column at most.
-        against = f"{_last(other)} against {_last(base)}"
+        against = f"{about.get(b'by', b'').decode()} {_last(other)} against {_last(base)}".lstrip()
         tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other)}"
         yield f"differences{tail}", _forest([line for line in own if line["group"] < 0], against)
         for metric in metrics if groups else ():
@@ -83,7 +83,7 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(value)))
     ax.grid(axis="x", color=GRID, lw=0.8)
     left = len(rows) - len(drawn)
-    more = f"\n{left} metrics within noise, or without a base, are in the table" if left else ""
+    more = f"\n{left} more metrics are in the table" if left else ""
     handles = [_mark(LINE, "better"), _mark(BEST, "worse"), _mark(MUTED, "neither")]
     return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{more}")
 
@@ -195,8 +195,8 @@ def _failures(rows: Sequence[Row], groups: Sequence[str]) -> str:
 def _percent(share: float) -> str:
     """A share in percent with its sign."""
     percent = 100 * share
-    text = f"{percent:+.3g}" if abs(percent) >= 10 else f"{percent:+.1f}"
-    return ("0" if float(text) == 0 else text).replace("-", "−")
+    text = f"{percent:+,.0f}" if abs(percent) >= 100 else f"{percent:+.3g}" if abs(percent) >= 10 else f"{percent:+.1f}"
+    return ("0" if not round(percent, 1) else text).replace("-", "−")
 
 
 def _text(value: Any) -> str:
