@@ -15,6 +15,7 @@ from sweep_fake import SPEC, FakeSimulator
 from nermo_mjx.runs import files
 from nermo_mjx.sweep import DirectoryError, Results, Sweep, read_table, run_sweep
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
+from nermo_mjx.sweep.results import digests_of
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.store import Store
 
@@ -68,8 +69,8 @@ def test_any_flipped_byte_is_seen(copy):
     path = copy / "results" / "chunk-00003.parquet"
     content = path.read_bytes()
     store, cut = Store(copy, Sweep.from_file(copy / "sweep.yaml")), layout(copy)
-    assert store.inspect(3, cut[3], store.digests()).note is not None
-    digests = store.digests()
+    assert store.inspect(3, cut[3], digests_of(store.out)).note is not None
+    digests = digests_of(store.out)
     for at in range(0, len(content), 7):
         damaged = bytearray(content)
         damaged[at] ^= 1 << (at % 8)

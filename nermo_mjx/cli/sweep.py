@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
+from nermo_mjx.cli.completing import FileKind
 from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 EPILOG = """\b
 Examples:
   nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+  nermo-mjx sweep finer.yaml --out runs/quickstart --extend
+  nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
   nermo-mjx sweep --list-parameters
 """
 
@@ -42,13 +45,18 @@ class Shard(click.ParamType):
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))
 @options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
+@click.option("--rows", type=FileKind(".csv", ".parquet", exists=True, dir_okay=False), metavar="FILE",
+              help="Exactly these variants, instead of vary; SPEC.yaml may then be left out.")
+@click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
+@click.option("--use", multiple=True, metavar="DIR2", type=click.Path(path_type=Path),
+              help="Take rows that DIR2 has instead of running them.")
 @options.workers
 @options.accept_new_code
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
 @options.report
 def command(
     spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
-    list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
+    rows: Path | None, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
 ) -> None:  # fmt: skip
     """Run every variant of a sweep file.
 
@@ -56,18 +64,21 @@ def command(
     holds a part of the same sweep, only the rest is run: after Ctrl-C or a
     crash, give the same command again.
 
+    Rows that are known are not run again: with --extend those of a smaller
+    sweep in DIR, with --use those of other directories.
+
     --workers ray shares the work with a cluster's machines, which need not
     see DIR; the jobs of an array that share DIR do so by --shard.
     """
     if list_parameters:
         _list_parameters(spec, as_json)
         return
-    if spec is None or out is None:
-        raise click.UsageError("A sweep needs SPEC.yaml and --out DIR (or use --list-parameters).")
+    if (spec is None and rows is None) or out is None:
+        raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
     with stdout_reserved():
         from nermo_mjx.sweep import Sweep, run_sweep
 
-        sweep = Sweep.from_file(spec)
+        sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
         say = sayer("sweep", quiet)
@@ -78,13 +89,19 @@ def command(
                 progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
             )  # fmt: skip
     if as_json:
-        about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots}
-        print_json({**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary})
+        print_json(result_fields(out, result))
     elif not quiet:
-        _print_summary(result)
+        print_result(result)
 
 
-def _print_summary(result: SweepResult) -> None:
+def result_fields(out: Path, result: SweepResult) -> dict[str, Any]:
+    """For `--json`."""
+    about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots}
+    return {**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary}
+
+
+def print_result(result: SweepResult) -> None:
+    """What a directory holds, for people."""
     summary = result.summary
     if not result.complete:
         click.echo(f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}")
@@ -95,7 +112,8 @@ def _print_summary(result: SweepResult) -> None:
     rows = []
     for name, best in summary["best"].items():
         if best is not None:
-            at = ", ".join(f"{parameter} {value if isinstance(value, str) else format(value, '.4g')}" for parameter, value in best["parameters"].items())
+            parameters = best["parameters"].items()
+            at = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.4g}'}" for name, each in parameters)
             spread = f" ± {best['std']:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
             rows.append([name, best["side"], f"{best['mean']:.4g}{spread}", at])
     if rows:
@@ -110,12 +128,18 @@ def _list_parameters(spec: Path | None, as_json: bool) -> None:
     with stdout_reserved():
         from nermo_mjx.rollout import Setup, all_parameters
         from nermo_mjx.sweep import Sweep
+        from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
 
         parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
+        structures = {name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
+                      for name in STRUCTURES}  # fmt: skip
     if as_json:
         fields = ("default", "unit", "low", "high", "doc")
-        print_json({"parameters": {name: {f: getattr(about, f) for f in fields} for name, about in parameters.items()}})
+        shown = {name: {f: getattr(about, f) for f in fields} for name, about in parameters.items()}
+        print_json({"parameters": shown, "structures": structures})
         return
     columns = [("name", "left"), ("default", "right"), ("allowed", "left"), ("meaning", "left")]
     rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in parameters.items()]
     print_table("Parameters of a sweep (SI units, radians)", columns, rows)
+    rows = [[name, about["default"], ", ".join(about["allowed"]), about["doc"]] for name, about in structures.items()]
+    print_table("Structures, which vary and rows can name, too", columns, rows)

@@ -77,7 +77,9 @@ def set_scales(ax: Axes, x: ShownValues, y: ShownValues | None = None) -> None:
     for quantity, axis, scale in ((x, ax.xaxis, ax.set_xscale), (y, ax.yaxis, ax.set_yscale)):
         if quantity is None:
             continue
-        if quantity.log:
+        if quantity.names:
+            axis.set_ticks(range(len(quantity.names)), quantity.names)
+        elif quantity.log:
             scale("log")
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter(FormatStrFormatter("%g"))

@@ -9,6 +9,7 @@ DIR/*.aside-N   what did not fit, under a new name: nothing is deleted that a us
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -116,7 +117,9 @@ class RunDirectory:
             sync_folder(source.parent)
         return target
 
-    def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False) -> None:
+    def take_code(
+        self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False
+    ) -> None:
         """Note that this code is about to add rows, or refuse: the rows of one directory are made by one code.
 
         Of several processes that begin together, the first one's code counts. Who holds a directory without rows alone
@@ -126,6 +129,7 @@ class RunDirectory:
             stamp: of the code that runs here.
             holds_rows: whether the directory holds rows already.
             accept: add the code to those that the directory knows, whatever they are.
+            any_model: whether the directory holds rows of several models, so that another one is no other code.
 
         Raises:
             OtherCode: what is there was made by other code, and `accept` is not given.
@@ -136,7 +140,9 @@ class RunDirectory:
                 codes.clear()
             if stamp.id not in codes:
                 begun = known(next(reversed(codes.values()), None))
-                if begun is not None and not accept:
+                if begun is not None and any_model:
+                    begun = dataclasses.replace(begun, model=stamp.model)
+                if begun is not None and begun != stamp and not accept:
                     raise OtherCode(
                         f"{self.out} was made by other code: {begun.unlike(stamp)}; use that, choose another "
                         "directory, or go on with --accept-new-code, and tell the rows apart by their column code."

@@ -9,17 +9,20 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.layout import batch_sizes, batch_values, listed, rows_digest
+from nermo_mjx.sweep.batches import Batch, BatchPlan, plan_batches
+from nermo_mjx.sweep.known import KnownRows
+from nermo_mjx.sweep.layout import batch_values, listed, rows_digest
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.store import ChunkNote, Store
-from nermo_mjx.sweep.table import chunk_table
+from nermo_mjx.sweep.table import chunk_table, joined
 from nermo_mjx.sweep.tally import Tally
 
 #: How JAX, CUDA and Warp say that a batch does not fit.
@@ -35,7 +38,7 @@ class Work:
 
     Attributes:
         store: where they are kept.
-        rows: of the whole sweep, and `structures` of each of them its structure, (rows,) int.
+        rows: of the whole sweep.
         layout: rows of each chunk.
         tally: is told of what is done.
         done: which ones are finished, (chunks,) bool.
@@ -47,7 +50,6 @@ class Work:
 
     def __init__(self, store: Store, rows: Sample, layout: list[np.ndarray], tally: Tally) -> None:
         self.store, self.rows, self.layout, self.tally = store, rows, layout, tally
-        self.structures = rows.structures()
         shard, shards = store.shard or (0, 1)
         self.mine = np.arange(len(layout)) % shards == shard
         self.chunks_run = 0
@@ -83,10 +85,6 @@ class Work:
         """How many rows some chunks hold."""
         return sum(len(self.layout[k]) for k in chunks.tolist())
 
-    def structure_of(self, chunk: int) -> int:
-        """The place of a chunk's structure in the sweep's."""
-        return int(self.structures[self.layout[chunk][0]])
-
     def missing(self) -> str:
         """Which chunks are not there, and how to run them, in a sentence; empty if none is missing."""
         chunks = np.flatnonzero(~self.done)
@@ -99,8 +97,15 @@ class Work:
         return (f"{named} ({self.rows_of(chunks):,} runs) of {len(self.layout):,} are missing; unless they are being "
                 f"run, run them with {shares}.")  # fmt: skip
 
-    def simulate(self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool) -> None:
+    def simulate(
+        self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool, known: KnownRows | None = None
+    ) -> None:
         """Have the missing chunks of this process simulated; each is written while the next one is simulated.
+
+        Args:
+            simulator, workers: compute.
+            accept_new_code: see `run_sweep`.
+            known: rows that are taken and not simulated.
 
         Raises:
             SpecError: a parameter is refused.
@@ -112,37 +117,62 @@ class Work:
         missing = np.flatnonzero(self.mine & ~self.done).tolist()
         if not missing:
             return
-        stamp = workers.begin(simulator)
-        self.store.take_code(stamp, accept=accept_new_code)
-        shard = "" if self.store.shard is None else "{}/{}".format(*self.store.shard)
-        about = session(engine=simulator.engine, code=stamp.id, shard=shard, chunks=len(missing))
+        plan = self.take(known, accept_new_code)
+        if not plan.batches:
+            return
+        missing = np.flatnonzero(self.mine & ~self.done).tolist()
+        workers.begin(simulator)
+        stamps = {at: simulator.stamp(at) for at in dict.fromkeys(batch.structure for batch in plan.batches)}
+        self.store.take_codes(list(stamps.values()), accept=accept_new_code)
+        first, shard = next(iter(stamps.values())), self.store.shard
+        about = session(engine=simulator.engine, code=first.id, shard="" if shard is None else "{}/{}".format(*shard),
+                        chunks=len(missing))  # fmt: skip
         self.store.directory.note_session(about)
         with ThreadPoolExecutor(1, "sweep-writer") as writer:
-            written: Future[None] | None = None
-            for k, result in self._results(missing, workers):
-                before, written = written, writer.submit(self._write, k, result, stamp)
-                self.chunks_run += 1
-                self.tally.finish([k])
+            written: list[Future[None]] = []
+            for batch, result in self._results(plan, workers):
+                before, written = written, [
+                    writer.submit(self._write, k, plan, known, part, stamps[batch.structure])
+                    for k, part in batch.parts(plan, result)
+                ]
+                self.chunks_run += len(batch.chunks)
+                self.tally.finish(batch.chunks)
                 self.tally.tell()
-                if before is not None:
-                    before.result()
-            if written is not None:
-                written.result()
+                for each in before:
+                    each.result()
+            for each in written:
+                each.result()
 
-    def _results(self, chunks: list[int], workers: Workers) -> Iterator[tuple[int, Simulated]]:
-        """Results of chunks, as they come."""
-        worlds = batch_sizes(self.layout, self.structures)
+    def take(self, known: KnownRows | None, accept_new_code: bool) -> BatchPlan:
+        """Write the missing chunks whose rows all are known; what is left to be simulated."""
+        missing = np.flatnonzero(self.mine & ~self.done).tolist()
+        plan = plan_batches(self.store.sweep, self.rows, self.layout, missing, known)
+        if known is not None and plan.known:
+            self.store.take_codes(known.codes(accept=accept_new_code), accept=accept_new_code)
+            for k in missing:
+                if not len(plan.unknown(k)):
+                    self._write(k, plan, known, None, None)
+                    self.tally.finish([k], resumed=True)
+        return plan
+
+    def _results(self, plan: BatchPlan, workers: Workers) -> Iterator[tuple[Batch, Simulated]]:
+        """Results of batches, as they come."""
+        batches, sweep = {batch.chunks[0]: batch for batch in plan.batches}, self.store.sweep
 
         def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
-            for k in chunks:
-                at = self.structure_of(k)
-                walk, rows = self.store.sweep.structures[at], self.rows.take(self.layout[k])
-                yield k, (at, batch_values(walk, rows, worlds[at]))
+            for k, batch in batches.items():
+                index = np.concatenate([plan.unknown(chunk) for chunk in batch.chunks])
+                walk, worlds = sweep.structures[batch.structure], plan.worlds[batch.structure]
+                yield k, (batch.structure, batch_values(walk, self.rows.take(index), worlds))
 
         try:
-            yield from workers.results(tasks(), self.tally.tell)
+            for k, result in workers.results(tasks(), self.tally.tell):
+                yield batches[k], result
         except TaskFailed as failed:
-            error, named = failed.__cause__, f"chunk {failed.key} (rows {listed(self.layout[failed.key])})"
+            error, chunks = failed.__cause__, batches[failed.key].chunks
+            rows = np.concatenate([self.layout[k] for k in chunks])
+            some = f"chunk {chunks[0]}" if len(chunks) == 1 else f"chunks {listed(np.array(chunks))}"
+            named = f"{some} (rows {listed(rows)})"
             if isinstance(error, ParameterError):
                 raise SpecError(f"{named} is refused: {error}") from error
             raise SweepError(self._failure(named, error)) from error
@@ -151,23 +181,34 @@ class Work:
                 f"{lost} What is finished is kept in {self.store.out}: run the same command again."
             ) from None
 
-    def _write(self, k: int, result: Simulated, stamp: CodeStamp) -> None:
-        index = self.layout[k]
-        metrics = {name: values[: len(index)] for name, values in result.metrics.items()}
+    def _write(
+        self, k: int, plan: BatchPlan, known: KnownRows | None, result: Simulated | None, stamp: CodeStamp | None
+    ) -> None:
+        """Write a chunk from what was simulated for it, and from the rows that are known."""
+        index, places = self.layout[k], plan.known.get(k)
+        taken = None if places is None or known is None else known.take(places[places >= 0])
+        steps = sum(each.steps for each in (result, taken) if each is not None)
+        seconds = sum(each.seconds for each in (result, taken) if each is not None)
+        engine = stamp.engine if stamp is not None else taken.engine if taken is not None else ""
+        code = stamp.id if stamp is not None else str(taken.code[0]) if taken is not None else ""
         about = {
-            "engine": stamp.engine,
-            "code": stamp.id,
+            "engine": engine,
+            "code": code,
             "chunk": k,
             "chunks": len(self.layout),
             "rows": rows_digest(index),
-            "steps": result.steps,
-            "wall_seconds": result.seconds,
+            "steps": steps,
+            "wall_seconds": seconds,
         }
-        table = chunk_table(
-            self.store.sweep, self.rows.take(index), index, metrics, result.status[: len(index)], stamp.id, about
-        )
+        parts: list[pa.Table] = []
+        for here, each, by in ((plan.unknown(k), result, code), (plan.found(k), taken, None)):
+            if each is not None:
+                made = taken.code if by is None and taken is not None else code
+                rows = self.rows.take(here)
+                parts.append(chunk_table(self.store.sweep, rows, here, each.metrics, each.status, made, about))
+        table = parts[0] if len(parts) == 1 else joined(parts, index)
         self.store.write_chunk(k, table)
-        self._finish(k, ChunkNote(stamp.engine, result.steps, result.seconds))
+        self._finish(k, ChunkNote(engine, steps, seconds))
 
     def _forget(self) -> None:
         self.done = np.zeros(len(self.layout), bool)

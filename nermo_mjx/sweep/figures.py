@@ -59,7 +59,7 @@ def heat_maps(
         chosen = np.where(gain, z.values, np.nan)
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
         colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", INK
-    figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4)
+    figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
     prices = [cost(z.name, grid) for grid in marked]
     lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
     best = math.nan
@@ -81,21 +81,21 @@ def heat_maps(
     bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
-    word = _best(z.name) if gain is None else "best"
+    word = best_word(z.name) if gain is None else "best"
     ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
     return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else _signed(best)}{ring}")
 
 
 def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     """Mean over x, with a band of one standard deviation where points share an x, and the best point as a star."""
-    figure, (ax,) = _panels(1, 4.4)
-    xs, mean, std = _binned(x.values, z.values, np.unique(x.values))
+    figure, (ax,) = panelled(1, 4.4)
+    xs, mean, std = binned(x.values, z.values, np.unique(x.values))
     ax.fill_between(xs, mean - std, mean + std, color=BAND, alpha=0.6, lw=0)
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
         at = int(np.nanargmin(cost(z.name, mean)))
         ax.scatter(xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
-        note += f"star: {_best(z.name)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
+        note += f"star: {best_word(z.name)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
@@ -104,10 +104,10 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
 
 def scatters(xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], title: str, note: str) -> Figure:
     """The metric against each parameter: every run, or how many there are; a running mean over runs of alike value."""
-    figure, axes = _panels(len(xs), 2.5 if len(xs) > 1 else 4.0)
+    figure, axes = panelled(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
         cloud(ax, x, z, size=7)
-        centres, mean, _ = _binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
+        centres, mean, _ = binned(x.values, z.values, np.quantile(x.values, np.linspace(0, 1, 9)))
         ax.plot(centres, mean, color=LINE, lw=2, path_effects=[Stroke(linewidth=4, foreground="white"), Normal()])
         set_scales(ax, x)
         horizontal_grid(ax)
@@ -121,7 +121,7 @@ def pair_scatters(
     pairs: Sequence[tuple[ShownValues, ShownValues]], z: ShownValues, title: str, note: str, *, star: bool = True
 ) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
-    figure, axes = _panels(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
+    figure, axes = panelled(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
     scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.name, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
@@ -131,11 +131,11 @@ def pair_scatters(
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     _colour_bar(figure, axes, scale, z.label)
-    best = f"star: {_best(z.name)}, {z.shown(float(z.values[order[-1]]))}"
+    best = f"star: {best_word(z.name)}, {z.shown(float(z.values[order[-1]]))}"
     return around(figure, title, note + best if star else note.removesuffix("; "))
 
 
-def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
+def panelled(count: int, size: float) -> tuple[Figure, list[Axes]]:
     """A figure with `count` panels of about `size` inches, and its axes, row by row."""
     columns = _columns(count)
     rows = math.ceil(count / columns)
@@ -146,7 +146,7 @@ def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
     return figure, axes[:count]
 
 
-def _best(metric: str) -> str:
+def best_word(metric: str) -> str:
     """What the mark of a metric's best value is called."""
     return "best" if metric in OBJECTIVES else "highest"
 
@@ -197,7 +197,7 @@ def _cell_means(x: np.ndarray, y: np.ndarray, z: np.ndarray, xs: np.ndarray, ys:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).reshape(len(xs), len(ys))
 
 
-def _binned(x: np.ndarray, z: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def binned(x: np.ndarray, z: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean x, mean z and standard deviation of z in the bin of each node that holds anything."""
     nodes = np.unique(nodes)
     bins = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 1)

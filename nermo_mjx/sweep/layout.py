@@ -31,7 +31,7 @@ def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
 
 
 def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = None) -> list[np.ndarray]:
-    """Rows of each chunk: chunk-mates are of one structure and last alike long, and chunks are alike large (to one row).
+    """Rows of each chunk: chunk-mates have one structure and last alike long; chunks are alike large (to one row).
 
     Args:
         seconds: how long each row is simulated, (n,) [s].
@@ -43,15 +43,6 @@ def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = Non
         return np.array_split(order, math.ceil(len(order) / size))
     each = (order[structure[order] == at] for at in np.unique(structure))
     return [chunk for rows in each for chunk in np.array_split(rows, math.ceil(len(rows) / size))]
-
-
-def batch_sizes(layout: list[np.ndarray], structure: np.ndarray) -> dict[int, int]:
-    """Worlds of a batch by structure: one shape for all chunks of it, so that no engine compiles twice."""
-    sizes: dict[int, int] = {}
-    for chunk in layout:
-        at = int(structure[chunk[0]])
-        sizes[at] = max(sizes.get(at, 0), len(chunk))
-    return sizes
 
 
 def batch_values(walk: WalkSpec, rows: Rows, worlds: int) -> dict[str, np.ndarray]:

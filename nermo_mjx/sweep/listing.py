@@ -23,7 +23,7 @@ from nermo_mjx.rollout import METRICS, Setup
 from nermo_mjx.runs.files import parquet_bytes, parquet_table
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, SpecError, describe
-from nermo_mjx.specs.values import NAMES, Checked, by_parameter, refuse_parameter
+from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.structures import STRUCTURES, Choice, Structure, label_of, value_of
 
@@ -238,11 +238,11 @@ def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
     try:
         about.check(name, given)
     except ParameterError:
-        for row in np.flatnonzero(~np.isnan(column)):
+        for place in np.flatnonzero(~np.isnan(column)).tolist():
             try:
-                about.check(name, column[row])
+                about.check(name, column[place])
             except ParameterError as error:
-                table.fail(int(row), name, str(error).removeprefix(f"{name} "))
+                table.fail(place, name, str(error).removeprefix(f"{name} "))
     return column
 
 
@@ -263,7 +263,8 @@ def _read_csv(path: Path) -> RowTable:
     header = rows[0]
     for name in header:
         if not name or header.count(name) > 1:
-            raise SpecError(f"{path}:{lines[0]}: {f'column {name!r} stands twice' if name else 'a column has no name'}.")
+            wrong = f"column {name!r} stands twice" if name else "a column has no name"
+            raise SpecError(f"{path}:{lines[0]}: {wrong}.")
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
             raise SpecError(f"{path}:{line}: has {len(row)} values, and the first line {len(header)} names.")

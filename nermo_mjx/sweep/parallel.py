@@ -82,21 +82,22 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
 def _share(axis: ShownValues, values: np.ndarray) -> np.ndarray:
     """Where values stand on an axis, from 0 at its lowest to 1 at its highest."""
     own, wanted = (np.log(axis.values), np.log(values)) if axis.log else (axis.values, np.asarray(values))
-    low, high = float(own.min()), float(own.max())
+    low, high = float(np.nanmin(own)), float(np.nanmax(own))
     return (wanted - low) / (high - low) if high > low else np.full(np.shape(wanted), 0.5)
 
 
 def _draw_axis(ax: Axes, place: int, axis: ShownValues) -> None:
     """A line with ticks: each value where there are few, else round ones."""
     ax.plot([place, place], [0, 1], color=MUTED, lw=1.0, zorder=5)
-    values = np.unique(axis.values)
-    if len(values) > _EACH:
+    values = np.unique(axis.values[np.isfinite(axis.values)])
+    if not axis.names and len(values) > _EACH:
         low, high = values[0], values[-1]
         ticks = LogLocator(subs=(1.0, 2.0, 5.0)).tick_values(low, high) if axis.log else _round_ticks(low, high)
         values = np.array([tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)])
     for value, height in zip(values, _share(axis, values), strict=True):
         ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
-        ax.annotate(f"{value + 0.0:.4g}".replace("-", "−"), (place, height), (5, 0), textcoords="offset points",
+        text = axis.names[int(value)] if axis.names else f"{value + 0.0:.4g}".replace("-", "−")
+        ax.annotate(text, (place, height), (5, 0), textcoords="offset points",
                     fontsize=SMALL, color=INK, va="center", zorder=6,
                     bbox={"boxstyle": "round,pad=0.12", "fc": "white", "alpha": 0.8, "lw": 0})  # fmt: skip
 

@@ -1,7 +1,8 @@
 """Which figures a sweep's table gives.
 
-Heat maps over pairs of a grid, a line for one parameter, scatters of a sample; and, where two parameters or more tell
-the variants apart, parallel coordinates and the Pareto front of speed against roll.
+Heat maps over pairs of a grid, a line for one parameter, scatters of a sample; where structures vary, these side by
+side; and, where two parameters or more tell the variants apart, parallel coordinates and the Pareto front of speed
+against roll.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from scipy import stats
 
 from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
-from nermo_mjx.sweep.points import metric_of, quantities, quantity, repeats_remark, thinned, titled
+from nermo_mjx.sweep.points import alike, metric_of, quantities, quantity, repeats_remark, thinned, titled
 from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.side_by_side import groups_of, structure_figures
 from nermo_mjx.sweep.summary import LEADING, cost, spine_ratio
 from nermo_mjx.sweep.survey import survey_figures
 from nermo_mjx.sweep.table import columns_of
@@ -35,8 +37,12 @@ def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Ite
     if not results.well.any():
         return
     z = metric_of(results, metric)
-    varied = [x for x in quantities(results, columns_of(results, "varied")) if np.ptp(x.values) > 0]
-    if not results.is_grid or not varied:
+    varied = [x for x in quantities(results, columns_of(results, "varied")) if not alike(x.values)]
+    if (groups := groups_of(results)) is not None:
+        yield from structure_figures(results, groups, metric, remark)
+        if not results.is_grid:
+            yield from _scatter_figures([x for x in varied if not x.names and not np.isnan(x.values).any()], z, remark)
+    elif not results.is_grid or not varied:
         yield from _scatter_figures(varied or quantities(results, columns_of(results, "randomized")), z, remark)
     elif len(varied) == 1:
         title = f"{titled(metric)} over {varied[0].name}"
@@ -52,6 +58,9 @@ def heat_map(
     x: ShownValues, y: ShownValues, varied: Sequence[ShownValues], z: ShownValues, note: str
 ) -> tuple[str, Figure]:
     """A heat map of z over two parameters; with a third one that varies, one panel for each of its values."""
+    good = np.isfinite(x.values) & np.isfinite(y.values)  # what a structure does not have has no place
+    if not good.all():
+        x, y, z, *varied = (dataclasses.replace(each, values=each.values[good]) for each in (x, y, z, *varied))
     panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
     figure = heat_maps(x, y, z, panels, f"{titled(z.name)} over {x.name} and {y.name}", note + remark)
     return f"{z.name}-over-{x.name}-and-{y.name}", figure
@@ -77,8 +86,8 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
 def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> Iterator[tuple[str, Figure]]:
     """The metric against each parameter, and over the pairs of those that matter most."""
     good = np.isfinite(z.values)
-    drawn = [ShownValues(x.name, x.unit, x.values[good], x.log) for x in drawn if len(np.unique(x.values[good])) > 1]
-    z = ShownValues(z.name, z.unit, z.values[good])
+    drawn = [dataclasses.replace(x, values=x.values[good]) for x in drawn if len(np.unique(x.values[good])) > 1]
+    z = dataclasses.replace(z, values=z.values[good])
     if not drawn:
         return
     still = np.ptp(z.values) == 0
@@ -113,7 +122,7 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
 
 def _slices(third: ShownValues) -> tuple[list[tuple[str, np.ndarray]], int]:
     """A panel for each value of the third parameter, and how many values were left out."""
-    values = np.unique(third.values)
+    values = np.unique(third.values[np.isfinite(third.values)])
     kept = thinned(values, MOST_PANELS)
     panels = [(f"{third.name} = {third.shown(value)}", third.values == value) for value in kept]
     return panels, len(values) - len(kept)

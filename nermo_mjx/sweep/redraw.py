@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,14 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.figures import pair_scatters, scatters
 from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
-from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_remark, thinned
+from nermo_mjx.sweep.points import alike, metric_of, points_of, quantities, repeats_remark, thinned
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
@@ -120,7 +120,7 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
         others = quantities(results, varied)
         across, up = (next(each for each in others if each.name == wanted) for wanted in (x, y))
-        differing = [each for each in others if np.ptp(each.values) > 0]
+        differing = [each for each in others if not alike(each.values)]
         return heat_map(across, up, differing, metric_of(results, color), remark + repeats_remark(results))
     title = f"{color} over {x} and {y}" if color else f"{y} over {x}"
     name = title.replace(" ", "-")
@@ -132,7 +132,7 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
         best = places[np.argmin(cost(drawn[-1].name, drawn[-1].values[places]))]
         places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
     note = remark + note
-    across, up, *by = (ShownValues(each.name, each.unit, each.values[places], each.log) for each in drawn)
+    across, up, *by = (dataclasses.replace(each, values=each.values[places]) for each in drawn)
     title = title[:1].upper() + title[1:]
     if by:
         return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)

@@ -68,7 +68,7 @@ class Results:
         return self._names[column]
 
     def columns(self, names: Sequence[str]) -> Iterator[tuple[str, np.ndarray]]:
-        """Columns of numbers, or of texts, one after the other, (rows,) each; the files are read as few times as memory allows."""
+        """Columns one after the other, (rows,) each; the files are read as few times as memory allows."""
         at_once = max(1, HELD // max(self.rows, 1))
         for start in range(0, len(names), at_once):
             table = self._read(names[start : start + at_once])
@@ -109,6 +109,13 @@ def chunk_files(out: str | os.PathLike[str]) -> dict[int, Path]:
     """The files of a directory's chunks by their numbers, in order, whatever is in them."""
     found = ((re.fullmatch(r"chunk-(\d+)\.parquet", path.name), path) for path in Path(out).glob("results/*"))
     return dict(sorted((int(name[1]), path) for name, path in found if name))
+
+
+def digests_of(out: Path) -> dict[str, str]:
+    """File by digest, as all manifests of a directory have them; of a chunk that was run again there are several."""
+    texts = [path.read_text(errors="replace") for path in out.glob("manifest*.sha256")]
+    lines = (line.partition("  ") for text in texts for line in text.splitlines())
+    return {digest: name for digest, _, name in lines}
 
 
 def read_table(out: str | os.PathLike[str]) -> pa.Table:

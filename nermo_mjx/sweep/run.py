@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.findings import findings
+from nermo_mjx.sweep.known import KnownRows, check_source, with_former
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
@@ -81,6 +82,9 @@ def run_sweep(
     chunk: int | None = None,
     shard: tuple[int, int] | None = None,
     accept_new_code: bool = False,
+    extend: bool = False,
+    use: Sequence[str | os.PathLike[str]] = (),
+    simulate: bool = True,
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
 ) -> SweepResult:
@@ -106,6 +110,10 @@ def run_sweep(
             shard that finds the table complete sums up.
         accept_new_code: go on with a directory that other code or another engine began; the table's column `code`
             tells the rows apart.
+        extend: if the directory holds a sweep that differs in its rows alone, make it this one; rows that are there are
+            used. The result is that of this sweep run in one go.
+        use: directories of other sweeps whose rows are taken where this sweep has the same ones.
+        simulate: whether rows that are not there are run.
         workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: stands in for `Simulator(spec.setup, engine)`.
 
@@ -117,11 +125,15 @@ def run_sweep(
         SweepInterrupted: Ctrl-C or SIGTERM; the same call goes on.
     """
     sweep = spec if isinstance(spec, Sweep) else _as_sweep(spec)
-    _check(chunk, shard)
+    _check(chunk, shard, extend)
+    sources = [Path(each) for each in use]
+    for source in sources:
+        check_source(source, sweep)
     workers = LocalWorkers() if workers is None else workers
     parts = workers.parts * (1 if shard is None else shard[1])
     size = chunk or sweep.chunk or chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
-    with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
+    wanted = Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend)
+    with wanted as store, _interruptible(store) as interruption:
 
         def report(share: SweepProgress) -> None:
             interruption.check()
@@ -135,7 +147,12 @@ def run_sweep(
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
         simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify)
-        _finish(work, simulates, workers, accept_new_code, warn)
+        places = [*store.former(), *(place for source in sources for place in with_former(source))]
+        known = KnownRows(places, warn) if places and not work.done[work.mine].all() else None
+        if simulate:
+            _finish(work, simulates, workers, accept_new_code, known, warn)
+        elif known is not None:
+            work.take(known, accept_new_code)
         complete = bool(work.done.all())
         summary, plots = _sum_up(work, warn) if complete else ({}, [])
         return SweepResult(
@@ -144,7 +161,9 @@ def run_sweep(
         )  # fmt: skip
 
 
-def _check(chunk: int | None, shard: tuple[int, int] | None) -> None:
+def _check(chunk: int | None, shard: tuple[int, int] | None, extend: bool) -> None:
+    if extend and shard is not None:
+        raise SpecError("extend goes with one process: begin with it alone; when it simulates, shards may go on.")
     if chunk is not None and chunk < 1:
         raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
     if shard is not None and not 0 <= shard[0] < shard[1]:
@@ -164,13 +183,14 @@ def _finish(
     simulator: SweepSimulator,
     workers: Workers,
     accept_new_code: bool,
+    known: KnownRows | None,
     warn: Callable[[str], None] | None,
 ) -> None:
     """Run what is missing of this process's share, and see that it is really there."""
     for _ in range(ATTEMPTS):
-        known = work.done.all()
-        work.simulate(simulator, workers, accept_new_code)
-        if known:
+        complete = work.done.all()
+        work.simulate(simulator, workers, accept_new_code, known)
+        if complete:
             return
         work.survey(warn)
         if work.done[work.mine].all():

@@ -152,10 +152,9 @@ class Sample:
         table = np.column_stack([points[name] + 0.0 for name in names]) if names else np.empty((len(variant), 0))
         known, seeds = ~np.isnan(table), np.empty(len(variant), np.int64)
         for i, each in enumerate(repeat.tolist()):
-            text = f"{sweep.seed} {each}" + "".join(
-                f" {name} {value!r}" for name, value, there in zip(names, table[i].tolist(), known[i], strict=True) if there
-            )
-            digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
+            content = zip(names, table[i].tolist(), known[i], strict=True)
+            text = [f"{sweep.seed} {each}", *(f"{name} {value!r}" for name, value, there in content if there)]
+            digest = hashlib.blake2b(" ".join(text).encode(), digest_size=8).digest()
             seeds[i] = int.from_bytes(digest, "little") >> 11
         return seeds
 

@@ -17,7 +17,6 @@ from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
@@ -138,6 +137,16 @@ class Sweep(WalkSpec):
         return _read(read_mapping(data))
 
     @classmethod
+    def from_rows(cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None) -> Sweep:
+        """The variants of a table (see `rows` of a sweep file), with all else as a sweep file says, if one is given.
+
+        What the file varies does not count. Raises `SpecError`.
+        """
+        doc = read_mapping({}) if path is None else read_file(path)
+        data = {key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")}
+        return _read(Document(doc.source, data | {"rows": str(Path(rows).resolve())}, doc.lines))
+
+    @classmethod
     def from_directory(cls, out: str | os.PathLike[str]) -> Sweep:
         """The sweep of a directory, also of one that an earlier release began; raises `SpecError`."""
         doc = read_file(Path(out) / "sweep.yaml")
@@ -203,8 +212,10 @@ class Sweep(WalkSpec):
         if self.rows is not None:
             data["rows"] = self.rows.written(self.structures) if folder is None else self.kept_rows()[0]
         else:
-            listed = {name: {each.labels[name]: each.written(name) for each in self.structures} for name in self.labelled}
-            data["vary"] = {name: {"values": list(values.values())} for name, values in listed.items()}
+            data["vary"] = {}
+            for name in self.labelled:
+                values = {each.labels[name]: each.written(name) for each in self.structures}
+                data["vary"][name] = {"values": list(values.values())}
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
             size: Any = {"points": self.samples, "second_order": True} if self.second_order else self.samples
             data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: size}
@@ -319,7 +330,7 @@ def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
         return None
     for other in ("vary", "sample"):
         if doc.data.get(other) not in (None, {}):
-            doc.fail((other,), f"is given beside 'rows', which are all variants: leave out one of them.")
+            doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
     return read_row_table(doc, file.rows)
 
 
@@ -346,8 +357,8 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
     rows = sweep.variants * sweep.repeats
     if rows > LARGEST_SWEEP:
-        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "
-                             "as sample: {sobol: 4096}.")  # fmt: skip
+        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
+                             "such as sample: {sobol: 4096}.")  # fmt: skip
     tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
     if sweep.rows is None:
         tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}

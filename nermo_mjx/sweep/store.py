@@ -5,6 +5,7 @@ DIR/controller.py                 a copy of the file of another controller, if t
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
 DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it; each shard has a file of its own
+DIR/results.before-1/             results and sweep.yaml from before the sweep was extended; rows are taken from there
 DIR/results.aside/                chunks that were damaged, or that other defaults made, when they are run again
 DIR/summary.json, DIR/plots/      made from the table when it is complete
 """
@@ -17,7 +18,7 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -25,15 +26,28 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, create_file, parquet_bytes, parquet_table
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    append_line,
+    clear_errors,
+    create_file,
+    parquet_bytes,
+    parquet_table,
+    sync_folder,
+)
 from nermo_mjx.specs.controllers import keep_controller
 from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.extending import differences, refusal
 from nermo_mjx.sweep.layout import rows_digest
-from nermo_mjx.sweep.results import chunk_files
+from nermo_mjx.sweep.results import chunk_files, digests_of
 from nermo_mjx.sweep.spec import Sweep
 
-#: Fields that a sentence names where two sweeps differ.
-_NAMED = 3
+#: What is made of the results, and belongs to them.
+_MADE = ("summary.json", "plots", "recordings", "series")
+
+
+#: How folders with the results before a sweep was extended begin; a number follows.
+BEFORE: Final = "results.before-"
 
 
 class ChunkNote(NamedTuple):
@@ -58,13 +72,21 @@ class Store:
         out: the directory; made if it does not exist.
         sweep: what the directory is for.
         shard: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
+        extend: whether the directory may go on as this sweep if it holds another one that differs in its rows alone.
 
     Raises:
         DirectoryError: the directory holds another sweep, is in use, or cannot be written.
     """
 
-    def __init__(self, out: str | os.PathLike[str], sweep: Sweep, shard: tuple[int, int] | None = None) -> None:
-        self.out, self.sweep, self.shard = Path(out), sweep, shard
+    def __init__(
+        self,
+        out: str | os.PathLike[str],
+        sweep: Sweep,
+        shard: tuple[int, int] | None = None,
+        *,
+        extend: bool = False,
+    ) -> None:
+        self.out, self.sweep, self.shard, self.extend = Path(out), sweep, shard, extend
         self.directory = RunDirectory(out, "sweep", shard)
         self.results, self.plots = self.out / "results", self.out / "plots"
         self._manifest = "manifest{}.sha256".format("" if shard is None else "-{}-of-{}".format(*shard))
@@ -93,16 +115,15 @@ class Store:
         with clear_errors(self.out):
             return set(chunk_files(self.out))
 
-    def digests(self) -> dict[str, str]:
-        """File by digest, as all manifests have them; of a chunk that was run again there are several digests."""
-        with clear_errors(self.out):
-            texts = [path.read_text(errors="replace") for path in self.out.glob("manifest*.sha256")]
-        lines = (line.partition("  ") for text in texts for line in text.splitlines())
-        return {digest: name for digest, _, name in lines}
+    def former(self) -> list[Path]:
+        """Folders with the results of this directory's sweep before it was extended, the last one first."""
+        found = (path for path in self.out.glob(f"{BEFORE}*") if (path / "results").exists())
+        return sorted(found, key=_number, reverse=True)
 
     def states(self, layout: Sequence[np.ndarray]) -> Iterator[tuple[int, ChunkState]]:
         """The state of each chunk that has a file, in order, for the rows that it is to hold."""
-        digests = self.digests()
+        with clear_errors(self.out):
+            digests = digests_of(self.out)
         for k in sorted(self.present()):
             if k < len(layout):
                 yield k, self.inspect(k, layout[k], digests)
@@ -140,9 +161,13 @@ class Store:
         self.directory.move_aside(name, "results.aside")
         self.directory.write(name, content)
 
-    def take_code(self, stamp: CodeStamp, *, accept: bool) -> None:
-        """See `RunDirectory.take_code`."""
-        self.directory.take_code(stamp, holds_rows=bool(self.present()), accept=accept)
+    def take_codes(self, stamps: Sequence[CodeStamp], *, accept: bool) -> None:
+        """See `RunDirectory.take_code`; the stamps are those of several models of one code."""
+        former = bool(self.former())
+        holds, several = former or bool(self.present()), former or len(self.sweep.structures) > 1
+        for stamp in stamps:
+            self.directory.take_code(stamp, holds_rows=holds, accept=accept, any_model=several)
+            holds = True
 
     def _claim(self) -> None:
         """Make the directory this sweep's, or refuse. A directory keeps the chunks it was begun with."""
@@ -154,8 +179,7 @@ class Store:
             self.sweep = dataclasses.replace(
                 self.sweep, setup=keep_controller(self.sweep.setup, folder, self.directory.write)
             )
-            if self.sweep.rows is not None:
-                self.directory.write(*self.sweep.kept_rows())
+            self._keep_rows()
             create_file(path, self.sweep.to_yaml(folder).encode())
         # Even if it was written just now: another shard may have been faster, and have chosen other chunks.
         try:
@@ -166,44 +190,63 @@ class Store:
             self.sweep = self.sweep.seeded("position")
         self._digest = self.sweep.digest().encode()
         if begun.digest() != self.sweep.digest():
-            raise self._foreign(
-                f"the results of another sweep: {_differences(begun, self.sweep)}; choose another directory, or go on "
-                f"with {path}"
-            )
+            why = refusal(begun, self.sweep)
+            if self.extend and not why:
+                self._extend(begun)
+                return
+            apart, go_on = differences(begun, self.sweep), f"go on with {path}"
+            if self.extend:
+                raise self._foreign(f"a sweep that does not go on as this one: {why}; choose another directory")
+            also = ", or add these rows to it with --extend" if not why else ""
+            raise self._foreign(f"the results of another sweep: {apart}; choose another directory, or {go_on}{also}")
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
         if self.shard is None and begun.comparison != self.sweep.comparison:  # no row depends on it
             again = dataclasses.replace(begun, comparison=self.sweep.comparison)
             self.directory.write(path, again.to_yaml(self.out.resolve()).encode())
 
+    def _extend(self, begun: Sweep) -> None:
+        """Make the directory that of this sweep. Its results go into a folder, where their rows are found again.
+
+        Whatever moment ends it, each result is in one of the two places, with the sweep that it belongs to.
+        """
+        path, folder = self.out / "sweep.yaml", self.out.resolve()
+        if chunk_files(self.out):
+            taken = [_number(each) for each in self.former()]
+            before = self.out / f"{BEFORE}{max(taken, default=0) + 1}"
+            before.mkdir(exist_ok=True)
+            for pattern in ("sweep.yaml", "rows-*.parquet", "controller*.py", "manifest*.sha256"):
+                for each in self.out.glob(pattern):
+                    self.directory.write(before / each.name, each.read_bytes())
+            for name in _MADE:
+                if (before / name).exists():
+                    self.directory.move_aside(name, before.name)
+                elif (self.out / name).exists():
+                    (self.out / name).rename(before / name)
+            self.results.rename(before / "results")
+            sync_folder(before)
+            sync_folder(self.out)
+            self.results.mkdir()
+        kept = keep_controller(self.sweep.setup, folder, self.directory.write)
+        self.sweep = dataclasses.replace(self.sweep, setup=kept, chunk=begun.chunk or self.sweep.chunk)
+        self._keep_rows()
+        self.directory.write(path.name, self.sweep.to_yaml(folder).encode())
+
+    def _keep_rows(self) -> None:
+        """Put the rows that are given one by one into the directory."""
+        if self.sweep.rows is not None:
+            self.directory.write(*self.sweep.kept_rows())
+
     def _foreign(self, content: str) -> DirectoryError:
         return DirectoryError(f"{self.out} holds {content}.")
 
 
-def _differences(begun: Sweep, wanted: Sweep) -> str:
-    """In what two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
-    there, here = _fields(begun.decisive()), _fields(wanted.decisive())
-    names = [name for name in {**there, **here} if there.get(name) != here.get(name)]
-    shown = [f"{name} is {_text(there.get(name))} there and {_text(here.get(name))} here" for name in names[:_NAMED]]
-    if not names:  # the same values, but another row 0
-        return "the parameters under vary or randomize stand in another order"
-    return "; ".join(shown) + (f"; and {len(names) - _NAMED} more fields" if len(names) > _NAMED else "")
-
-
-def _fields(data: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Dotted names and values of all fields; lists are values."""
-    fields: dict[str, Any] = {}
-    for key, value in data.items():
-        fields |= _fields(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
-    return fields
-
-
-def _text(value: Any) -> str:
-    text = "absent" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+def _number(folder: Path) -> int:
+    number = folder.name.removeprefix(BEFORE)
+    return int(number) if number.isdecimal() else 0
 
 
 def _name(chunk: int) -> str:

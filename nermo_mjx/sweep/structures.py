@@ -136,6 +136,12 @@ def about_structure(name: str) -> str:
     return str(_ABOUT[name].description)
 
 
+def choices_of(name: str) -> list[str]:
+    """The names that a structure may have; a pilot may have options, too, and a scene be the path of an MJCF file."""
+    extra: Any = Pilot.short[0] if name == "pilot" else _ABOUT[name].json_schema_extra
+    return list((extra["anyOf"][0] if "anyOf" in extra else extra)["enum"])
+
+
 def combinations_of(doc: Document, vary: Vary) -> list[dict[str, Choice]]:
     """Every combination of the varied structures, the first of the file slowest; one, of nothing, where none varies."""
     listed: dict[str, list[Choice]] = {}
@@ -186,7 +192,7 @@ def check_repeats(doc: Document, combinations: Sequence[Mapping[str, Choice]], f
 
 
 def label_of(written: Any) -> str:
-    """A structure's value as a table has it: a name, `{arc: {radius: 0.5}}`, or of a scene of one's own name and digest.
+    """A structure's value as a table has it: a name, `{arc: {radius: 0.5}}`, an own scene by name and digest.
 
     >>> label_of({"arc": {"radius": 0.5}})
     '{arc: {radius: 0.5}}'

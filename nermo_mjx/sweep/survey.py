@@ -84,6 +84,8 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
 
 
 def _influence(parameter: ShownValues, z: ShownValues) -> float:
-    if np.ptp(parameter.values) == 0 or np.ptp(z.values) == 0:
+    known = np.isfinite(parameter.values)
+    own, other = parameter.values[known], z.values[known]
+    if len(own) < 3 or np.ptp(own) == 0 or np.ptp(other) == 0:
         return 0.0
-    return float(stats.spearmanr(parameter.values, z.values).statistic)
+    return float(stats.spearmanr(own, other).statistic)

@@ -1,12 +1,12 @@
 """The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
 
-Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`. A varied structure
-is a column of texts whose `scale` is `structure`; a varied parameter is null where nothing reads it.
+Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`. A varied
+structure is a column of texts whose `scale` is `structure`; a varied parameter is null where nothing reads it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -82,10 +82,20 @@ def chunk_table(
     for name in sorted(metrics, key=list(METRICS).index):
         columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
-    columns.add("code", np.broadcast_to(np.asarray(code, object), len(index)), "code", "1", "which code made the row, as run.json names it")
+    codes = np.broadcast_to(np.asarray(code, object), len(index))
+    columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
     pairs = {"second_order": "true"} if sweep.second_order else {}
     return columns.table({"sweep": sweep.digest(), "sampler": sampler, **pairs, **about})
+
+
+def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
+    """One table of several, its rows in the order of their numbers in `index`; what one does not know is null."""
+    table = pa.concat_tables(parts, promote_options="default")
+    order = np.argsort(index, kind="stable")
+    place = np.empty(len(index), int)
+    place[order] = np.argsort(table.column("row").to_numpy(), kind="stable")
+    return table.take(place)
 
 
 def columns_of(table: Any, *roles: str) -> list[str]:

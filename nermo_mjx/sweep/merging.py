@@ -1,0 +1,105 @@
+"""Directories of sweeps become one: the rows of all of them, each once, in a directory of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.specs.walk import unread
+from nermo_mjx.sweep.extending import fixed_differences
+from nermo_mjx.sweep.known import sweep_in
+from nermo_mjx.sweep.run import SweepResult, run_sweep
+from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.spec import Sweep
+
+
+def merge(
+    sources: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    *,
+    accept_new_code: bool = False,
+    warn: Callable[[str], None] | None = None,
+) -> SweepResult:
+    """Merge directories of sweeps into a new one; nothing is simulated, and they stay as they are.
+
+    Its sweep lists the variants of all of them as `rows`, with as many repeats as the one that has most. A row that is
+    in several is taken from the first. Rows that none has are missing, and `sweep` runs them.
+
+    Args:
+        sources: the directories, two at least.
+        out: where the result goes.
+        accept_new_code: merge what different code made; the table's column `code` tells the rows apart.
+        warn: called with a sentence where a chunk cannot be used.
+
+    Raises:
+        DirectoryError: they differ in more than their rows, or cannot be read.
+        OtherCode: different code made them.
+    """
+    places = [Path(source) for source in sources]
+    if len(places) < 2:
+        raise SpecError("merge takes two directories or more.")
+    if Path(out).resolve() in [place.resolve() for place in places]:
+        raise SpecError(f"{out} is one of the directories that are merged: choose another one for the result.")
+    return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
+
+
+def merged(places: Sequence[Path]) -> Sweep:
+    """The sweep whose rows are those of all directories.
+
+    Raises:
+        DirectoryError: they differ in more than their rows, or have draws that do not go together.
+    """
+    sweeps = [sweep_in(place) for place in places]
+    for place, sweep in zip(places, sweeps, strict=True):
+        if apart := fixed_differences(sweeps[0], sweep):
+            raise DirectoryError(f"{places[0]} and {place} cannot be merged: {apart}.")
+        if sweep.seeds == "position" and (sweep.draws or sweep.bodies):
+            raise DirectoryError(f"{place} cannot be merged: its draws are seeded by position, as in earlier releases.")
+        alone = set(sweep.varied) ^ set(sweeps[0].varied)
+        if alone and any(each.draws or each.bodies for each in sweeps):
+            raise DirectoryError(f"{places[0]} and {place} cannot be merged: only one of them varies "
+                                 f"{', '.join(sorted(alone))}, on which the draws depend.")  # fmt: skip
+    labelled = list(dict.fromkeys(name for sweep in sweeps for name in sweep.labelled))
+    varied = list(dict.fromkeys(name for sweep in sweeps for name in sweep.varied))
+    rows: dict[str, dict[str, Any]] = {}
+    for place, sweep in zip(places, sweeps, strict=True):
+        for row in _rows(place, sweep, labelled, varied):
+            rows.setdefault(json.dumps(row), row)
+    repeats = max(sweep.repeats for sweep in sweeps)
+    data = {name: value for name, value in sweeps[0].resolved().items()
+            if name not in ("vary", "sample", "rows", *labelled)}  # fmt: skip
+    data["set"] = {name: value for name, value in data["set"].items() if name not in varied}
+    if "physics" in labelled:
+        data.pop("timestep", None)
+    data["randomize"]["repeats"] = repeats
+    data["plots"] = any(sweep.plots for sweep in sweeps)
+    return Sweep.from_dict(data | {"rows": list(rows.values())})
+
+
+def _rows(place: Path, sweep: Sweep, labelled: Sequence[str], varied: Sequence[str]) -> list[dict[str, Any]]:
+    """The variants of a sweep as rows that name all structures and parameters that any of them varies."""
+    variants = Sample(sweep).take(np.arange(sweep.variants) * sweep.repeats)
+    fixed = []
+    for each in sweep.structures:
+        whole: dict[str, Any] = {name: each.written(name) for name in labelled}
+        for name in varied:
+            if name not in sweep.varied and unread(each.setup, name) is None:
+                if name not in each.fixed:
+                    raise DirectoryError(f"{place} cannot be merged: it neither varies nor sets {name}, which another "
+                                         "one varies.")  # fmt: skip
+                whole[name] = each.fixed[name]
+        fixed.append(whole)
+    own = {name: variants.values[name].tolist() for name in sweep.varied}
+    result = []
+    for i, at in enumerate(variants.structure.tolist()):
+        values = {name: column[i] for name, column in own.items() if column[i] == column[i]}
+        values = {name: value for name, value in (fixed[at] | values).items() if name in labelled or value == value}
+        result.append({name: values[name] for name in (*labelled, *varied) if name in values})
+    return result

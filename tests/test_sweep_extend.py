@@ -1,0 +1,344 @@
+"""Sweeps that go on as larger ones, take rows from other directories, and are merged: always the table of one go."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from sweep_fake import FakeSimulator
+
+from nermo_mjx.cli import main
+from nermo_mjx.runs import OtherCode, code
+from nermo_mjx.runs.directory import RunDirectory
+from nermo_mjx.sweep import DirectoryError, SpecError, Sweep, SweepInterrupted, read_table, run_sweep, sample
+from nermo_mjx.sweep.known import keys_of
+from nermo_mjx.sweep.merging import merge
+from nermo_mjx.sweep.replay import find_row
+
+FREQUENCY, FRICTION = [0.5, 0.7, 0.9], {"contact.friction": [1.0, 1.2]}
+MASS = {"mass.front": {"uniform": [0.15, 0.17]}}
+SMALL = {"plots": False, "vary": {"frequency": FREQUENCY, **FRICTION}, "randomize": MASS}
+UNIFORM = {"frequency": {"uniform": [0.5, 1.0]}, "stride": {"uniform": [0.5, 1.0]}}
+
+
+def changed(**fields):
+    """The small sweep with other fields; those of `randomize` are added."""
+    return SMALL | fields | {"randomize": SMALL["randomize"] | fields.get("randomize", {})}
+
+
+#: A sweep, what it becomes, and how many of the larger one's rows the smaller one has.
+EXTENSIONS = {
+    "more repeats": (SMALL, changed(randomize={"repeats": 4}), 6),
+    "even more repeats": (changed(randomize={"repeats": 3}), changed(randomize={"repeats": 5}), 18),
+    "a finer grid": (
+        changed(vary={"frequency": {"linspace": [0.4, 1.2, 5]}}),
+        changed(vary={"frequency": {"linspace": [0.4, 1.2, 9]}}),
+        5,
+    ),
+    "another value": (SMALL, changed(vary={"frequency": [0.5, 0.6, 0.7, 0.9, 1.1], **FRICTION}), 6),
+    "another parameter": (
+        changed(vary=FRICTION, set={"frequency": 0.7}, randomize={}),
+        changed(vary={"frequency": FREQUENCY, **FRICTION}),
+        0,  # its draws are others
+    ),
+    "another structure": (
+        changed(gait="lat", randomize={"repeats": 2}),
+        changed(vary={"gait": ["trt", "lat"], **SMALL["vary"]}, randomize={"repeats": 2}),
+        12,
+    ),
+    "a parameter of one structure": (
+        SMALL,
+        changed(vary={"spine": ["none", "stride_extension"], **SMALL["vary"], "spine.amplitude": [0.1, 0.2]}),
+        6,
+    ),
+    "another model": (changed(tail="rigid"), changed(vary={"tail": ["articulated", "rigid"], **SMALL["vary"]}), 6),
+    "Sobol points": (changed(vary=UNIFORM, sample={"sobol": 5}), changed(vary=UNIFORM, sample={"sobol": 23}), 5),
+    "structures of a sample": (
+        changed(vary=UNIFORM, sample={"sobol": 5}, gait="trt1"),
+        changed(vary=UNIFORM | {"gait": ["trt", "trt1"]}, sample={"sobol": 5}),
+        5,
+    ),
+    "rows": (
+        {"plots": False, "rows": [{"gait": "trt", "frequency": 0.5}, {"gait": "lat", "frequency": 0.7}]},
+        {"plots": False, "rows": [{"gait": "lat", "frequency": 0.7}, {"gait": "lat", "frequency": 0.9}]},
+        1,
+    ),
+    "a row of a grid": (SMALL, {"plots": False, "rows": [{"frequency": 0.7, "contact.friction": 1.0}],
+                                "randomize": SMALL["randomize"]}, 1),
+}  # fmt: skip
+
+
+class Counting(FakeSimulator):
+    """Counts the different rows that it simulates, padding apart."""
+
+    def __init__(self, **more):
+        super().__init__(**more)
+        self.rows = 0
+
+    def run(self, values, run, **more):
+        self.rows += len(np.unique(np.column_stack(list(values.values())), axis=0))
+        return super().run(values, run, **more)
+
+
+def extended(small, large, out, chunk=4):
+    """The larger sweep in the directory of the smaller one, and how many rows were simulated for it."""
+    run_sweep(small, out, chunk=chunk, simulator=FakeSimulator())
+    simulator = Counting()
+    return run_sweep(large, out, simulator=simulator, extend=True), simulator.rows
+
+
+@pytest.mark.parametrize(("small", "large", "shared"), EXTENSIONS.values(), ids=EXTENSIONS)
+def test_an_extended_directory_is_that_of_one_go(tmp_path, small, large, shared):
+    """Every column of every row, seeds and draws among them; only what was not there is simulated."""
+    result, simulated = extended(small, large, tmp_path / "extended")
+    whole = run_sweep(large, tmp_path / "whole", chunk=7, simulator=FakeSimulator())
+    assert result.table.schema.equals(whole.table.schema, check_metadata=True)
+    assert result.table.to_pydict() == whole.table.to_pydict()
+    assert simulated == whole.table.num_rows - shared
+    assert result.complete
+
+
+@pytest.mark.parametrize("move", range(1, 12))
+def test_an_extension_that_is_killed_at_any_moment_loses_nothing(tmp_path, monkeypatch, move):
+    """Killed before its n-th change of the directory, and gone on with: each row is still simulated once."""
+    small, large, shared = EXTENSIONS["another value"]
+    run_sweep(small, tmp_path, chunk=2, simulator=FakeSimulator())
+    before = {path.read_bytes() for path in tmp_path.glob("results/*")}
+
+    class Killed(BaseException):
+        pass
+
+    left = [move]
+
+    def mortal(function):
+        def moved(*given, **more):
+            left[0] -= 1
+            if left[0] == 0:
+                raise Killed
+            return function(*given, **more)
+
+        return moved
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunDirectory, "write", mortal(RunDirectory.write))
+        patch.setattr(Path, "rename", mortal(Path.rename))
+        with pytest.raises(Killed):
+            run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True)
+    assert before <= {path.read_bytes() for path in tmp_path.rglob("*.parquet")}
+    made = read_table(tmp_path).num_rows if any(tmp_path.glob("results/*")) else 0
+    again = Counting()
+    assert run_sweep(large, tmp_path, simulator=again, extend=True).complete
+    table = read_table(tmp_path)
+    assert table.equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
+    assert again.rows <= table.num_rows - shared
+    assert made == 0 or again.rows <= table.num_rows - min(made, shared)
+
+
+def test_between_its_steps_the_former_sweep_can_be_gone_on_with_instead(tmp_path, monkeypatch):
+    """Its rows are in the folder by then; nothing is simulated again."""
+    run_sweep(SMALL, tmp_path, chunk=2, simulator=FakeSimulator())
+    table = read_table(tmp_path)
+    monkeypatch.setattr(Sweep, "to_yaml", lambda *given: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run_sweep(changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator(), extend=True)
+    monkeypatch.undo()
+    assert not any(tmp_path.glob("results/*"))
+    simulator = FakeSimulator()
+    assert run_sweep(SMALL, tmp_path, simulator=simulator).table.equals(table)
+    assert simulator.batches == []
+
+
+def test_an_interrupted_extension_goes_on_without_being_named_again(tmp_path):
+    """As any sweep: the same command, or that with DIR/sweep.yaml."""
+    small, large, _ = EXTENSIONS["another value"]
+    run_sweep(small, tmp_path, chunk=2, simulator=FakeSimulator())
+    with pytest.raises(SweepInterrupted):
+        run_sweep(large, tmp_path, simulator=FakeSimulator(stop_at=1), extend=True)
+    run_sweep(tmp_path / "sweep.yaml", tmp_path, simulator=FakeSimulator())
+    assert read_table(tmp_path).equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
+
+
+def test_a_directory_is_extended_twice_and_keeps_what_left_the_table(tmp_path):
+    """Rows that the second sweep does not have are in their folder, and come back with the third."""
+    sweeps = [changed(vary={"frequency": values, **FRICTION}) for values in ([0.5, 0.6], [0.6, 0.7], [0.5, 0.6, 0.7])]
+    simulators = [Counting() for _ in sweeps]
+    for sweep, simulator in zip(sweeps, simulators, strict=True):
+        result = run_sweep(sweep, tmp_path, chunk=3, simulator=simulator, extend=True)
+    assert [simulator.rows for simulator in simulators] == [4, 2, 0]
+    assert sorted(path.name for path in tmp_path.glob("results.before-*")) == ["results.before-1", "results.before-2"]
+    assert result.summary["steps"] == pytest.approx(600)
+    assert find_row(tmp_path, 5).stored["frequency"] == 0.7
+
+
+REFUSED = {
+    "fixed": (changed(set={"stride": 0.8}), "set.stride is absent there and 0.8 here: what is not varied stays"),
+    "seed": (changed(seed=3), "seed is 0 there and 3 here"),
+    "length": (changed(run={"cycles": 3}), "run.cycles is 8 there and 3 here"),
+    "draws": (changed(randomize={"mass.front": {"uniform": [0.1, 0.17]}}), "randomize.mass.front.uniform is"),
+}
+
+
+@pytest.mark.parametrize(("spec", "sentence"), REFUSED.values(), ids=REFUSED)
+def test_what_is_no_extension_is_refused(tmp_path, spec, sentence):
+    """In one sentence, with nothing changed; and without --extend it is not offered."""
+    run_sweep(SMALL, tmp_path, simulator=FakeSimulator())
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(DirectoryError, match="does not go on as this one") as refused:
+        run_sweep(spec, tmp_path, simulator=FakeSimulator(), extend=True)
+    assert sentence in str(refused.value)
+    with pytest.raises(DirectoryError, match="the results of another sweep") as plain:
+        run_sweep(spec, tmp_path, simulator=FakeSimulator())
+    assert "--extend" not in str(plain.value)
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_a_latin_hypercube_has_no_further_points(tmp_path):
+    """Its points depend on how many there are; repeats can be added."""
+    few, many = (changed(vary=UNIFORM, sample={"latin_hypercube": count}) for count in (4, 8))
+    run_sweep(few, tmp_path, simulator=FakeSimulator())
+    with pytest.raises(DirectoryError, match="a Latin hypercube of 4 points is no part of one of 8"):
+        run_sweep(many, tmp_path, simulator=FakeSimulator(), extend=True)
+    more = few | {"randomize": few["randomize"] | {"repeats": 2}}
+    assert run_sweep(more, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
+
+
+def test_an_extension_is_begun_by_one_process(tmp_path):
+    with pytest.raises(SpecError, match="begin with it alone"):
+        run_sweep(SMALL, tmp_path, extend=True, shard=(0, 2), simulator=FakeSimulator())
+
+
+def test_without_being_told_another_sweep_is_refused_and_extend_is_named(tmp_path):
+    run_sweep(SMALL, tmp_path, simulator=FakeSimulator())
+    with pytest.raises(DirectoryError, match=r"randomize.repeats is 1 there and 2 here; .* with --extend\.$"):
+        run_sweep(changed(randomize={"repeats": 2}), tmp_path, simulator=FakeSimulator())
+
+
+def test_other_code_extends_only_when_it_is_told_to(tmp_path, monkeypatch):
+    """Then the column tells the rows apart."""
+    small, large, shared = EXTENSIONS["more repeats"]
+    run_sweep(small, tmp_path, chunk=4, simulator=FakeSimulator())
+    monkeypatch.setattr(code, "__version__", "9.9.9")
+    with pytest.raises(OtherCode, match=r"not 9\.9\.9"):
+        run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True)
+    result = run_sweep(large, tmp_path, simulator=FakeSimulator(), extend=True, accept_new_code=True)
+    made = result.table.column("code").to_pylist()
+    assert sorted(made.count(each) for each in set(made)) == [shared, result.rows - shared]
+
+
+def test_rows_are_taken_from_another_directory(tmp_path):
+    """`use`: it is only read, also where it is an extended one; a damaged chunk of it is told and not used."""
+    source = tmp_path / "source"
+    run_sweep(SMALL, source, chunk=2, simulator=FakeSimulator())
+    (source / "results" / "chunk-00001.parquet").write_bytes(b"nothing")
+    before = {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    said, simulator = [], Counting()
+    large = changed(vary={"frequency": [0.5, 0.7, 0.9, 1.1], **FRICTION})
+    result = run_sweep(large, tmp_path / "out", chunk=8, use=[source], simulator=simulator, warn=said.append)
+    assert simulator.rows == 8 - 4
+    assert said == [f"{source / 'results' / 'chunk-00001.parquet'} is damaged; its rows are not used."]
+    assert result.table.equals(run_sweep(large, tmp_path / "whole", simulator=FakeSimulator()).table)
+    assert before == {path: path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    with pytest.raises(DirectoryError, match=r"rows of .*source cannot be used: run.cycles is 8 there and 5 here"):
+        run_sweep(SMALL | {"run": {"cycles": 5}}, tmp_path / "other", use=[source], simulator=FakeSimulator())
+    with pytest.raises(DirectoryError, match="no such directory"):
+        run_sweep(SMALL, tmp_path / "other", use=[tmp_path / "nowhere"], simulator=FakeSimulator())
+    assert not (tmp_path / "other").exists()
+
+
+def test_directories_merge_into_one(tmp_path):
+    """The union of their rows, each once, as a sweep of these rows run in one go; nothing is simulated."""
+    sources = [tmp_path / name for name in ("a", "b")]
+    plain = {"plots": False, "gait": "lat", "vary": {"frequency": [0.5, 0.7], **FRICTION}}
+    run_sweep(plain, sources[0], simulator=FakeSimulator())
+    other = {"plots": False, "vary": {"gait": ["trt", "lat"], "frequency": [0.7, 0.9]}}
+    run_sweep(other | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
+    before = {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
+    result = merge(sources, tmp_path / "both")
+    assert result.complete
+    assert result.chunks_run == 0
+    kept = ["gait", "frequency", "contact.friction"]
+    rows = list(zip(*(result.table.column(name).to_pylist() for name in kept), strict=True))
+    expected = {("lat", f, x) for f in (0.5, 0.7) for x in (1.0, 1.2)}
+    expected |= {(g, f, 1.2) for g in ("trt", "lat") for f in (0.7, 0.9)}
+    assert sorted(rows) == sorted(expected)
+    assert before == {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
+    assert find_row(tmp_path / "both", 6).values["frequency"] == rows[6][1]
+    simulator = FakeSimulator()
+    assert run_sweep(tmp_path / "both" / "sweep.yaml", tmp_path / "both", simulator=simulator).chunks_run == 0
+
+
+def test_draws_of_a_row_are_the_same_whatever_else_is_varied(tmp_path):
+    """So that merged directories and one go agree: a row's draws hang on its own values alone."""
+    turned = changed(vary={"contact.friction": [1.2, 1.0], "frequency": [0.9, 0.5, 0.7]})
+    few, many = sample(Sweep.from_dict(SMALL)), sample(Sweep.from_dict(turned))
+    for rows in (few, many):
+        assert len(np.unique(rows.seed)) == 6
+    assert sorted(few.seed) == sorted(many.seed)
+    sweep = Sweep.from_dict(SMALL)
+    assert sorted(keys_of(sweep.structures, few.structure, few.values)) == sorted(
+        keys_of(sweep.structures, many.structure, many.values)
+    )
+
+
+def test_what_does_not_go_together_is_not_merged(tmp_path):
+    run_sweep(SMALL, tmp_path / "a", simulator=FakeSimulator())
+    run_sweep(SMALL | {"gait": "lat"}, tmp_path / "b", simulator=FakeSimulator())
+    run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "c", simulator=FakeSimulator())
+    run_sweep(SMALL, tmp_path / "d", simulator=FakeSimulator(engine="other"))
+    with pytest.raises(DirectoryError, match=r"a and .*b cannot be merged: gait is trt there and lat here\.$"):
+        merge([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
+    with pytest.raises(DirectoryError, match=r"c cannot be merged: only one of them varies contact.friction, on which"):
+        merge([tmp_path / "a", tmp_path / "c"], tmp_path / "out")
+    for name, varied in (("e", {"frequency": [0.5]}), ("f", {"stride": [0.5, 0.6]})):
+        run_sweep({"plots": False, "vary": varied}, tmp_path / name, simulator=FakeSimulator())
+    with pytest.raises(DirectoryError, match="e cannot be merged: it neither varies nor sets stride, which"):
+        merge([tmp_path / "e", tmp_path / "f"], tmp_path / "out")
+    with pytest.raises(SpecError, match="two directories"):
+        merge([tmp_path / "a"], tmp_path / "out")
+    with pytest.raises(OtherCode, match="engine fake, not other"):
+        merge([tmp_path / "a", tmp_path / "d"], tmp_path / "out")
+    assert merge([tmp_path / "a", tmp_path / "d"], tmp_path / "out", accept_new_code=True).complete
+
+
+def test_the_command_merges_and_says_what_is_missing(tmp_path):
+    """Sweeps of different repeats: the rest is named with the command that runs it."""
+    run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "a", simulator=FakeSimulator())
+    run_sweep(changed(vary={"frequency": [0.7]}, randomize={"repeats": 2}), tmp_path / "b", simulator=FakeSimulator())
+    command = ["merge", str(tmp_path / "a"), str(tmp_path / "b"), "--out", str(tmp_path / "c")]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.stderr
+    assert "of 4 runs are in" in result.stdout
+    assert f"--use {tmp_path / 'a'} --use {tmp_path / 'b'}" in result.stdout
+    content = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
+    assert content["complete"] is False
+    simulator = Counting()
+    whole = run_sweep(tmp_path / "c" / "sweep.yaml", tmp_path / "c", simulator=simulator,
+                      use=[tmp_path / "a", tmp_path / "b"])  # fmt: skip
+    assert whole.complete
+    assert simulator.rows == 1
+
+
+OLD = Path(__file__).with_name("data") / "sweep-sealed"
+
+
+def test_a_directory_of_an_earlier_release_is_extended(tmp_path, monkeypatch):
+    """Its draws stay seeded by position; its rows are used when its code is accepted."""
+    out = tmp_path / "old"
+    shutil.copytree(OLD, out)
+    begun = Sweep.from_directory(out)
+    assert begun.seeds == "position"
+    held = read_table(out).num_rows
+    digest = read_table(out).schema.metadata[b"sweep"].decode()
+    if digest != begun.digest():  # made with other defaults than today's
+        monkeypatch.setattr(Sweep, "digest", lambda self: digest if self.variants == 9 else "another")
+    data = begun.resolved() | {"vary": {"frequency": [0.5, 0.7, 0.9, 1.1], "stride": [0.5, 0.75, 1.0]}}
+    data.pop("seeds")
+    simulator = Counting()
+    result = run_sweep(data, out, extend=True, accept_new_code=True, simulator=simulator)
+    assert result.complete
+    assert simulator.rows == 12 - held
+    assert Sweep.from_directory(out).seeds == "position"

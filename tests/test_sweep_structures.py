@@ -1,0 +1,273 @@
+"""Sweeps over what is chosen by name: gait, spine, pilot, scene, tail... Each is a setup of its own, all are one table."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from sweep_fake import FakeSimulator
+
+from nermo_mjx.cli import main
+from nermo_mjx.runs import codes_of
+from nermo_mjx.sweep import Results, SpecError, Sweep, read_table, run_sweep, sample, simulating
+from nermo_mjx.sweep.redraw import figures
+from nermo_mjx.sweep.replay import find_row, replay_row
+from nermo_mjx.sweep.table import columns_of, meta
+
+GAITS, SPINES, ARC = ["trt", "trt1", "lat"], ["none", "stride_extension"], {"arc": {"radius": 0.5, "direction": "left"}}
+SCENE = """<mujoco model="step"><worldbody><geom name="floor" type="plane" size="5 5 1"/>
+<geom type="box" size="0.1 0.1 0.005" pos="0 -1 0"/></worldbody></mujoco>"""
+SPEC = {
+    "plots": False,
+    "vary": {"gait": GAITS, "spine": SPINES, "frequency": [0.5, 0.8], "spine.amplitude": [0.1, 0.2]},
+    "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}},
+}
+
+
+def columns(table, *names):
+    return list(zip(*(table.column(name).to_pylist() for name in names), strict=True))
+
+
+class Asked(FakeSimulator):
+    """Simulators of all structures; `made` has the setup and the values of each batch."""
+
+    made: list = []
+
+    def __init__(self, setup, engine):
+        super().__init__(engine=engine)
+        self.setup = setup
+
+    def run(self, values, run, **more):
+        Asked.made.append((self.setup, run, values))
+        return super().run(values, run, **more)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    monkeypatch.setattr(Asked, "made", [])
+    monkeypatch.setattr(simulating, "Simulator", Asked)
+    return Asked.made
+
+
+def test_each_combination_is_a_row_and_what_a_structure_lacks_is_not_varied_in_it(tmp_path):
+    """Three gaits, two spines, two frequencies; the amplitude only with the spine: 3 x 2 x (1 + 2) variants, twice."""
+    table = run_sweep(SPEC, tmp_path, simulator=FakeSimulator()).table
+    expected = []
+    for gait, spine in itertools.product(GAITS, SPINES):
+        amplitudes = [None] if spine == "none" else [0.1, 0.2]
+        expected += [(gait, spine, f, a) for f, a in itertools.product([0.5, 0.8], amplitudes) for _ in range(2)]
+    assert columns(table, "gait", "spine", "frequency", "spine.amplitude") == expected
+    assert columns_of(table, "varied") == ["gait", "spine", "frequency", "spine.amplitude"]
+    assert meta(table.schema.field("gait"))["scale"] == "structure"
+    assert str(table.schema.field("spine.amplitude").type) == "double"
+
+
+def test_runs_of_two_structures_have_the_same_draws(tmp_path):
+    """So that they can be compared one by one: same friction, same start; other values have others."""
+    spec = {"vary": {"gait": GAITS, "frequency": [0.5, 0.8]}, "randomize": SPEC["randomize"]}
+    rows = sample(Sweep.from_dict(spec))
+    for name in ("contact.friction", "start.x"):
+        each = rows.values[name].reshape(3, 4)
+        np.testing.assert_array_equal(each[0], each[1])
+        np.testing.assert_array_equal(each[0], each[2])
+    assert len(np.unique(rows.values["contact.friction"])) == 4
+
+
+def test_a_sample_has_the_same_points_in_each_structure():
+    """They pair, also where a structure reads only some of the parameters."""
+    vary = {"spine": SPINES, "frequency": {"uniform": [0.5, 1.0]}, "spine.amplitude": {"uniform": [0.1, 0.3]}}
+    rows = sample(Sweep.from_dict({"vary": vary, "sample": {"sobol": 16}, "randomize": SPEC["randomize"]}))
+    without, extended = rows.take(rows.structure == 0), rows.take(rows.structure == 1)
+    assert len(without) == len(extended) == 32
+    np.testing.assert_array_equal(without.values["frequency"], extended.values["frequency"])
+    np.testing.assert_array_equal(without.seed, extended.seed)
+    assert np.isnan(without.values["spine.amplitude"]).all()
+    assert len(np.unique(extended.values["spine.amplitude"])) == 16
+
+
+def test_a_structure_that_reads_nothing_of_a_sample_is_one_variant():
+    vary = {"spine": SPINES, "spine.amplitude": {"uniform": [0.1, 0.3]}}
+    assert Sweep.from_dict({"vary": vary, "sample": {"sobol": 16}}).counts == (1, 16)
+
+
+def test_chunks_have_one_structure_and_each_gets_its_own_setup_run_and_values(tmp_path, asked):
+    """Pilots with options of their own: radius where there is one, and a run that ends at its distance."""
+    pilots = ["straight", ARC, {"straight": {"distance": 0.5}}]
+    spec = {"plots": False, "vary": {"pilot": pilots, "tail": ["rigid", "articulated"], "frequency": [0.5, 0.6, 0.7]}}
+    table = run_sweep(spec, tmp_path, chunk=2, engine="c").table
+    for path in tmp_path.glob("results/*"):
+        assert len(set(columns(pq.read_table(path), "pilot", "tail"))) == 1
+    labels = {"straight", "{arc: {direction: 1.0, radius: 0.5}}", "{straight: {distance: 0.5}}"}
+    assert set(table.column("pilot").to_pylist()) == labels
+    assert len(asked) == 12
+    for setup, run, values in asked:
+        assert ("pilot.radius" in values) == (setup.pilot == "arc")
+        assert values.get("pilot.radius", [0.5])[0] == 0.5
+    assert {(setup.pilot, run.distance) for setup, run, _ in asked} == {
+        ("straight", None), ("arc", None), ("straight", 0.5),
+    }  # fmt: skip
+    assert {setup.tail for setup, _, _ in asked} == {"rigid", "articulated"}
+
+
+def test_each_model_has_its_own_code_and_they_are_no_other_code(tmp_path, asked):
+    """Rows of two tails: two names in the column `code` that differ in the model alone; going on is not refused."""
+    spec = {"plots": False, "vary": {"tail": ["rigid", "articulated"], "frequency": [0.5, 0.6]}}
+    table = run_sweep(spec, tmp_path, chunk=1, engine="c").table
+    assert len(set(columns(table, "tail", "code"))) == 2
+    rigid, articulated = codes_of(tmp_path).values()
+    assert rigid.unlike(articulated) == f"model {rigid.model}, not {articulated.model}"
+    (tmp_path / "results" / "chunk-00003.parquet").unlink()
+    assert run_sweep(spec, tmp_path, engine="c").table.equals(table)
+
+
+RESOLVED = [
+    SPEC["vary"],
+    {"scene": ["flat", SCENE], "frequency": [0.5]},
+    {"pilot": ["straight", {"waypoints": {"points": [[0, 0], [0, -0.5], [0.3, -1]]}}, ARC], "robot": ["nermo_lite"]},
+    {"physics": ["reference", "fast"], "steering": {"values": ["leg", "spine"]}, "routing": ["type1", "type3"]},
+    {"profile": ["exact", "as_published"], "spine": ["stride_extension+balance", "balance"]},
+]
+
+
+@pytest.mark.parametrize("vary", RESOLVED)
+def test_the_resolved_file_reads_back_as_the_same_sweep(vary):
+    sweep = Sweep.from_dict({"vary": vary})
+    again = Sweep.from_text(sweep.to_yaml())
+    assert again == sweep
+    assert again.digest() == sweep.digest()
+    assert [each.setup for each in again.structures] == [each.setup for each in sweep.structures]
+
+
+def test_a_time_step_is_that_of_each_physics_unless_it_is_given():
+    vary = {"physics": ["reference", "fast"]}
+    steps = [each.setup.timestep for each in Sweep.from_dict({"vary": vary}).structures]
+    assert steps == pytest.approx([0.002, 0.01 / 3])
+    given = Sweep.from_text(Sweep.from_dict({"vary": vary, "timestep": 0.0025}).to_yaml())
+    assert [each.setup.timestep for each in given.structures] == [0.0025, 0.0025]
+
+
+def test_a_scene_of_ones_own_is_told_by_its_name_and_content(tmp_path):
+    """In the table; a file beside the sweep's is found, and the directory needs neither."""
+    (tmp_path / "step.xml").write_text(SCENE)
+    (tmp_path / "sweep.yaml").write_text("vary: {scene: [flat, step.xml]}\nset: {frequency: 0.8}\nplots: false\n")
+    run_sweep(tmp_path / "sweep.yaml", tmp_path / "out", simulator=FakeSimulator())
+    (tmp_path / "step.xml").unlink()
+    flat, own = read_table(tmp_path / "out").column("scene").to_pylist()
+    assert flat == "flat"
+    assert own.startswith("step ")
+    assert find_row(tmp_path / "out", 1).walk.labels == {"scene": own}
+
+
+#: What stands under `vary`, and what is said of it.
+WRONG = {
+    "unknown value": ("gait: [trt, trot]", "sweep.yaml:3: field 'gait' is 'trot'"),
+    "misspelt structure": ("gate: [trt, lat]", "'gate' is not a parameter; "),
+    "nearest structure": ("gate: [trt, lat]", "did you mean 'gait'?"),
+    "a number": ("gait: [trt, 3]", "sweep.yaml:3: field 'gait' is the number 3: expected a name"),
+    "no list": ("gait: trt", "'gait' is the text 'trt': expected the list [a, b, ...]"),
+    "empty": ("gait: []", "is an empty list"),
+    "empty values": ("gait: {values: []}", "is an empty list"),
+    "a form": ("gait: {linspace: [1, 2, 3]}", "is a mapping of linspace: expected the list"),
+    "twice": ("gait: [trt, lat, trt]", "lists trt twice"),
+    "the same pilot": ("pilot: [{arc: {radius: 1, direction: left}}, {arc: {direction: 1, radius: 1.0}}]", "twice"),
+    "pilot's option": ("pilot: [straight, {arc: {radus: 1}}]", "did you mean 'radius'?"),
+    "two sources": ("profile: [exact, as_published]", "is varied and also given as 'profile': give it one source"),
+    "no effect in any": ("spine: [none, balance]\n  spine.phase: [0, 1]",
+                         "spine.phase' has no effect: it is read only with spine: stride_extension, and spine is none or balance"),
+    "pilot's own number": ("pilot: [straight, {arc: {radius: 1}}]\n  pilot.radius: [1, 2]", "also set by 'pilot.arc'"),
+    "out of the workspace of one": ("gait: [trt, lat]\n  stance.swing_amplitude: [0.01, 0.04]", "stance.swing_amplitude"),
+    "too many": ("\n  ".join(f"{name}: [{', '.join(f'a{i}' for i in range(11))}]" for name in ("gait", "spine", "tail")),
+                 "makes 1,331 combinations of structures; allowed are 1,000"),
+    "beyond one time step": ("physics: [reference, fast]\n  contact.time_constant: [0.005, 0.01]",
+                             "contact.time_constant' is 0.005: allowed is [0.00666"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("vary", "sentence"), WRONG.values(), ids=WRONG)
+def test_wrong_structures_are_refused_with_their_line(tmp_path, vary, sentence):
+    """Before anything compiles, and with what is allowed."""
+    path = tmp_path / "sweep.yaml"
+    path.write_text(f"profile: exact\nvary:\n  {vary}\n  frequency: [0.5, 0.6]\n")
+    with pytest.raises(SpecError) as refused:
+        Sweep.from_file(path)
+    assert sentence in str(refused.value)
+    assert "sweep.yaml:" in str(refused.value)
+
+
+def test_the_summary_names_structures(tmp_path):
+    """The best one, the mean of each, and the gain over the spine that is switched off."""
+    summary = json.loads(json.dumps(run_sweep(SPEC, tmp_path, simulator=FakeSimulator()).summary))
+    best = summary["best"]["speed"]["parameters"]
+    assert (best["spine"], best["spine.amplitude"], best["frequency"]) == ("stride_extension", 0.2, 0.8)
+    assert [each["value"] for each in summary["marginal_means"]["gait"]] == sorted(GAITS)
+    assert [each["value"] for each in summary["marginal_means"]["spine.amplitude"]] == [0.1, 0.2]
+    assert "gait" not in summary["rank_correlations"]
+    gain = summary["spine_gain"][-1]["best"]
+    assert gain["parameters"]["spine.amplitude"] == 0.2
+    assert gain["ratio"] == pytest.approx(1.1, abs=0.01)  # 1 + 0.5 x 0.2, by the fake robot's formula
+    slowest = run_sweep(SPEC | {"vary": {"gait": GAITS}}, tmp_path / "names", simulator=FakeSimulator()).summary
+    assert slowest["variants"] == 3
+
+
+@pytest.mark.draws
+def test_figures_put_structures_side_by_side(tmp_path):
+    """A line and a panel for each; one without the parameter is a level line; two axes may be any columns."""
+    run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
+    drawn = dict(figures(tmp_path))
+    assert list(drawn) == [
+        "speed-over-structures", "speed-over-frequency-by-structure", "speed-over-spine.amplitude-by-structure",
+        "speed-over-frequency-and-spine.amplitude-by-structure", "speed-parallel", "speed-against-roll_std",
+    ]  # fmt: skip
+    dots = drawn["speed-over-structures"].axes[0]
+    assert [label.get_text() for label in dots.get_yticklabels()] == [f"{g}, {s}" for g in GAITS for s in SPINES]
+    over = drawn["speed-over-spine.amplitude-by-structure"].axes[0]
+    assert sorted(len(line.get_xdata()) for line in over.get_lines()) == [2] * 6
+    level = [line for line in over.get_lines() if list(line.get_xdata()) == [0, 1]]
+    well = Results(read_table(tmp_path))
+    stiff = (well.column("gait") == "trt") & (well.column("spine") == "none")
+    assert level[0].get_ydata()[0] == pytest.approx(1000 * well.column("speed")[stiff].mean())
+    panels = drawn["speed-over-frequency-and-spine.amplitude-by-structure"].axes
+    assert [ax.get_title() for ax in panels if ax.get_title()] == [f"{gait}, stride_extension" for gait in GAITS]
+    ((name, chosen),) = figures(tmp_path, x="gait", y="frequency")
+    assert name == "speed-over-gait-and-frequency"
+    assert [label.get_text() for label in chosen.axes[0].get_xticklabels()] == GAITS
+    ((_, scatter),) = figures(tmp_path, x="spine", y="roll_std", color="speed")
+    assert [label.get_text() for label in scatter.axes[0].get_xticklabels()] == SPINES
+
+
+@pytest.mark.compiles
+def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp_path):
+    """Real walks: another spine, another frequency and a repeat are added; each row alone replays to the last bit."""
+    small = {"plots": False, "run": {"duration": 0.3}, "vary": {"frequency": [0.7, 0.9]}, "set": {"stride": 0.8},
+             "randomize": {"repeats": 2, "contact.friction": {"uniform": [1.0, 1.6]}}}  # fmt: skip
+    large = small | {"vary": {"spine": ["stride_extension", "none"], "frequency": [0.7, 0.8, 0.9]},
+                     "randomize": small["randomize"] | {"repeats": 3}}  # fmt: skip
+    run_sweep(small, tmp_path / "extended", engine="c", chunk=3)
+    extended = run_sweep(large, tmp_path / "extended", engine="c", extend=True)
+    whole = run_sweep(large, tmp_path / "whole", engine="c", chunk=9)
+    assert extended.summary["rows"] == 18
+    assert extended.table.schema.equals(whole.table.schema, check_metadata=True)
+    for name in whole.table.column_names:
+        np.testing.assert_array_equal(extended.table.column(name).to_numpy(), whole.table.column(name).to_numpy())
+    for row in (1, 10):
+        replay = replay_row(find_row(tmp_path / "extended", row))
+        assert replay.comparison.equal
+    shown = CliRunner().invoke(main, ["replay", str(tmp_path / "extended"), "--row", "1"])
+    assert "spine stride_extension" in shown.stdout
+
+
+def test_parameters_and_structures_are_listed():
+    listed = json.loads(CliRunner().invoke(main, ["sweep", "--list-parameters", "--json"]).stdout)
+    assert listed["structures"]["gait"]["allowed"] == GAITS
+    assert "trt, trt1, lat" in CliRunner().invoke(main, ["sweep", "--list-parameters"]).stdout
+
+
+def test_the_status_counts_the_runs_of_all_structures(tmp_path: Path) -> None:
+    run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
+    said = json.loads(CliRunner().invoke(main, ["status", str(tmp_path), "--json"]).stdout)
+    assert (said["rows"], said["rows_done"], said["complete"]) == (36, 36, True)
