@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
+    from nermo_mjx.sweep.comparing import Comparison, compare
+    from nermo_mjx.sweep.sensitivity import Sensitivity, sensitivity
     from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
     from nermo_mjx.view import Page, Recording, render, show
 
@@ -47,18 +49,20 @@ _HOMES = {
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
+    "nermo_mjx.sweep.comparing": ("Comparison", "compare"),
+    "nermo_mjx.sweep.sensitivity": ("Sensitivity", "sensitivity"),
     "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
     "nermo_mjx.view": ("Page", "Recording", "render", "show"),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "LIMBS", "METRICS", "SERVOS", "Controller", "ControllerLike", "Page", "ParameterError", "Recording", "Robot",
-    "RobotConfig", "Rollout", "Run", "RunResult", "Sensors", "ServoAngles", "ServoTable", "Setup", "Simulator",
-    "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters", "compiler_options",
-    "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "parameter_tree",
-    "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment", "run_experiments",
-    "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
+    "LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError", "Recording",
+    "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Sensitivity", "Sensors", "ServoAngles", "ServoTable",
+    "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters", "compare",
+    "compiler_options", "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine",
+    "parameter_tree", "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment",
+    "run_experiments", "run_landscape", "run_sweep", "run_tuning", "sensitivity", "servo_table", "show",
 ]  # fmt: skip
 
 

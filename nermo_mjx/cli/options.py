@@ -153,6 +153,12 @@ def gait(function: F) -> F:
     return function
 
 
+def report_out(function: F) -> F:
+    """`--out` of what is found in finished tables; see `nermo_mjx.sweep.reports`."""
+    about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table."
+    return click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path), help=about)(function)
+
+
 def report(function: F) -> F:
     """`--json` and `--quiet`."""
     quiet = click.option("--quiet", "-q", is_flag=True, help="No progress, no summary; errors only.")

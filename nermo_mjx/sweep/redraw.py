@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.figures import pair_scatters, scatters
+from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
 from nermo_mjx.sweep.points import alike, metric_of, points_of, quantities, repeats_remark, thinned
 from nermo_mjx.sweep.results import Results, chunk_files
@@ -49,7 +51,8 @@ def figures(
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
-    results, rows = Results(files), len(Sample(Sweep.from_directory(out)))
+    results, sweep = Results(files), Sweep.from_directory(out)
+    rows = len(Sample(sweep))
     remark = ""
     if results.rows < rows:
         remark = f"{results.rows:,} of {rows:,} runs so far; "
@@ -62,7 +65,8 @@ def figures(
     if color is not None and color not in columns_of(results, "metric"):
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
-    return _usual(out, results, color or LEADING, remark)
+    found = findings(results, sweep, color or LEADING, notify)
+    return itertools.chain(_usual(out, results, color or LEADING, remark), *(finding.figures for finding in found))
 
 
 def chosen_figure(

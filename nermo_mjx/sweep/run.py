@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,12 +15,14 @@ import pyarrow as pa
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
+from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
+from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.known import KnownRows, check_source, with_former
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
@@ -151,7 +154,7 @@ def run_sweep(
         elif known is not None:
             work.take(known, accept_new_code)
         complete = bool(work.done.all())
-        summary, plots = _sum_up(work) if complete else ({}, [])
+        summary, plots = _sum_up(work, warn) if complete else ({}, [])
         return SweepResult(
             out=store.out, summary=summary, plots=plots, complete=complete, chunks_run=work.chunks_run,
             rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
@@ -195,15 +198,19 @@ def _finish(
     raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
 
 
-def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(work: Work, warn: Callable[[str], None] | None) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
     results = Results([store.chunk_path(k) for k in range(len(work.layout))])
-    summary = {**summarize(results), **work.effort()}
+    summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
+    for finding in findings(results, store.sweep, notify=warn):
+        store.directory.write(f"{finding.name}.parquet", parquet_bytes(finding.table))
+        summary[finding.name] = finding.about
+        figures = itertools.chain(figures, finding.figures)
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
         return summary, []
-    return summary, write_figures(figures_of(results), store.plots)
+    return summary, write_figures(figures, store.plots)
 
 
 def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:

@@ -11,6 +11,7 @@ from scipy.stats import qmc
 from nermo_mjx.robot import identified
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.axes import Axis
+from nermo_mjx.sweep.saltelli import saltelli_points
 from nermo_mjx.sweep.spec import Sweep
 
 #: Rows made at once where a column of all rows is wanted.
@@ -62,7 +63,7 @@ class Sample:
         self.sweep = sweep
         self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
         self._listed = {axis.name: axis.values() for axis in sweep.axes} if sweep.sampler == "grid" else {}
-        self._shares = _low_discrepancy(sweep) if sweep.sampler in ("sobol", "latin_hypercube") else None
+        self._shares = _low_discrepancy(sweep) if sweep.sampler in ("sobol", "latin_hypercube", "saltelli") else None
         self._ends = np.cumsum(sweep.counts)
         self._read = [[axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures]
         self._unread = [{name for name in (*sweep.varied, *(draw.name for draw in sweep.draws))
@@ -167,6 +168,8 @@ def sample(sweep: Sweep) -> Rows:
 def _low_discrepancy(sweep: Sweep) -> np.ndarray:
     """Points of a sampler in the unit cube, (variants, axes)."""
     dimensions, rng = len(sweep.axes), np.random.default_rng(sweep.seed)
+    if sweep.sampler == "saltelli":
+        return saltelli_points(dimensions, sweep.samples, sweep.second_order, sweep.seed)
     if sweep.sampler == "latin_hypercube":
         return qmc.LatinHypercube(dimensions, rng=rng).random(sweep.samples)
     # A power of two keeps the sequence balanced; its first points are the sample, and only they are kept.

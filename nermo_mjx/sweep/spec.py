@@ -24,23 +24,28 @@ from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, rea
 from nermo_mjx.specs.values import Choice, Whole, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, unread
 from nermo_mjx.specs.workspace import check_workspace
+from nermo_mjx.sweep.asked import AskedComparison, CompareFields, Value, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
 from nermo_mjx.sweep.listing import RowList, RowsForm, RowTable, listed_rows, read_row_table
+from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
 from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
 
 LARGEST_SWEEP = 10_000_000
+#: Fields that no row depends on.
+_NOT_DECISIVE = ("chunk", "plots", "compare")
 
 
 class Sampler(OneOf):
     """Where the variants lie between the values of the axes."""
 
-    expected: ClassVar = "grid, {sobol: N} or {latin_hypercube: N}"
+    expected: ClassVar = "grid, {sobol: N}, {latin_hypercube: N} or {saltelli: N}"
     other: ClassVar = "is not a sampler"
     alone: ClassVar = ("grid",)
     short: ClassVar = ({"enum": [*alone]},)
     grid: None = optional("every combination of the listed values")
     sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of a Sobol sequence")
     latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of one")
+    saltelli: Saltelli = optional("the design for Sobol indices, from so many points, a power of two")
 
 
 def _list_parameters(schema: dict[str, Any]) -> None:
@@ -78,6 +83,7 @@ class SweepFile(WalkFields):
     )
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")
+    compare: CompareFields = optional("structures or values to compare when the table is complete")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,7 +93,8 @@ class Sweep(WalkSpec):
     Attributes:
         setup, run, fixed, pilot: see `WalkSpec`; where structures vary, those of the first one.
         axes: varied parameters in the order of the file.
-        sampler, samples: "grid" or "rows", or a sampler and its number of variants.
+        sampler, samples: "grid" or "rows", or a sampler and its number of points.
+        second_order: whether a design of Saltelli's has the variants for indices of pairs.
         draws, repeats: randomized parameters; each variant is drawn and run `repeats` times.
         structures: each combination of the varied structures, at least one; see `Structure`.
         rows: the variants, where they are given one by one.
@@ -96,6 +103,7 @@ class Sweep(WalkSpec):
         seeds: what seeds the draws of a run beside it: "content", its values, or "position", the number of its variant.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
+        comparison: what is compared when it is; None if nothing is.
     """
 
     axes: tuple[Axis, ...]
@@ -109,7 +117,9 @@ class Sweep(WalkSpec):
     seed: int = 0
     seeds: str = "content"
     chunk: int | None = None
+    second_order: bool = False
     plots: bool = True
+    comparison: AskedComparison | None = None
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Sweep:
@@ -153,7 +163,8 @@ class Sweep(WalkSpec):
             return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
         if self.sampler == "grid":
             return tuple(math.prod(len(axis.values()) for axis in self.read_axes(at)) for at in self.structures)
-        return tuple(self.samples if self.read_axes(at) or not self.axes else 1 for at in self.structures)
+        points = self.samples * (saltelli_size(len(self.axes), self.second_order) if self.sampler == "saltelli" else 1)
+        return tuple(points if self.read_axes(at) or not self.axes else 1 for at in self.structures)
 
     @property
     def variants(self) -> int:
@@ -206,7 +217,8 @@ class Sweep(WalkSpec):
                 values = {each.labels[name]: each.written(name) for each in self.structures}
                 data["vary"][name] = {"values": list(values.values())}
             data["vary"] |= {axis.name: axis.written() for axis in self.axes}
-            data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: self.samples}
+            size: Any = {"points": self.samples, "second_order": True} if self.second_order else self.samples
+            data["sample"] = self.sampler if self.sampler == "grid" else {self.sampler: size}
         bodies = {"from": self.bodies} if self.bodies else {}
         named = [draw for draw in self.draws if not draw.implied]
         data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
@@ -215,6 +227,8 @@ class Sweep(WalkSpec):
         if self.chunk is not None:
             data["chunk"] = self.chunk
         data["plots"] = self.plots
+        if self.comparison is not None:
+            data["compare"] = self.comparison.written()
         return data
 
     def kept_rows(self) -> tuple[str, bytes]:
@@ -230,7 +244,7 @@ class Sweep(WalkSpec):
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
         first = self.rows.fingerprint if self.rows is not None else None
         data = {key: value for key, value in (self if first is None else _few(self)).resolved().items()
-                if key not in ("chunk", "plots") and (key, value) != ("seeds", "position")}  # fmt: skip
+                if key not in _NOT_DECISIVE and (key, value) != ("seeds", "position")}  # fmt: skip
         return data | controller_identity(self.setup) | ({} if first is None else {"rows": first})
 
     def digest(self) -> str:
@@ -270,6 +284,7 @@ def _read(doc: Document) -> Sweep:
         at = np.array([place[tuple(each.labels.items())] for each in found])[which]
         rows = listed_rows(table, structures, at, parameters)
     sampler, samples = file.sample.chosen if rows is None else ("rows", len(rows))
+    design = samples if isinstance(samples, Saltelli) else None
     varied = file.vary.model_extra or {}
     axes = [read_axis(doc, name, form, parameters[name], grid=sampler == "grid") for name, form in varied.items()]
     drawn = file.randomize.model_extra or {}
@@ -281,7 +296,8 @@ def _read(doc: Document) -> Sweep:
         pilot=first.pilot,
         axes=tuple(axes),
         sampler=sampler,
-        samples=samples or 0,
+        samples=(samples if design is None else design.points) or 0,
+        second_order=design is not None and design.second_order,
         draws=tuple(read_draw(doc, name, form, parameters[name]) for name, form in drawn.items()),
         repeats=file.randomize.repeats,
         structures=structures,
@@ -293,7 +309,19 @@ def _read(doc: Document) -> Sweep:
         plots=file.plots,
     )
     _check_together(doc, sweep)
+    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, _values(sweep)))
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
+
+
+def _values(sweep: Sweep) -> dict[str, list[Value] | None]:
+    """The values of each varied column; None where they are drawn between bounds."""
+    values: dict[str, list[Value] | None] = {
+        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
+    }
+    for axis in sweep.axes:
+        values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+    rows = {} if sweep.rows is None else sweep.rows.values
+    return values | {name: np.unique(column[~np.isnan(column)]).tolist() for name, column in rows.items()}
 
 
 def _row_table(doc: Document, file: SweepFile) -> RowTable | None:

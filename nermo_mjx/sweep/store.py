@@ -200,6 +200,9 @@ class Store:
             also = ", or add these rows to it with --extend" if not why else ""
             raise self._foreign(f"the results of another sweep: {apart}; choose another directory, or {go_on}{also}")
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
+        if self.shard is None and begun.comparison != self.sweep.comparison:  # no row depends on it
+            again = dataclasses.replace(begun, comparison=self.sweep.comparison)
+            self.directory.write(path, again.to_yaml(self.out.resolve()).encode())
 
     def _extend(self, begun: Sweep) -> None:
         """Make the directory that of this sweep. Its results go into a folder, where their rows are found again.

@@ -85,7 +85,8 @@ def chunk_table(
     codes = np.broadcast_to(np.asarray(code, object), len(index))
     columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler
-    return columns.table({"sweep": sweep.digest(), "sampler": sampler, **about})
+    pairs = {"second_order": "true"} if sweep.second_order else {}
+    return columns.table({"sweep": sweep.digest(), "sampler": sampler, **pairs, **about})
 
 
 def joined(parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:

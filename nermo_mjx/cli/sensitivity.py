@@ -1,0 +1,69 @@
+"""`nermo-mjx sensitivity`: which parameters of a sampled sweep a metric hangs on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import METRICS
+from nermo_mjx.cli.completing import names
+from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
+
+if TYPE_CHECKING:
+    from nermo_mjx.sweep.sensitivity import Sensitivity
+
+EPILOG = """\b
+Examples:
+  nermo-mjx sensitivity runs/robustness
+  nermo-mjx sensitivity runs/robustness --metric roll_std --out runs/roll
+"""
+
+
+@click.command("sensitivity", epilog=EPILOG)
+@click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--metric", metavar="NAME", default="speed", show_default=True, shell_complete=names(*METRICS),
+              help="Whose variance.")  # fmt: skip
+@options.report_out
+@options.report
+def command(path: Path, metric: str, out: Path | None, as_json: bool, quiet: bool) -> None:
+    """Say how much of a metric's variance each parameter of a sweep makes.
+
+    Sobol indices with 95 % intervals: first, alone; total, with all others;
+    second, of pairs. A sweep with sample: {saltelli: N} has all of them,
+    another random sample the first ones.
+    """
+    with stdout_reserved():
+        from nermo_mjx.sweep.reports import write_report
+        from nermo_mjx.sweep.sensitivity import sensitivity
+        from nermo_mjx.sweep.sensitivity_figure import figures_of
+
+        found = sensitivity(path, metric)
+        files, moved = list[Path](), ""
+        if out is not None:
+            files, moved = write_report(out, "sensitivity", found.table, found.about(), figures_of(found.table))
+    say = sayer("sensitivity", quiet)
+    if say is not None and moved:
+        say(moved)
+    if as_json:
+        print_json({**found.about(), "files": files})
+    elif not quiet:
+        _print(found)
+        for file in files:
+            click.echo(f"wrote {file}")
+
+
+def _print(found: Sensitivity) -> None:
+    from nermo_mjx.sweep.table import labelled
+
+    structures = labelled(found.table)
+    rows = [[*(line[name] for name in structures), f"{line['parameter']} {line['second']}".strip(), line["order"],
+             f"{line['index']:.3f}", f"[{line['low']:.3f}, {line['high']:.3f}]"]
+            for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))]  # fmt: skip
+    heads = [*((name, "left") for name in structures), ("parameter", "left"), ("order", "left"), ("index", "right"),
+             ("95 % interval", "left")]  # fmt: skip
+    print_table(f"{found.metric}: share of the variance", heads, rows)
+    for note in found.notes:
+        click.echo(note)

@@ -1,0 +1,5 @@
+"""Which structure is better, where and by how much: sweeps, and parts of one, compared with confidence intervals."""
+
+from nermo_mjx.sweep.comparing.comparison import Comparison, compare
+
+__all__ = ["Comparison", "compare"]

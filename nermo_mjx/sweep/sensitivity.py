@@ -1,0 +1,248 @@
+"""What a metric hangs on: Sobol indices of a sweep's parameters with their intervals, by SALib."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.specs.reading import did_you_mean
+from nermo_mjx.sweep.comparing.arms import Source, opened
+from nermo_mjx.sweep.reports import report_table
+from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.saltelli import saltelli_size, unit_problem
+from nermo_mjx.sweep.summary import LEADING
+from nermo_mjx.sweep.table import Columns, columns_of, labelled
+
+#: Resamples of SALib's bootstrap, the same ones in each call.
+RESAMPLES: Final = 1000
+_SEED: Final = 1  # SALib takes 0 for none
+#: Variants that the method for given data needs at least: it sorts them, and takes a spectrum.
+_FEWEST: Final = 65
+_HARMONICS: Final = 10
+_METHODS: Final = {
+    "sobol": "first and total Sobol indices by Saltelli's design",
+    "rbd_fast": "first Sobol indices from given data, by RBD-FAST: a sample of another design tells no interactions",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensitivity:
+    """What `sensitivity` finds.
+
+    Attributes:
+        table: one row an index: the varied structures, if there are any; `parameter`, `second` (the other one of a
+            pair, else empty), `order` ("first", "total" or "second"), `index`, `low`, `high` (its 95 % interval).
+        metric: whose variance it is.
+        method: "sobol", or "rbd_fast" where the sample is not of Saltelli's design.
+        noise: the share of the variance that is noise: randomized parameters and starts, told by the spread of the
+            repeats; NaN where there is one repeat.
+        notes: what is left out, and what to mind, in sentences.
+    """
+
+    table: pa.Table
+    metric: str
+    method: str
+    noise: float
+    notes: tuple[str, ...]
+
+    def about(self) -> dict[str, Any]:
+        """All of it for JSON: `indices` are the table's rows."""
+        return {"metric": self.metric, "method": self.method, "about": _METHODS[self.method], "noise": self.noise,
+                "indices": self.table.to_pylist(), "notes": list(self.notes)}  # fmt: skip
+
+
+def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
+    """How much of a metric's variance each varied parameter makes, alone (first) and with all others (total).
+
+    Indices are shares of the variance over the sample, with 95 % intervals of SALib's bootstrap. With `sample:
+    {saltelli: N}` they are estimated as by Saltelli et al. (Comput. Phys. Commun. 181, 2010), first and total, with
+    `second_order: true` of pairs, too. Any other random sample gives first indices, by RBD-FAST (Tarantola, Gatelli and
+    Mara, 2006; Plischke, 2010). Each varied structure is analysed for itself. What is randomized is noise: the first
+    indices are shares of a variance that holds it, and each total index holds all of it. More repeats make it less.
+
+    >>> import tempfile
+    >>> from nermo_mjx import run_sweep
+    >>> spec = {"vary": {"frequency": {"uniform": [0.5, 0.9]}, "stride": {"uniform": [0.5, 0.9]}},
+    ...         "sample": {"saltelli": 4}, "run": {"duration": 0.2}, "plots": False}
+    >>> out = tempfile.mkdtemp()
+    >>> _ = run_sweep(spec, out, engine="c")
+    >>> sensitivity(out).table.column("order").to_pylist()
+    ['first', 'total', 'first', 'total']
+
+    Args:
+        source: directory of a sweep, or its table.
+        metric: a metric of the table.
+
+    Raises:
+        ParameterError: there is no such metric, or the table is of a grid, or too small.
+        DirectoryError, SpecError: the directory holds no results, or cannot be read.
+    """
+    _, results, _, notes = opened(source)
+    known = columns_of(results, "metric")
+    if metric not in known:
+        raise ParameterError(f"metric is {metric!r}: not one of the table{did_you_mean(metric, known)}")
+    about = results.schema.metadata or {}
+    sampler, pairs = about.get(b"sampler", b"").decode(), about.get(b"second_order") == b"true"
+    if sampler in ("grid", "rows") and columns_of(results, "varied"):
+        raise ParameterError(f"sample is {sampler}, whose variants are not drawn at random: run a sweep with "
+                             "sample: {saltelli: 256}.")  # fmt: skip
+    method, columns, noises = "sobol" if sampler == "saltelli" else "rbd_fast", Columns(), list[float]()
+    lines: list[dict[str, Any]] = []
+    for labels, rows in _structures(results):
+        data = _Data.of(results, metric, rows)
+        found = _sobol(data, pairs) if method == "sobol" else _given(data)
+        lines += [labels | line for line in found]
+        notes += data.notes
+        noises.append(data.noise)
+    if method == "rbd_fast":
+        notes.append("Interactions are not known from this sample: sample: {saltelli: N} gives total indices, too.")
+    if columns_of(results, "randomized") and columns_of(results, "varied"):
+        notes.append(_about_noise(float(np.mean(noises)), method))
+    for name in labelled(results):
+        columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
+    columns.add("parameter", np.array([line["parameter"] for line in lines]), "index", "1", "what the metric hangs on")
+    columns.add("second", np.array([line["second"] for line in lines]), "index", "1", "the other parameter of a pair")
+    columns.add("order", np.array([line["order"] for line in lines]), "index", "1",
+                "first: alone; second: of a pair, beyond each alone; total: with all others")  # fmt: skip
+    for name, text in {"index": "share of the metric's variance", "low": "lower end of its 95 % interval",
+                       "high": "upper end of it"}.items():  # fmt: skip
+        columns.add(name, np.array([line[name] for line in lines], float), "metric", "1", text)
+    table = columns.table({"sensitivity": metric, "method": method, "noise": float(np.mean(noises)),
+                           "notes": "\n".join(dict.fromkeys(notes))})  # fmt: skip
+    return Sensitivity(table, metric, method, float(np.mean(noises)), tuple(dict.fromkeys(notes)))
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a sensitivity's directory.
+
+    Raises:
+        DirectoryError: its table is absent or damaged.
+    """
+    from nermo_mjx.sweep.sensitivity_figure import figures_of
+
+    return figures_of(report_table(out, "sensitivity"))
+
+
+@dataclasses.dataclass
+class _Data:
+    """A metric over the variants of one structure.
+
+    Attributes:
+        names: the parameters.
+        inputs: their values, (variants, p).
+        means: the metric's mean over the runs that went well, (variants,); NaN where there is none.
+        noise: share of the variance of the means that the repeats make.
+        notes: sentences.
+    """
+
+    names: list[str]
+    inputs: np.ndarray
+    means: np.ndarray
+    noise: float
+    notes: list[str]
+
+    @classmethod
+    def of(cls, results: Results, metric: str, rows: np.ndarray) -> _Data:
+        numbers = [name for name in columns_of(results, "varied") if name not in labelled(results)]
+        names = numbers or columns_of(results, "randomized")
+        variant = results.column("variant")[rows] if numbers else rows
+        number, place = np.unique(variant, return_inverse=True)
+        _, first = np.unique(place, return_index=True)
+        values = results.column(metric)[rows]
+        good = results.well[rows] & np.isfinite(values)
+        count = np.bincount(place[good], minlength=len(number))
+        with np.errstate(invalid="ignore"):
+            means = np.bincount(place[good], values[good], len(number)) / count
+        spread = np.bincount(place[good], (values[good] - means[place[good]]) ** 2, len(number))
+        several = count > 1
+        within = np.mean(spread[several] / (count[several] - 1) / count[several]) if several.any() else math.nan
+        whole = np.nanvar(means) if count.any() else math.nan
+        inputs = np.column_stack([column[rows][first] for _, column in results.columns(names)])
+        read = ~np.isnan(inputs).all(axis=0)  # in this structure
+        lost = int((count == 0).sum())
+        notes = [f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {lost:,} variants with all of "
+                 "theirs."] if lost or not good.all() else []  # fmt: skip
+        if count.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
+            raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it hangs on nothing.")
+        noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
+        kept = [name for name, there in zip(names, read, strict=True) if there]
+        return cls(kept, inputs[:, read], means, noise, notes)
+
+
+def _structures(results: Results) -> Iterator[tuple[dict[str, str], np.ndarray]]:
+    """The rows of each combination of the varied structures."""
+    columns = {name: results.column(name) for name in labelled(results)}
+    keys = list(zip(*columns.values(), strict=True)) if columns else [()] * results.rows
+    for key in dict.fromkeys(keys):
+        yield dict(zip(columns, key, strict=True)), np.flatnonzero([each == key for each in keys])
+
+
+def _sobol(data: _Data, pairs: bool) -> Iterator[dict[str, Any]]:
+    from SALib.analyze import sobol
+
+    block = saltelli_size(len(data.names), pairs)
+    if len(data.means) % block:
+        raise ParameterError(f"the table has {len(data.means):,} variants, no whole number of blocks of {block}: finish "
+                             "the sweep first.")  # fmt: skip
+    blocks = data.means.reshape(-1, block)
+    whole = np.isfinite(blocks).all(axis=1)
+    if lost := int((~whole).sum()):
+        data.notes.append(f"{lost:,} of {len(blocks):,} points are left out, of which a variant has no run that went "
+                          "well: the indices are of where the robot walks.")  # fmt: skip
+    if whole.sum() < 4:
+        raise ParameterError(f"only {int(whole.sum())} points have all of their variants: too few for indices.")
+    found = sobol.analyze(unit_problem(len(data.names)), blocks[whole].ravel(), calc_second_order=pairs,
+                          num_resamples=RESAMPLES, seed=_SEED)  # fmt: skip
+    for i, name in enumerate(data.names):
+        yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
+        yield _line(name, "total", found["ST"][i], found["ST_conf"][i])
+    for i, j in itertools.combinations(range(len(data.names)), 2) if pairs else ():
+        yield _line(data.names[i], "second", found["S2"][i, j], found["S2_conf"][i, j], data.names[j])
+
+
+def _given(data: _Data) -> Iterator[dict[str, Any]]:
+    from SALib.analyze import rbd_fast
+
+    good = np.isfinite(data.means)
+    if good.sum() < _FEWEST:
+        raise ParameterError(f"{int(good.sum())} variants went well: RBD-FAST needs {_FEWEST} or more.")
+    found = rbd_fast.analyze(unit_problem(len(data.names)), data.inputs[good], data.means[good], M=_HARMONICS,
+                             num_resamples=RESAMPLES, seed=_SEED)  # fmt: skip
+    for i, name in enumerate(data.names):
+        yield _line(name, "first", found["S1"][i], found["S1_conf"][i])
+
+
+def _line(parameter: str, order: str, index: float, half: float, second: str = "") -> dict[str, Any]:
+    return {"parameter": parameter, "second": second, "order": order, "index": float(index),
+            "low": float(index - half), "high": float(index + half)}  # fmt: skip
+
+
+def _about_noise(noise: float, method: str) -> str:
+    """What the randomized parameters do to the indices."""
+    rest = "a total index of a parameter without effect is about as large" if method == "sobol" else (
+        "so much no parameter explains"
+    )  # fmt: skip
+    if math.isnan(noise):
+        return "What is randomized counts as noise; one repeat does not tell how much it is: give repeats."
+    return f"What is randomized counts as noise, {noise:.1%} of the variance: {rest}.".replace("%", " %")
+
+
+def strongest(table: pa.Table) -> list[str]:
+    """The parameters of a table of indices, that with the largest index first, by their totals if these are known."""
+    lines: Sequence[Mapping[str, Any]] = table.to_pylist()
+    order = "total" if any(line["order"] == "total" for line in lines) else "first"
+    most: dict[str, float] = {}
+    for line in lines:
+        if line["order"] == order:
+            most[line["parameter"]] = max(most.get(line["parameter"], -math.inf), line["index"])
+    return sorted(most, key=lambda name: -most[name])
+

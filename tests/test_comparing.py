@@ -1,0 +1,298 @@
+"""Comparisons: pairing, intervals against numpy, SciPy and simulation, what is beyond noise, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from scipy import stats
+from sweep_fake import FakeSimulator
+
+from nermo_mjx import ParameterError, compare, read_table, run_sweep
+from nermo_mjx.cli import main
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep import Sweep
+from nermo_mjx.sweep.comparing.bootstrap import two_stage
+from nermo_mjx.sweep.comparing.figures import figures_of
+from nermo_mjx.sweep.table import Columns
+
+GAITS, SPINES, FREQUENCIES = ("trt", "trt1", "lat"), ("none", "stride_extension"), (0.4, 0.6, 0.8)
+#: Share by which the spine makes each gait faster.
+GAIN = {"trt": 0.2, "trt1": 0.0, "lat": -0.1}
+RANDOM = {
+    "spine": "stride_extension", "plots": False, "vary": {"frequency": [0.5, 0.9], "spine.amplitude": [0.0, 0.4]},
+    "randomize": {"repeats": 12, "contact.friction": {"uniform": [0.9, 1.1]}},
+}  # fmt: skip
+
+
+def table(repeats: int = 8, noise: float = 0.02, seeds: str = "own", fell: tuple[str, ...] = ()) -> pa.Table:
+    """A table over gait, spine and frequency, whose columns of names are as those of a sweep over structures."""
+    rng, rows = np.random.default_rng(1), []
+    for gait in GAITS:
+        for spine in SPINES:
+            for frequency in FREQUENCIES:
+                rows += [(gait, spine, frequency, repeat) for repeat in range(repeats)]
+    gaits, spines, frequencies, repeat = (np.array(each) for each in zip(*rows, strict=True))
+    gain = np.where(spines == "none", 0.0, [GAIN[gait] for gait in gaits])
+    # What runs of one seed share: as large as all else.
+    common = {key: rng.normal() for key in {(g, f, r) for g, _, f, r in rows}}
+    shared = np.array([common[g, f, r] for g, _, f, r in rows]) if seeds == "shared" else 0.0
+    speed = 0.1 * frequencies * (1 + gain) + noise * 0.1 * (rng.normal(size=len(rows)) + 10 * shared)
+    status = np.where(np.isin(gaits, fell) & (spines != "none") & (repeat == 0), "fell", "ok")
+    place = {key: i for i, key in enumerate(common)}
+    seed = np.arange(len(rows)) if seeds == "own" else np.array([place[g, f, r] for g, _, f, r in rows])
+    columns = Columns()
+    for name, values in {"row": np.arange(len(rows)), "repeat": repeat, "seed": seed}.items():
+        columns.add(name, values, "index", "1", name)
+    for name, values in {"gait": gaits, "spine": spines}.items():
+        columns.add(name, values, "varied", "1", name, scale="structure")
+    columns.add("frequency", frequencies, "varied", "Hz", "frequency", scale="linear")
+    columns.add("speed", np.where(status == "ok", speed, 0.0), "metric", "m/s", "speed")
+    columns.add("slip", rng.normal(size=len(rows)), "metric", "m", "slip")
+    shake = np.where(spines == "none", 2.0, 1.0) + 0.01 * rng.normal(size=len(rows))
+    columns.add("shake", shake, "metric", "rad", "a metric of one's own", better="low")
+    columns.add("fell", (status == "fell").astype(float), "metric", "1", "fell")
+    columns.add("status", status, "status", "1", "status")
+    return columns.table({"sampler": "grid"})
+
+
+def speed_of(found, **group):
+    """The line on the speed of one group."""
+    rows = [row for row in found.rows(found.others[0], grouped=True) if row["metric"] == "speed"]
+    return next(row for row in rows if all(row[name] == value for name, value in group.items()))
+
+
+def test_what_helps_is_found_where_it_helps_and_nowhere_else() -> None:
+    """The trot gains 20 %, the lateral walk loses 10 %, the walking trot neither; each is within its interval."""
+    found = compare(table(), by="spine", groups=["gait", "frequency"])
+    assert (found.base, found.others) == ("none", ("stride_extension",))
+    for gait, gain in GAIN.items():
+        for frequency in FREQUENCIES:
+            row = speed_of(found, gait=gait, frequency=frequency)
+            assert row["beyond_noise"] == (gain != 0), row
+            assert row["difference"] == pytest.approx(0.1 * frequency * gain, abs=0.003)
+            assert row["relative"] == pytest.approx(row["difference"] / row["base_mean"])
+            assert (row["variants"], row["runs_base"], row["runs_other"]) == (1, 8, 8)
+    overall = found.about()["metrics"]
+    assert overall["shake"]["beyond_noise"]
+    assert overall["shake"]["better"] == "low"
+    assert not overall["slip"]["beyond_noise"]
+
+
+def test_differences_are_means_over_variants_of_differences_of_means() -> None:
+    """As pandas-free NumPy has them from the table, whatever the order of its rows."""
+    data = table(repeats=3)
+    found = compare(data.take(np.random.default_rng(0).permutation(data.num_rows)), by="spine", groups=["gait"])
+    columns = {name: data.column(name).to_numpy() for name in ("gait", "spine", "frequency", "speed")}
+
+
+    def mean(gait: str, spine: str, frequency: float) -> float:
+        chosen = (columns["gait"] == gait) & (columns["spine"] == spine) & (columns["frequency"] == frequency)
+        return float(columns["speed"][chosen].mean())
+
+    for gait in GAITS:
+        each = [mean(gait, SPINES[1], frequency) - mean(gait, SPINES[0], frequency) for frequency in FREQUENCIES]
+        row = speed_of(found, gait=gait)
+        assert row["difference"] == pytest.approx(np.mean(each))
+        assert row["low"] < row["difference"] < row["high"]
+
+
+@pytest.mark.parametrize(
+    ("variants", "repeats", "spread"), [(1, 3, 0.0), (1, 10, 0.0), (6, 4, 0.0), (6, 4, 2.0), (30, 2, 0.5)]
+)
+def test_intervals_hold_the_truth_in_95_of_100_cases(variants: int, repeats: int, spread: float) -> None:
+    """Of 600 drawn experiments with known difference; `spread` is that of the variants over that of the repeats."""
+    trials, rng = 600, np.random.default_rng(5)
+    effect = 1 + spread * rng.normal(size=(variants, trials))
+    values = [sign * ((effect[v] if sign > 0 else 0) + rng.normal(size=(repeats, trials)))
+              for sign in (-1, 1) for v in range(variants)]  # fmt: skip
+    cell = np.repeat(np.arange(2 * variants), repeats)
+    found = two_stage(np.concatenate(values), cell, np.tile(np.arange(variants), 2))
+    covered = np.mean((found.low <= 1) & (found.high >= 1))
+    assert 0.91 <= covered <= 0.99
+    false = np.mean(two_stage(np.concatenate(values) - np.repeat([0, 1], len(cell) // 2)[:, None], cell,
+                              np.tile(np.arange(variants), 2)).p <= 0.05)  # fmt: skip
+    assert false <= 0.09
+
+
+def test_one_variant_of_many_repeats_has_scipys_interval() -> None:
+    """There the second stage is all there is: the percentile interval of `scipy.stats.bootstrap`."""
+    sample = np.random.default_rng(2).exponential(size=300)
+    found = two_stage(sample[:, None], np.zeros(300, int), np.zeros(1, int))
+    known = stats.bootstrap((sample,), np.mean, method="percentile", rng=np.random.default_rng(0)).confidence_interval
+    assert (found.low[0], found.high[0]) == pytest.approx(tuple(known), abs=0.02)
+    assert found.p[0] < 0.001
+
+
+def test_runs_of_one_seed_are_compared_with_each_other() -> None:
+    """What they share falls out: the interval is several times as narrow as without."""
+    data = table(seeds="shared")
+    place = data.schema.get_field_index("seed")
+    without = data.set_column(place, data.schema.field("seed"), pa.array(np.arange(data.num_rows)))
+    widths = [speed_of(compare(each, by="spine", groups=["gait", "frequency"])) for each in (data, without)]
+    paired, apart = (row["high"] - row["low"] for row in widths)
+    assert paired < 0.4 * apart
+
+
+def test_runs_that_fell_are_counted_and_compared_but_not_averaged() -> None:
+    """One of eight repeats fell with the spine: the speed leaves it out, `fell` has it, and each line counts it."""
+    found = compare(table(fell=("lat",)), by="spine", groups=["gait"])
+    row = speed_of(found, gait="lat")
+    assert (row["failed_base"], row["failed_other"]) == (0, 3)
+    assert (row["runs_base"], row["runs_other"]) == (24, 21)
+    assert row["difference"] == pytest.approx(-0.1 * 0.06, abs=0.002)
+    falls = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "fell"]
+    assert [row["difference"] for row in falls] == pytest.approx([0, 0, 1 / 8])
+    assert found.status == {"none": {"ok": 72}, "stride_extension": {"fell": 3, "ok": 69}}
+
+
+def test_several_values_are_each_compared_with_the_base() -> None:
+    """Of the gaits, with the trot by name, over the frequencies of one spine."""
+    found = compare(table(), by="gait", base="trt", where={"spine": "none"})
+    assert (found.base, found.others) == ("trt", ("trt1", "lat"))
+    assert [each["other"] for each in found.about()["comparisons"]] == ["trt1", "lat"]
+    assert all(each["metrics"]["speed"]["variants"] == 3 for each in found.about()["comparisons"])
+
+
+def test_without_repeats_there_is_no_interval_and_a_sentence_says_so() -> None:
+    """One run of one variant tells no noise; two variants do."""
+    data = table(repeats=1)
+    found = compare(data, by="spine", where={"gait": "trt", "frequency": 0.4})
+    row = found.rows("stride_extension")[0]
+    assert np.isnan(row["low"])
+    assert row["beyond_noise"] is None
+    assert "give repeats" in found.notes[0]
+    assert json.loads(json.dumps(row["difference"])) > 0
+    assert np.isfinite(compare(data, by="spine", where={"gait": "trt"}).rows("stride_extension")[0]["low"])
+
+
+def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
+    """A sweep that fixes what the other varies is compared with that value; where it has no effect, it is averaged."""
+    vary = {"frequency": [0.5, 0.7, 0.9]}
+    run_sweep(RANDOM, tmp_path / "both", simulator=FakeSimulator())
+    run_sweep(RANDOM | {"vary": vary, "set": {"spine.amplitude": 0.4}}, tmp_path / "bent", simulator=FakeSimulator())
+    run_sweep(RANDOM | {"vary": vary, "spine": "none"}, tmp_path / "stiff", simulator=FakeSimulator())
+    same = compare(tmp_path / "bent", tmp_path / "both")
+    row = same.rows(same.others[0])[0]
+    assert row["variants"] == 2
+    assert abs(row["relative"]) < 0.02
+    assert any("2 variants are in" in note for note in same.notes)
+    other = compare(tmp_path / "stiff", tmp_path / "both")
+    assert other.rows(other.others[0])[0]["relative"] == pytest.approx(0.1, abs=0.02)
+    assert any("spine: none and stride_extension" in note for note in other.notes)
+    assert any("spine.amplitude varies in" in note for note in other.notes)
+
+
+def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
+    """Summary, table and figures have it; `plot` makes the same bytes, and it may be asked for later."""
+    spec = RANDOM | {"compare": {"by": "spine.amplitude", "for": ["frequency"]}}
+    run_sweep(RANDOM, tmp_path, simulator=FakeSimulator())
+    result = run_sweep(spec | {"plots": True}, tmp_path, simulator=FakeSimulator(fail_at=0, error=AssertionError()))
+    about = json.loads((tmp_path / "summary.json").read_text())["comparison"]
+    assert (about["base"], about["other"]) == ("0", "0.4")
+    assert [each["for"] for each in about["groups"]] == [{"frequency": 0.5}, {"frequency": 0.9}]
+    assert about["groups"][0]["metrics"]["speed"]["relative"] == pytest.approx(0.2, abs=0.02)
+    assert pq.read_table(tmp_path / "comparison.parquet").num_rows == 3 * len(about["metrics"])
+    assert Sweep.from_file(tmp_path / "sweep.yaml").comparison is not None
+    assert {"differences.png", "speed-gain-by-frequency.png"} <= {path.name for path in result.plots}
+    known = compare(tmp_path, by="spine.amplitude", groups=["frequency"]).about()["metrics"]["speed"]
+    assert about["metrics"]["speed"] == pytest.approx(known)
+
+
+def test_the_command_prints_and_writes(tmp_path: Path) -> None:
+    """JSON as other programs rely on it, a directory that `plot` and `status` know, and tables in one file."""
+    run_sweep(RANDOM, tmp_path / "sweep", simulator=FakeSimulator())
+    asked = ["compare", str(tmp_path / "sweep"), "--by", "spine.amplitude", "--for", "frequency"]
+    run = CliRunner().invoke(main, [*asked, "--out", str(tmp_path / "gain"), "--json"])
+    assert run.exit_code == 0, run.output
+    speed = json.loads(run.stdout)["metrics"]["speed"]
+    assert speed["low"] < speed["difference"] < speed["high"]
+    made = {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
+    assert {"differences.svg", "speed-gain-by-frequency.png"} <= set(made)
+    assert CliRunner().invoke(main, ["plot", str(tmp_path / "gain")]).exit_code == 0
+    assert made == {path.name: path.read_bytes() for path in (tmp_path / "gain" / "plots").glob("*.*g")}
+    status = json.loads(CliRunner().invoke(main, ["status", str(tmp_path / "gain"), "--json"]).stdout)
+    assert (status["kind"], status["complete"]) == ("comparison", True)
+    shown = CliRunner().invoke(main, [*asked, "--out", str(tmp_path / "gain.csv")])
+    assert "0.4 minus 0" in shown.stdout
+    assert "24 ok" in shown.stdout
+    kept = pq.read_table(tmp_path / "gain" / "comparison.parquet")
+    assert pa.csv.read_csv(tmp_path / "gain.csv").num_rows == kept.num_rows
+
+
+def test_figures_mark_what_is_beyond_noise(drawing) -> None:
+    """Filled marks as many as the table has findings, for each gait a line, and the runs that fell below."""
+    found = compare(table(fell=("lat",)), by="spine", groups=["gait", "frequency"])
+    figures = dict(figures_of(found.table))
+    assert list(figures) == ["differences", "speed-gain-by-gait-and-frequency"]
+    figure = figures["speed-gain-by-gait-and-frequency"]
+    filled = sum((marks.get_facecolor()[:, :3] < 1).any(axis=1).sum() for marks in figure.axes[0].collections
+                 if len(marks.get_offsets()) > 0 and len(marks.get_facecolor()))  # fmt: skip
+    rows = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "speed"]
+    assert filled == sum(row["beyond_noise"] for row in rows) > 0
+    texts = " ".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
+    assert "gait lat" in texts
+    assert "3 of the other fell" in texts
+    assert "frequency [Hz]" in texts
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"by": "spin"}, "by is 'spin', which is not varied; did you mean 'spine'? Varied: gait, spine, frequency."),
+        ({"by": "spine", "base": "balance"}, "base is 'balance': the table has none, stride_extension."),
+        ({"by": "spine", "groups": ["gate"]}, "for is 'gate', which is not varied; did you mean 'gait'?"),
+        ({"by": "spine", "where": {"frequency": 0.5}}, "where frequency is 0.5: the table has 0.4, 0.6, 0.8"),
+        ({"by": "spine", "drawn": ["sped"]}, "metric is 'sped', which no table has or one lacks; did you"),
+        ({}, "compare two directories, or with by two values of a column in one"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_compared_says_why(asked: dict, said: str) -> None:
+    """In a sentence with what there is."""
+    with pytest.raises(ParameterError) as error:
+        compare(table(repeats=1), **asked)
+    assert said in str(error.value)
+
+
+def test_tables_without_common_variants_are_refused(tmp_path: Path) -> None:
+    """The sentence names the parameter that keeps them apart."""
+    for name, values in {"a": [0.5, 0.6], "b": [0.7, 0.8]}.items():
+        run_sweep(RANDOM | {"vary": {"frequency": values}}, tmp_path / name, simulator=FakeSimulator())
+    with pytest.raises(ParameterError, match=r"no variant in common: frequency is 0.5, 0.6 in the one and 0.7, 0.8 in"):
+        compare(tmp_path / "a", tmp_path / "b")
+    with pytest.raises(SpecError, match="no such directory"):
+        compare(tmp_path / "a", tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("{by: frequencies}", "2: field 'compare.by' names 'frequencies', which is not varied; did you"),
+        ("{base: 1}", "2: field 'compare' has no 'by'"),
+        ("{by: frequency, base: 0.55}", "2: field 'compare.base' is the number 0.55, no value of frequency; allowed"),
+        ("{by: stride}", "2: field 'compare.by' names 'stride', which has one value"),
+        ("{by: frequency, for: frequency}", "2: field 'compare.for' names 'frequency', whose values are compared"),
+        ("{by: frequency, of: speed}", "2: field 'compare.of' is not a field of a comparison; allowed are by"),
+    ],
+)  # fmt: skip
+def test_a_wrong_section_is_refused_before_anything_runs(section: str, said: str) -> None:
+    """With line, field and what is allowed."""
+    with pytest.raises(SpecError) as error:
+        Sweep.from_text(f"vary: {{frequency: [0.5, 0.7], stride: [1.0]}}\ncompare: {section}")
+    assert said in str(error.value)
+
+
+def test_a_comparison_changes_no_row(tmp_path: Path) -> None:
+    """Two sweeps that differ in it alone are one sweep, and give one table."""
+    asked = RANDOM | {"compare": {"by": "frequency", "base": 0.9}}
+    assert Sweep.from_dict(asked).digest() == Sweep.from_dict(RANDOM).digest()
+    assert Sweep.from_text(Sweep.from_dict(asked).to_yaml()) == Sweep.from_dict(asked)
+    for name, spec in {"with": asked, "without": RANDOM}.items():
+        run_sweep(spec, tmp_path / name, simulator=FakeSimulator())
+    assert read_table(tmp_path / "with").equals(read_table(tmp_path / "without"))
