@@ -38,7 +38,7 @@ class RunResult:
     """What a batch of n worlds gave.
 
     Attributes:
-        metrics: name -> (n,), as described in `METRICS`.
+        metrics: name -> (n,), as `all_metrics` describes them.
         status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
         setup, length: what ran, and how long.
         worlds: all parameters, leaves with a leading world axis.

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -16,12 +17,13 @@ from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
+from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.result import History, RunResult
-from nermo_mjx.rollout.setup import Run, Setup, with_controller
+from nermo_mjx.rollout.setup import Run, Setup, with_own
 from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.
@@ -68,6 +70,7 @@ class Simulator:
         threads: int | None = None,
         *,
         controller: ControllerLike | str | None = None,
+        metrics: Sequence[OwnMetric | str] | str = (),
     ) -> None:
         """
         Args:
@@ -76,21 +79,23 @@ class Simulator:
             devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
             threads: processors that share a batch in `c`; None for `$NERMO_MJX_THREADS`, or else all.
             controller: instead of the setup's, see `Setup.controller`.
+            metrics: beside the setup's, see `Setup.metrics`.
 
         Raises:
-            ParameterError: an unknown engine, one that cannot run here, not as many devices, no thread, or what is no
-                controller.
+            ParameterError: an unknown engine, one that cannot run here, not as many devices, no thread, what is no
+                controller, or a metric that cannot be computed.
         """
-        self.setup = with_controller(setup, controller)
-        self.robot = self.setup.load()
+        self.setup = with_own(setup, controller, metrics)
+        self.robot, own = self.setup.load(), self.setup.own_metrics
         self.controller = self.setup.make_controller()
         check_controller(self.robot, self.controller)
-        self.loop = ClosedLoop(self.robot, self.controller)
+        check_metrics(self.robot.config, own)
+        self.loop = ClosedLoop(self.robot, self.controller, own)
         self.engine = make_engine(engine, self.robot, self.loop, devices, threads)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(metrics.result)
+        self._results = Lanes(functools.partial(measures.result, own=own))
 
     def parameters(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
@@ -128,7 +133,7 @@ class Simulator:
     def __call__(
         self, values: Mapping[str, Any] | None = None, run: Run | None = None, *, policy: Any = None
     ) -> dict[str, np.ndarray]:
-        """The metrics of a batch, as named in `METRICS`: what `run` gives, without the rest."""
+        """The metrics of a batch, as named in `all_metrics(setup)`: what `run` gives, without the rest."""
         return self.run(values or {}, run, policy=policy).metrics
 
     def run(
@@ -200,7 +205,7 @@ class Simulator:
         unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(
             metrics=table,
-            status=metrics.endings(table["fell"], table["diverged"], unsolved),
+            status=measures.endings(table["fell"], table["diverged"], unsolved),
             setup=self.setup,
             length=batch.length,
             worlds=batch.worlds,
@@ -249,7 +254,7 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     return numbers
 
 
-def _finished(state: metrics.MetricState) -> np.ndarray:
+def _finished(state: measures.MetricState) -> np.ndarray:
     """Worlds (n,) that have walked their distance, or can walk no more."""
     return np.logical_or.reduce([np.asarray(flag) for flag in (state.finished, state.fell, state.diverged)])
 

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.physics import ENGINES
 from nermo_mjx.recording import Recording, recording_of
-from nermo_mjx.rollout import METRICS, History, Simulator
+from nermo_mjx.rollout import History, Simulator
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
@@ -91,7 +91,7 @@ class Replay:
 
     Attributes:
         engine: which engine ran.
-        metrics: as described in `METRICS`.
+        metrics: name -> value, as `all_metrics` describes them.
         status: `ok`, `fell` or `diverged`.
         history: of this one world (n = 1), until the run ends or its numbers are lost; every sample is finite, and
             there may be none.
@@ -164,7 +164,7 @@ def replay_row(found: SweepRow, engine: str | None = None, progress: Callable[[f
     simulator = Simulator(found.sweep.setup, engine or (found.engine if found.engine in ENGINES else "auto"))
     values = {name: np.array([value]) for name, value in (found.sweep.constants | found.values).items()}
     result = simulator.run(values, found.sweep.run, record=True, progress=progress)
-    metrics = {name: float(result.metrics[name][0]) for name in METRICS}
+    metrics = {name: float(values[0]) for name, values in result.metrics.items()}
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
     whole = found.begin + metrics["duration"]
