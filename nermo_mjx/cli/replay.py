@@ -108,7 +108,7 @@ def _compared(found: SweepRow, replay: Replay) -> str:
 def _print(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:
     values = "".join(f", {name} {value:.4g}" for name, value in found.values.items())
     click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
-    print_walk(report, wanted.theory, [])
+    print_walk(report, wanted, [])
     for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
         if report["metrics"][flag]:
             click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.end:.2f} s.")

@@ -19,7 +19,7 @@ from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_rem
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.summary import LEADING, cost, sides_of
 from nermo_mjx.sweep.survey import trade_off_figure
 from nermo_mjx.sweep.table import columns_of
 
@@ -108,9 +108,10 @@ def _check_column(results: Results, name: str | None, option: str) -> None:
 
 def _figure(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
     metrics, varied = columns_of(results, "metric"), columns_of(results, "varied")
-    if color is None and x in OBJECTIVES and y in OBJECTIVES and x != y:
+    sides = sides_of(results.schema)
+    if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
-        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
+        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark, sides)
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:

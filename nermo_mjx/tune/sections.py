@@ -68,7 +68,7 @@ class _Metrics(Choice):
 
 _Metric = Annotated[str, _Metrics(tuple(OBJECTIVE_METRICS))]
 #: Schema of a term of a file without metrics of one's own.
-KNOWN_METRICS: Final = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
+KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 
 class TermFields(Fields):
