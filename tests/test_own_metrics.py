@@ -145,7 +145,7 @@ def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
     assert result.recording(1).metadata["setup"]["metrics"] == [str(shake), "integral"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) -> None:
     """By central differences of another implementation."""
     with jax.enable_x64(True):

@@ -23,6 +23,7 @@ from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.result import History, RunResult
+from nermo_mjx.rollout.saving import Keeper, Saving
 from nermo_mjx.rollout.setup import Run, Setup, with_own
 from nermo_mjx.rollout.start import StartPose
 
@@ -144,6 +145,7 @@ class Simulator:
         progress: Callable[[float], None] | None = None,
         notify: Callable[[str], None] | None = None,
         policy: Any = None,
+        save: Saving | None = None,
     ) -> RunResult:
         """Simulate one batch.
 
@@ -159,13 +161,15 @@ class Simulator:
             notify: called with a sentence before a program is compiled that this simulator has not run yet.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`. A leaf
                 with one axis more than there has one entry a world. Named values come into it.
+            save: signals whose time series are kept; the result's `series`.
 
         Raises:
-            ParameterError: see `parameters`.
+            ParameterError: see `parameters`, and `Keeper`.
         """
         began = time.perf_counter()
         with _compile_time() as compile_time:
-            result = self._run(self.prepare(values, run, policy), record, progress, notify)
+            keeper = None if save is None else Keeper(save, self.robot, self.controller.dt)
+            result = self._run(self.prepare(values, run, policy), record, progress, notify, keeper)
         wall = time.perf_counter() - began
         return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))
 
@@ -175,18 +179,24 @@ class Simulator:
         record: bool,
         progress: Callable[[float], None] | None,
         notify: Callable[[str], None] | None,
+        keeper: Keeper | None,
     ) -> RunResult:
-        program = (len(batch.qpos), tuple(batch.fields), record)
+        traced = record or keeper is not None
+        program = (len(batch.qpos), tuple(batch.fields), traced)
         if notify and program not in self._compiled:
             notify(f"compiling the {self.engine.name} program, once per machine")
         self._compiled.add(program)
         session = self.engine.open(batch.params, batch.qpos, batch.fields)
         # Whole blocks only: a recorded block of another length would be another program.
-        ticks = -(-batch.ticks // BLOCK) * BLOCK if record else batch.ticks
+        ticks = -(-batch.ticks // BLOCK) * BLOCK if traced else batch.ticks
         traces: list[Trace] = []
         for done, size in _blocks(ticks):
-            if record:
-                traces.append(session.record(size))
+            if traced:
+                trace = session.record(size)
+                if record:
+                    traces.append(trace)
+                if keeper is not None:
+                    keeper.add(trace)
             else:
                 session.advance(size)
             over = (done + size) * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
@@ -213,7 +223,14 @@ class Simulator:
             engine=self.engine.name,
             steps=ticks * self.loop.steps_per_tick,
             trace=self._history(traces, batch.ticks) if record else None,
+            series=None if keeper is None else keeper.series(self._ends(batch, table)),
         )
+
+    def _ends(self, batch: Batch, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        """When each world's run ended (n,) [s]: at its distance or at its length, or before its numbers were lost."""
+        begin, end = np.asarray(batch.params.window.begin, float), np.asarray(batch.params.window.end, float)
+        whole = np.where(table["fell"] > 0, end, begin + table["duration"])
+        return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)
 
     def _history(self, traces: list[Trace], ticks: int) -> History:
         qpos, qvel, ctrl, sensordata = (

@@ -24,6 +24,7 @@ from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.series import check_room, chunk_with_series
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
@@ -118,7 +119,7 @@ def run_sweep(
     rows, workers = Sample(sweep), LocalWorkers() if workers is None else workers
     seconds = simulated_seconds(sweep, rows)
     parts = workers.parts * (1 if shard is None else shard[1])
-    size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), parts)
+    size = chunk_with_series(sweep, seconds, chunk or sweep.chunk, lambda: chunk_rows_here(engine, len(rows), parts))
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
 
         def report(share: SweepProgress) -> None:
@@ -130,7 +131,9 @@ def run_sweep(
         first, step = shard or (0, 1)
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
-        simulates = BatchSimulator(sweep.setup, sweep.run, _engine(engine, simulator, work), simulator, notify)
+        check_room(sweep, store.out, seconds, [layout[k] for k in (work.mine & ~work.done).nonzero()[0]])
+        simulates = BatchSimulator(sweep.setup, sweep.run, _engine(engine, simulator, work), simulator, notify,
+                                   sweep.save)  # fmt: skip
         _finish(work, simulates, workers, accept_new_code, warn)
         complete = bool(work.done.all())
         summary, plots = _sum_up(work) if complete else ({}, [])

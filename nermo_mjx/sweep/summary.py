@@ -11,37 +11,12 @@ import numpy as np
 import pyarrow as pa
 from scipy import stats
 
-from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.table import columns_of, meta
+from nermo_mjx.sweep.sides import cost, sides_in
+from nermo_mjx.sweep.table import columns_of
 
-#: Metrics with a better side, and which one it is.
-OBJECTIVES = {
-    "speed": "max",
-    "cost_of_transport": "min",
-    "servo_work": "min",
-    "slip": "min",
-    "roll_std": "min",
-    "pitch_std": "min",
-    "yaw_std": "min",
-    "lateral_drift": "nearest zero",
-}
-_SIDES = {"high": "max", "low": "min"}
 #: The metric whose dependence on each parameter is summed up.
 LEADING = "speed"
-
-
-def sides_of(schema: pa.Schema) -> dict[str, str]:
-    """The metrics of a table that have a better side, and which one it is: the usual ones, and those of one's own."""
-    own = {field.name: meta(field) for field in schema if field.name not in METRICS}
-    own_sides = {name: _SIDES[about["better"]] for name, about in own.items() if "better" in about}
-    return {name: side for name, side in OBJECTIVES.items() if name in schema.names} | own_sides
-
-
-def cost(metric: str, values: np.ndarray, sides: Mapping[str, str] = OBJECTIVES) -> np.ndarray:
-    """Values of a metric so that less is better; of one without a better side, less where it is higher."""
-    side = sides.get(metric, "max")
-    return {"max": -values, "min": values, "nearest zero": np.abs(values)}[side]
 
 
 def summarize(table: pa.Table | Results) -> dict[str, Any]:
@@ -56,7 +31,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         correlations[name] = _correlation(values[well], speed)
         if name in varied:
             variants.values[name] = values[well][variants.first]
-    spreads, best, sides = {}, {}, sides_of(results.schema)
+    spreads, best, sides = {}, {}, sides_in(results.schema)
     for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
         spreads[name] = _spread(values[well])
         if name in sides:

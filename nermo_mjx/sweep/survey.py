@@ -14,7 +14,8 @@ from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_AXES, MOST_LINES, chosen_lines, parallel
 from nermo_mjx.sweep.points import Points, points_of, thinned, titled
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.sides import OBJECTIVES, cost
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.trade_off import front, named_points, trade_off
 
 #: What a faster walk is weighed against.
