@@ -20,6 +20,7 @@ from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
+from nermo_mjx.sweep.keeping import record_rows
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
@@ -47,6 +48,7 @@ class SweepResult:
         out: its directory.
         summary: content of summary.json; empty while chunks of other shards are missing.
         plots: files of the figures.
+        recordings: files of the rows that are kept.
         complete: whether the directory holds every row of the sweep.
         chunks_run: chunks that this call had simulated.
         rows_done, rows: finished rows and all rows of the sweep.
@@ -56,6 +58,7 @@ class SweepResult:
     out: Path
     summary: dict[str, Any]
     plots: list[Path]
+    recordings: list[Path]
     complete: bool
     chunks_run: int
     rows_done: int
@@ -136,9 +139,13 @@ def run_sweep(
                                    sweep.save)  # fmt: skip
         _finish(work, simulates, workers, accept_new_code, warn)
         complete = bool(work.done.all())
-        summary, plots = _sum_up(work) if complete else ({}, [])
+        results = Results([store.chunk_path(k) for k in range(len(layout))]) if complete else None
+        summary, plots = ({}, []) if results is None else _sum_up(work, results)
+        kept = [] if results is None or sweep.keep is None else record_rows(
+            store, results, sweep.keep, interruption.check, warn
+        )
         return SweepResult(
-            out=store.out, summary=summary, plots=plots, complete=complete, chunks_run=work.chunks_run,
+            out=store.out, summary=summary, plots=plots, recordings=kept, complete=complete, chunks_run=work.chunks_run,
             rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
         )  # fmt: skip
 
@@ -177,10 +184,9 @@ def _finish(
     raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
 
 
-def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(work: Work, results: Results) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
-    results = Results([store.chunk_path(k) for k in range(len(work.layout))])
     summary = {**summarize(results), **work.effort()}
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:
