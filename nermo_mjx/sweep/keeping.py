@@ -6,7 +6,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -54,6 +54,7 @@ def record_rows(
     store: Store,
     results: Results,
     keep: Keep,
+    used: Any = None,
     check: Callable[[], None] = lambda: None,
     warn: Callable[[str], None] | None = None,
 ) -> list[Path]:
@@ -63,6 +64,7 @@ def record_rows(
         store: of the complete table.
         results: the table.
         keep: which rows.
+        used: what simulated the table in this process, if anything did; a `Simulator` has its programs compiled.
         check: called often; may raise an interruption. What is recorded until then stays.
         warn: called with a sentence where a replay does not give the table's numbers, or nothing can be recorded.
 
@@ -73,6 +75,8 @@ def record_rows(
 
     @functools.lru_cache
     def simulator(setup: Setup, engine: str) -> Simulator:
+        if (getattr(used, "setup", None), getattr(getattr(used, "engine", None), "name", "")) == (setup, engine):
+            return used
         try:
             return Simulator(setup, engine)
         except ParameterError:

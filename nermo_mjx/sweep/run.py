@@ -142,7 +142,7 @@ def run_sweep(
         results = Results([store.chunk_path(k) for k in range(len(layout))]) if complete else None
         summary, plots = ({}, []) if results is None else _sum_up(work, results)
         kept = [] if results is None or sweep.keep is None else record_rows(
-            store, results, sweep.keep, interruption.check, warn
+            store, results, sweep.keep, simulates.used, interruption.check, warn
         )
         return SweepResult(
             out=store.out, summary=summary, plots=plots, recordings=kept, complete=complete, chunks_run=work.chunks_run,

@@ -74,6 +74,11 @@ class BatchSimulator:
         self.setup, self.run, self.engine, self.notify = setup, run, engine, notify
         self._simulator = simulator
 
+    @property
+    def used(self) -> SimulatorLike | None:
+        """What has simulated here, if anything has."""
+        return self._simulator
+
     def __getstate__(self) -> dict[str, Any]:
         """For another machine, where nobody is told that it compiles."""
         return self.__dict__ | {"notify": None}
