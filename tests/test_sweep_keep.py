@@ -255,3 +255,26 @@ def test_what_is_kept_does_not_change_the_sweep() -> None:
     """So that a complete sweep can be asked for more of it."""
     assert Sweep.from_dict({**SPEC, "keep": {"fell": 3}}).digest() == Sweep.from_dict(SPEC).digest()
     assert Sweep.from_text(Sweep.from_dict({**SPEC, "keep": {"fell": 3}}).to_yaml()).keep == Keep(fell=3)
+
+
+@pytest.mark.parametrize("package", ["pandas", "polars", "duckdb"])
+def test_series_open_in_the_lines_of_the_page(tmp_path: Path, package: str) -> None:
+    """As docs/files.md has them, but for runs that are shorter; one run, and runs beside their parameters, too."""
+    module = pytest.importorskip(package)
+    run_sweep(SAVED, tmp_path, chunk=5, simulator=Saver())
+    section = (Path(__file__).parents[1] / "docs" / "files.md").read_text().partition("## Time series")[2]
+    lines = [line.replace("DIR", str(tmp_path)) for line in section.partition("\n## ")[0].splitlines()]
+    (line,) = (line for line in lines if line.startswith(f"{package}."))
+    found = eval(line.replace("time > 1", "time > 0.3"), {package: module})
+    table = read_table(tmp_path)
+    samples = np.round(10 * table.column("frequency").to_numpy()).astype(int)
+    if package == "duckdb":
+        expected = {row: n / 20 for row, n in enumerate(samples.tolist()) if n > 6}
+        assert {row: peak for row, peak in found.fetchall()} == pytest.approx(expected)
+        return
+    assert len(found) == samples.sum()
+    if package == "pandas":
+        scope: dict[str, Any] = {"pandas": module}
+        exec("\n".join(line for line in lines if line.startswith(("one = ", "both = "))), scope)
+        assert len(scope["one"]) == samples[1]
+        assert (scope["both"]["speed_x"] == scope["both"]["speed_y"].astype(np.float32)).all()
