@@ -91,7 +91,6 @@ def test_differences_are_means_over_variants_of_differences_of_means() -> None:
     found = compare(data.take(np.random.default_rng(0).permutation(data.num_rows)), by="spine", groups=["gait"])
     columns = {name: data.column(name).to_numpy() for name in ("gait", "spine", "frequency", "speed")}
 
-
     def mean(gait: str, spine: str, frequency: float) -> float:
         chosen = (columns["gait"] == gait) & (columns["spine"] == spine) & (columns["frequency"] == frequency)
         return float(columns["speed"][chosen].mean())

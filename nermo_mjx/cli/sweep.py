@@ -45,11 +45,20 @@ class Shard(click.ParamType):
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))
 @options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
-@click.option("--rows", type=FileKind(".csv", ".parquet", exists=True, dir_okay=False), metavar="FILE",
-              help="Exactly these variants, instead of vary; SPEC.yaml may then be left out.")
+@click.option(
+    "--rows",
+    type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
+    metavar="FILE",
+    help="Exactly these variants, instead of vary; SPEC.yaml may then be left out.",
+)
 @click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
-@click.option("--use", multiple=True, metavar="DIR2", type=click.Path(path_type=Path),
-              help="Take rows that DIR2 has instead of running them.")
+@click.option(
+    "--use",
+    multiple=True,
+    metavar="DIR2",
+    type=click.Path(path_type=Path),
+    help="Take rows that DIR2 has instead of running them.",
+)
 @options.workers
 @options.accept_new_code
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
@@ -96,7 +105,8 @@ def command(
 
 def result_fields(out: Path, result: SweepResult) -> dict[str, Any]:
     """For `--json`."""
-    about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots}
+    about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots,
+             "recordings": result.recordings}  # fmt: skip
     return {**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary}
 
 
@@ -122,6 +132,8 @@ def print_result(result: SweepResult) -> None:
     click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
     if result.plots:
         click.echo(f"plots   {result.out / 'plots'}")
+    if result.recordings:
+        click.echo(f"kept    {len(result.recordings)} recordings in {result.recordings[0].parent}")
 
 
 def _list_parameters(spec: Path | None, as_json: bool) -> None:

@@ -117,9 +117,7 @@ class RunDirectory:
             sync_folder(source.parent)
         return target
 
-    def take_code(
-        self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False
-    ) -> None:
+    def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False) -> None:
         """Note that this code is about to add rows, or refuse: the rows of one directory are made by one code.
 
         Of several processes that begin together, the first one's code counts. Who holds a directory without rows alone

@@ -27,7 +27,13 @@ class Batch:
         for k, size in zip(self.chunks, sizes, strict=True):
             here, share = slice(first, first + size), size / sum(sizes)
             metrics = {name: column[here] for name, column in result.metrics.items()}
-            yield k, Simulated(metrics, result.status[here], result.steps * share, round(result.seconds * share, 3))
+            # Rows with series are never known, so that a batch of them is one chunk.
+            yield (
+                k,
+                Simulated(
+                    metrics, result.status[here], result.steps * share, round(result.seconds * share, 3), result.series
+                ),
+            )
             first += size
 
 

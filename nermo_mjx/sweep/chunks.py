@@ -20,6 +20,7 @@ from nermo_mjx.sweep.batches import Batch, BatchPlan, plan_batches
 from nermo_mjx.sweep.known import KnownRows
 from nermo_mjx.sweep.layout import batch_values, listed, rows_digest
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.series import series_table
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.store import ChunkNote, Store
 from nermo_mjx.sweep.table import chunk_table, joined
@@ -131,10 +132,13 @@ class Work:
         with ThreadPoolExecutor(1, "sweep-writer") as writer:
             written: list[Future[None]] = []
             for batch, result in self._results(plan, workers):
-                before, written = written, [
-                    writer.submit(self._write, k, plan, known, part, stamps[batch.structure])
-                    for k, part in batch.parts(plan, result)
-                ]
+                before, written = (
+                    written,
+                    [
+                        writer.submit(self._write, k, plan, known, part, stamps[batch.structure])
+                        for k, part in batch.parts(plan, result)
+                    ],
+                )
                 self.chunks_run += len(batch.chunks)
                 self.tally.finish(batch.chunks)
                 self.tally.tell()
@@ -207,7 +211,8 @@ class Work:
                 rows = self.rows.take(here)
                 parts.append(chunk_table(self.store.sweep, rows, here, each.metrics, each.status, made, about))
         table = parts[0] if len(parts) == 1 else joined(parts, index)
-        self.store.write_chunk(k, table)
+        saved = None if result is None else result.series
+        self.store.write_chunk(k, table, None if saved is None else series_table(self.store.sweep, index, saved))
         self._finish(k, ChunkNote(engine, steps, seconds))
 
     def _forget(self) -> None:

@@ -30,7 +30,7 @@ from nermo_mjx.plotting.style import (
     horizontal_grid,
     set_scales,
 )
-from nermo_mjx.sweep.summary import OBJECTIVES, cost
+from nermo_mjx.sweep.sides import OBJECTIVES, cost
 
 
 def heat_maps(

@@ -175,9 +175,7 @@ def with_former(source: Path) -> list[Path]:
     return [source, *sorted(path for path in source.glob("results.before-*") if (path / "sweep.yaml").exists())]
 
 
-def keys_of(
-    structures: Sequence[Structure], structure: np.ndarray, values: Mapping[str, np.ndarray]
-) -> np.ndarray:
+def keys_of(structures: Sequence[Structure], structure: np.ndarray, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """A key for the content of each row, (n,) of 32 bytes.
 
     Args:

@@ -20,7 +20,8 @@ from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
 from nermo_mjx.sweep.points import alike, metric_of, quantities, quantity, repeats_remark, thinned, titled
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.side_by_side import groups_of, structure_figures
-from nermo_mjx.sweep.summary import LEADING, cost, spine_ratio
+from nermo_mjx.sweep.sides import cost
+from nermo_mjx.sweep.summary import LEADING, spine_ratio
 from nermo_mjx.sweep.survey import survey_figures
 from nermo_mjx.sweep.table import columns_of
 

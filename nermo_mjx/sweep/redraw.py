@@ -20,8 +20,9 @@ from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
 from nermo_mjx.sweep.points import alike, metric_of, points_of, quantities, repeats_remark, thinned
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.sides import cost, sides_in
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.survey import trade_off_figure
 from nermo_mjx.sweep.table import columns_of
 
@@ -112,9 +113,10 @@ def _check_column(results: Results, name: str | None, option: str) -> None:
 
 def _figure(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
     metrics, varied = columns_of(results, "metric"), columns_of(results, "varied")
-    if color is None and x in OBJECTIVES and y in OBJECTIVES and x != y:
+    sides = sides_in(results.schema)
+    if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
-        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
+        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark, sides)
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:

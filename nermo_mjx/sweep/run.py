@@ -23,11 +23,13 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.findings import findings
+from nermo_mjx.sweep.keeping import record_rows
 from nermo_mjx.sweep.known import KnownRows, check_source, with_former
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.series import check_room, chunk_with_series
 from nermo_mjx.sweep.simulating import SimulatorLike, SweepSimulator
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
@@ -50,6 +52,7 @@ class SweepResult:
         out: its directory.
         summary: content of summary.json; empty while chunks of other shards are missing.
         plots: files of the figures.
+        recordings: files of the rows that are kept.
         complete: whether the directory holds every row of the sweep.
         chunks_run: chunks that this call had simulated.
         rows_done, rows: finished rows and all rows of the sweep.
@@ -59,6 +62,7 @@ class SweepResult:
     out: Path
     summary: dict[str, Any]
     plots: list[Path]
+    recordings: list[Path]
     complete: bool
     chunks_run: int
     rows_done: int
@@ -131,7 +135,9 @@ def run_sweep(
         check_source(source, sweep)
     workers = LocalWorkers() if workers is None else workers
     parts = workers.parts * (1 if shard is None else shard[1])
-    size = chunk or sweep.chunk or chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
+    size = chunk_with_series(
+        sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
+    )
     wanted = Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend)
     with wanted as store, _interruptible(store) as interruption:
 
@@ -146,17 +152,27 @@ def run_sweep(
         first, step = shard or (0, 1)
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
-        simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify)
+        check_room(sweep, store.out, seconds, [layout[k] for k in (work.mine & ~work.done).nonzero()[0]])
+        simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify, sweep.save)
         places = [*store.former(), *(place for source in sources for place in with_former(source))]
         known = KnownRows(places, warn) if places and not work.done[work.mine].all() else None
+        if known is not None and sweep.save is not None:
+            (warn or (lambda _: None))("the sweep saves time series, which other results lack: all its rows are run.")
+            known = None
         if simulate:
             _finish(work, simulates, workers, accept_new_code, known, warn)
         elif known is not None:
             work.take(known, accept_new_code)
         complete = bool(work.done.all())
-        summary, plots = _sum_up(work, warn) if complete else ({}, [])
+        results = Results([store.chunk_path(k) for k in range(len(layout))]) if complete else None
+        summary, plots = ({}, []) if results is None else _sum_up(work, results, warn)
+        kept = (
+            []
+            if results is None or sweep.keep is None
+            else record_rows(store, results, sweep.keep, simulates.used, interruption.check, warn)
+        )
         return SweepResult(
-            out=store.out, summary=summary, plots=plots, complete=complete, chunks_run=work.chunks_run,
+            out=store.out, summary=summary, plots=plots, recordings=kept, complete=complete, chunks_run=work.chunks_run,
             rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
         )  # fmt: skip
 
@@ -198,10 +214,9 @@ def _finish(
     raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
 
 
-def _sum_up(work: Work, warn: Callable[[str], None] | None) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(work: Work, results: Results, warn: Callable[[str], None] | None) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
-    results = Results([store.chunk_path(k) for k in range(len(work.layout))])
     summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
     for finding in findings(results, store.sweep, notify=warn):
         store.directory.write(f"{finding.name}.parquet", parquet_bytes(finding.table))

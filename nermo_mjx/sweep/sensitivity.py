@@ -245,4 +245,3 @@ def strongest(table: pa.Table) -> list[str]:
         if line["order"] == order:
             most[line["parameter"]] = max(most.get(line["parameter"], -math.inf), line["index"])
     return sorted(most, key=lambda name: -most[name])
-

@@ -9,7 +9,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Saving, Series, Setup, Simulator
 from nermo_mjx.rollout.setup import without_presettings
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.specs.walk import WalkSpec
@@ -32,6 +32,7 @@ class SimulatorLike(Protocol):
         *,
         progress: Callable[[float], None] | None = None,
         notify: Callable[[str], None] | None = None,
+        save: Saving | None = None,
     ) -> Any: ...
 
 
@@ -44,12 +45,14 @@ class Simulated:
         status: (worlds,) of `ok`, `fell`, `diverged`.
         steps: physics steps of all worlds.
         seconds: the time they took [s].
+        series: time series of all worlds, if the sweep saves any.
     """
 
     metrics: dict[str, np.ndarray]
     status: np.ndarray
     steps: float
     seconds: float
+    series: Series | None = None
 
 
 class BatchSimulator:
@@ -62,6 +65,7 @@ class BatchSimulator:
         engine: str,
         simulator: SimulatorLike | None = None,
         notify: Callable[[str], None] | None = None,
+        save: Saving | None = None,
     ) -> None:
         """
         Args:
@@ -69,9 +73,16 @@ class BatchSimulator:
             engine: name of the engine, never "auto".
             simulator: stands in for `Simulator(setup, engine)`.
             notify: called with a sentence when it compiles.
+            save: which time series are kept.
         """
+        self.save = save
         self.setup, self.run, self.engine, self.notify = setup, run, engine, notify
         self._simulator = simulator
+
+    @property
+    def used(self) -> SimulatorLike | None:
+        """What has simulated here, if anything has."""
+        return self._simulator
 
     def __getstate__(self) -> dict[str, Any]:
         """For another machine, where nobody is told that it compiles."""
@@ -90,10 +101,14 @@ class BatchSimulator:
         self.warm()
         assert self._simulator is not None
         began = time.perf_counter()
-        result = self._simulator.run(values, self.run, progress=progress, notify=self.notify)
+        saved: dict[str, Any] = {} if self.save is None else {"save": self.save}
+        result = self._simulator.run(values, self.run, progress=progress, notify=self.notify, **saved)
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
-        return Simulated(metrics, status, result.steps * len(status), round(time.perf_counter() - began, 3))
+        seconds = round(time.perf_counter() - began, 3)
+        return Simulated(
+            metrics, status, result.steps * len(status), seconds, None if self.save is None else result.series
+        )
 
 
 class SweepSimulator:
@@ -109,16 +124,22 @@ class SweepSimulator:
         engine: str,
         simulator: SimulatorLike | None = None,
         notify: Callable[[str], None] | None = None,
+        save: Saving | None = None,
     ) -> None:
         """
         Args:
             walks: of the structures.
-            engine, simulator, notify: see `BatchSimulator`.
+            engine, simulator, notify, save: see `BatchSimulator`.
         """
-        self.walks, self.engine = tuple(walks), engine
+        self.walks, self.engine, self.save = tuple(walks), engine, save
         self._given, self._notify = simulator, notify
         self._current: tuple[int, BatchSimulator] | None = None
         self._kept: dict[Setup, Simulator] = {}
+
+    @property
+    def used(self) -> SimulatorLike | None:
+        """What has simulated here last, if anything has."""
+        return None if self._current is None else self._current[1].used
 
     def __getstate__(self) -> dict[str, Any]:
         """For another machine; see `BatchSimulator`."""
@@ -144,8 +165,10 @@ class SweepSimulator:
         if self._current is None or self._current[0] != structure:
             self._current = None
             walk = self.walks[structure]
-            simulator = self._given or self._simulator(walk.setup)
-            self._current = structure, BatchSimulator(walk.setup, walk.run, self.engine, simulator, self._notify)
+            made = BatchSimulator(
+                walk.setup, walk.run, self.engine, self._given or self._simulator(walk.setup), self._notify, self.save
+            )
+            self._current = structure, made
         return self._current[1]
 
     def _simulator(self, setup: Setup) -> Simulator:

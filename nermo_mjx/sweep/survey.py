@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -14,7 +14,8 @@ from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_AXES, MOST_LINES, chosen_lines, parallel
 from nermo_mjx.sweep.points import Points, points_of, thinned, titled
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.sides import OBJECTIVES, cost
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.trade_off import front, named_points, trade_off
 
 #: What a faster walk is weighed against.
@@ -36,10 +37,17 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
         yield f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)
 
 
-def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, ...], remark: str) -> Figure:
-    """Two metrics with a better side against each other; the named points have their parameters below."""
-    x, y, sides = points.metrics[first], points.metrics[second], (OBJECTIVES[first], OBJECTIVES[second])
-    best = front(cost(first, x.values), cost(second, y.values))
+def trade_off_figure(
+    points: Points,
+    first: str,
+    second: str,
+    names: tuple[str, ...],
+    remark: str,
+    known: Mapping[str, str] = OBJECTIVES,
+) -> Figure:
+    """Two metrics with a better side, which is `known`; the named points have their parameters below."""
+    x, y, sides = points.metrics[first], points.metrics[second], (known[first], known[second])
+    best = front(cost(first, x.values, known), cost(second, y.values, known))
     named = best[named_points(x.values[best], y.values[best])]
     told = points.of(names[:_MOST_TOLD], named)
     lines = [

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import about_structure
@@ -33,11 +32,20 @@ class Columns:
         self._fields: list[pa.Field] = []
 
     def add(
-        self, name: str, values: np.ndarray, role: str, unit: str, description: str, *, nulls: bool = False, **more: str
+        self,
+        name: str,
+        values: np.ndarray,
+        role: str,
+        unit: str,
+        description: str,
+        *,
+        nulls: bool = False,
+        **more: str | None,
     ) -> None:
         """Add a column of (n,) values; with `nulls` a NaN is one."""
         self._arrays[name] = pa.array(_plain(values), from_pandas=nulls)
-        metadata = {"unit": unit, "description": description, "role": role, **more}
+        metadata = {"unit": unit, "description": description, "role": role}
+        metadata |= {key: text for key, text in more.items() if text}
         self._fields.append(pa.field(name, self._arrays[name].type, metadata=metadata))
 
     def table(self, about: Mapping[str, Any]) -> pa.Table:
@@ -79,8 +87,9 @@ def chunk_table(
         role = "varied" if name in sweep.varied else "randomized"
         scale = "log" if forms[name].startswith("log") else "linear"
         columns.add(name, values, role, parameters[name].unit, parameters[name].doc, nulls=True, scale=scale)
-    for name in sorted(metrics, key=list(METRICS).index):
-        columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
+    for name, metric in sweep.metrics.items():
+        if name in metrics:
+            columns.add(name, metrics[name], "metric", metric.unit, metric.doc, better=metric.better)
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
     codes = np.broadcast_to(np.asarray(code, object), len(index))
     columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")

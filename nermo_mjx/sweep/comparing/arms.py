@@ -208,4 +208,3 @@ def _differences(base: Sweep, other: Sweep, varied: Mapping[str, Any]) -> list[s
         if values[0] != values[1]:
             told.append("{}: {} and {}".format(name, *("the default" if each is None else each for each in values)))
     return told
-

@@ -17,7 +17,8 @@ from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.comparing.arms import Arm, Source, Value, two_tables, values_of, where
 from nermo_mjx.sweep.comparing.bootstrap import RESAMPLES
 from nermo_mjx.sweep.comparing.pairing import Differences, Pairing, differences, pair
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES
+from nermo_mjx.sweep.sides import OBJECTIVES
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.table import Columns, columns_of, meta
 
 #: Share of false findings among those that are called beyond noise.

@@ -19,7 +19,7 @@ from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horizontal_grid, set_scales
 from nermo_mjx.sweep.points import titled
 from nermo_mjx.sweep.reports import report_table
-from nermo_mjx.sweep.summary import OBJECTIVES
+from nermo_mjx.sweep.sides import OBJECTIVES
 from nermo_mjx.sweep.table import columns_of, meta
 
 Row = Mapping[str, Any]
