@@ -52,11 +52,15 @@ class Sample:
     A grid of millions of rows takes no memory; of a sampler, its points do: one number a variant and axis.
     """
 
-    def __init__(self, sweep: Sweep) -> None:
+    def __init__(self, sweep: Sweep, shares: np.ndarray | None = None) -> None:
+        """
+        Args:
+            shares: points in the unit cube (variants, axes) instead of the sampler's, as a search asks for them.
+        """
         self.sweep = sweep
         self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
         self._listed = {axis.name: axis.values() for axis in sweep.axes} if sweep.sampler == "grid" else {}
-        self._shares = None if sweep.sampler == "grid" else _low_discrepancy(sweep)
+        self._shares = None if sweep.sampler == "grid" else _low_discrepancy(sweep) if shares is None else shares
 
     def __len__(self) -> int:
         return self.sweep.variants * self.sweep.repeats

@@ -179,7 +179,7 @@ def _read(doc: Document) -> Sweep:
         plots=file.plots,
     )
     _check_together(doc, sweep)
-    return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
+    return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
 
 
 def _check_together(doc: Document, sweep: Sweep) -> None:
@@ -199,7 +199,7 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
     check_workspace(doc, sweep.setup, sweep.fixed, tried)
 
 
-def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:
+def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
     """The perturbation of the start that makes repeats differ, for what the file does not place itself."""
     named = {*sweep.constants, *(axis.name for axis in sweep.axes), *(draw.name for draw in sweep.draws)}
     return tuple(
