@@ -4,7 +4,8 @@ The public surface: `load_robot` and `RobotConfig`; `Setup`, `Run` and `Simulato
 named metrics); `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`;
 `control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
 `leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep` and
-`read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and `run_experiments`;
+`read_table`; `Search` and `run_search`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and
+`run_experiments`;
 `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a notebook); `compiler_options` for
 programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and importing changes
 nothing in the process: see `nermo_mjx.runtime`.
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
+    from nermo_mjx.search import Search, SearchResult, run_search
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
     from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
     from nermo_mjx.view import Page, Recording, render, show
@@ -46,6 +48,7 @@ _HOMES = {
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
+    "nermo_mjx.search": ("Search", "SearchResult", "run_search"),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
     "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
     "nermo_mjx.view": ("Page", "Recording", "render", "show"),
@@ -54,11 +57,11 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Controller", "ControllerLike", "Page", "ParameterError", "Recording", "Robot",
-    "RobotConfig", "Rollout", "Run", "RunResult", "Sensors", "ServoAngles", "ServoTable", "Setup", "Simulator",
-    "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters", "compiler_options",
-    "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "parameter_tree",
-    "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment", "run_experiments",
-    "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
+    "RobotConfig", "Rollout", "Run", "RunResult", "Search", "SearchResult", "Sensors", "ServoAngles", "ServoTable",
+    "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters",
+    "compiler_options", "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine",
+    "parameter_tree", "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment",
+    "run_experiments", "run_landscape", "run_search", "run_sweep", "run_tuning", "servo_table", "show",
 ]  # fmt: skip
 
 

@@ -40,10 +40,10 @@ class WalkGradients:
         self._rollout = Rollout(search.setup, search.run, slowest=low)
         self._function = jax.jit(jax.vmap(self._jacobian), compiler_options=compiler_options())
 
-    @property
-    def cost(self) -> float:
-        """Cost of a point's gradients, in forward runs."""
-        return cost(len(self._search.names), "forward")
+    @staticmethod
+    def cost_of(search: Search) -> float:
+        """Cost of a run's gradients, in forward runs."""
+        return cost(len(search.names), "forward")
 
     def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
         """See `Gradients`."""

@@ -16,7 +16,7 @@ CORE_WORLDS: Final = 8
 #: An atlas has several emitters in a batch.
 ATLAS_WORLDS: Final = 32
 #: Generations that a budget is to last for.
-GENERATIONS: Final = 12
+GENERATIONS: Final = 10
 
 
 def batch_points(search: Search, engine: str) -> int:
