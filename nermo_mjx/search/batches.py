@@ -4,7 +4,8 @@ DIR/search.yaml                   the resolved search, and the size of its batch
 DIR/controller.py                 a copy of the file of another controller, if the search names one
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/chunk-00000.parquet   rows of one batch, written whole or not at all
-DIR/results.aside/                chunks that were damaged, or follow one that is, when they are run again
+DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it, noted before the chunk is there
+DIR/results.aside/                chunks that were damaged, or hold other points, when they are run again
 DIR/best.json, DIR/best.yaml, DIR/atlas.parquet, DIR/recordings/, DIR/plots/   made from the table
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import hashlib
 import os
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +23,16 @@ import pyarrow as pa
 
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.directory import remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, WrongDirectory, clear_errors, create_file, parquet_bytes, parquet_table
+from nermo_mjx.runs.files import (
+    DirectoryError,
+    WrongDirectory,
+    append_line,
+    clear_errors,
+    content_of,
+    create_file,
+    parquet_bytes,
+    parquet_table,
+)
 from nermo_mjx.search.optimizers import made_by
 from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.controllers import keep_controller
@@ -33,6 +44,7 @@ from nermo_mjx.sweep.table import chunk_table
 from nermo_mjx.tune.spec import changes
 
 SEARCH: Final = "search.yaml"
+MANIFEST: Final = "manifest.sha256"
 #: How far points of a stored batch may be from those that are asked for, as a share of the bounds: another machine's
 #: eigenvectors differ in their last digits.
 APART: Final = 1e-6
@@ -123,9 +135,11 @@ class Batches:
             DirectoryError: another version of the library asked for its points.
         """
         path = self.chunk_path(batch)
-        if not path.exists():
+        content = content_of(path)
+        if content is None:
             return Stored(None)
-        table = parquet_table(path)
+        digest = hashlib.sha256(content).hexdigest()
+        table = parquet_table(content) if digest in (content_of(self.out / MANIFEST) or b"").decode() else None
         if table is None:
             return Stored(None, "is damaged")
         about = table.schema.metadata or {}
@@ -160,9 +174,11 @@ class Batches:
         about_batch = {"unit": "1", "description": "batch that the run was part of", "role": "index"}
         table = table.add_column(1, pa.field("batch", pa.int64(), metadata=about_batch), pa.array([batch] * count))
         table = self._with_gradients(table, gradients)
-        name = f"results/chunk-{batch:05d}.parquet"
+        name, content = f"results/chunk-{batch:05d}.parquet", parquet_bytes(table)
+        with clear_errors(self.out):
+            append_line(self.out / MANIFEST, f"{hashlib.sha256(content).hexdigest()}  {name}")
         self.directory.move_aside(name, "results.aside")
-        self.directory.write(name, parquet_bytes(table))
+        self.directory.write(name, content)
         return table
 
     def chunk_path(self, batch: int) -> Path:
