@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from typing import Any, Final
 
 import numpy as np
@@ -12,6 +10,7 @@ from nermo_mjx.search.optimizers import Asked
 from nermo_mjx.search.scoring import Scores, ranked_cost
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
+from nermo_mjx.tune.generations import strategy
 
 #: First standard deviation, as a share of the bounds.
 SIGMA: Final = 0.2
@@ -77,14 +76,4 @@ class Evolution:
             self._begin(start, self._sigma, int(self._batch * GROWTH**self._grown))
 
     def _begin(self, start: np.ndarray, sigma: float, population: int) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import cma
-
-        # Its own generator: NumPy's global one belongs to everyone, and a replay would find it elsewhere.
-        own = np.random.default_rng(self._rng.integers(2**63))
-        options = {
-            "popsize": max(population, 4), "randn": lambda *shape: own.standard_normal(shape), "seed": math.nan,
-            "tolx": CONVERGED, "verbose": -9, "maxiter": math.inf,
-        }  # fmt: skip
-        self._strategy = cma.CMAEvolutionStrategy(start, sigma, options)
+        self._strategy = strategy(start, sigma, population, self._rng, tolx=CONVERGED)
