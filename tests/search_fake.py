@@ -1,4 +1,4 @@
-"""A simulator that answers at once, in closed form, for tests of searches; run as a program, it is there to be killed."""
+"""A simulator that answers at once, in closed form, for tests of searches; as a program it is there to be killed."""
 
 from __future__ import annotations
 

@@ -40,7 +40,8 @@ def test_the_best_of_one_objective_is_found_among_falls(tmp_path):
     fastest = walk(FALLS, *BEST)[0]
     assert 0.99 * fastest < best["metrics"]["speed"] <= fastest
     assert best["objective"] == pytest.approx(-best["metrics"]["speed"])
-    assert best["parameters"]["frequency"] <= FALLS and best["failed"] > 0
+    assert best["parameters"]["frequency"] <= FALLS
+    assert best["failed"] > 0
     table = result.table
     assert best["evaluations"] == table.num_rows == sum(table.column("batch").to_numpy() >= 0)
     well = values(table, "speed")[np.array(table.column("status").to_pylist()) == "ok"]
@@ -105,15 +106,18 @@ def test_an_atlas_has_the_best_of_each_cell(tmp_path):
     assert about["objective"] == {"metric": "cost_of_transport", "direction": "minimize"}
     assert about["measures"][0] == {"metric": "speed", "low": 0.0, "high": 0.16, "cells": 8}
     roles = {field.name: field.metadata[b"role"].decode() for field in atlas.schema}
-    assert roles["cell"] == "index" and roles["frequency"] == "varied" and roles["speed"] == "metric"
-    assert result.best["filled"] == len(best) and result.best["cells"] == 48
+    assert roles["cell"] == "index"
+    assert roles["frequency"] == "varied"
+    assert roles["speed"] == "metric"
+    assert result.best["filled"] == len(best)
+    assert result.best["cells"] == 48
 
 
 @pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
 def test_the_same_search_gives_the_same_numbers(spec, tmp_path):
     """Also where NumPy's global generator stands elsewhere; another seed gives others."""
     run_search(spec, tmp_path / "a", simulator=FakeSimulator())
-    np.random.seed(5)
+    np.random.seed(5)  # noqa: NPY002
     run_search(spec, tmp_path / "b", simulator=FakeSimulator())
     assert numbers(tmp_path / "a") == numbers(tmp_path / "b")
     run_search(spec | {"seed": 1}, tmp_path / "c", simulator=FakeSimulator())
@@ -135,13 +139,15 @@ def test_a_larger_budget_prolongs_a_search(tmp_path):
     run_search(SPEED | {"budget": 60}, tmp_path / "out", simulator=FakeSimulator())
     run_search(SPEED, tmp_path / "out", simulator=(rest := FakeSimulator()))
     run_search(SPEED, tmp_path / "whole", simulator=FakeSimulator())
-    assert sum(rest.batches) == 60 and numbers(tmp_path / "out") == numbers(tmp_path / "whole")
+    assert sum(rest.batches) == 60
+    assert numbers(tmp_path / "out") == numbers(tmp_path / "whole")
 
 
 def test_a_budget_of_simulated_seconds(tmp_path):
     """Runs of two seconds: a hundred of them are fifty runs, and the batch that reaches it is the last."""
     best = run_search(SPEED | {"budget": {"simulated_seconds": 100}}, tmp_path / "o", simulator=FakeSimulator()).best
-    assert best["evaluations"] == 60 and best["simulated_seconds"] == pytest.approx(120)
+    assert best["evaluations"] == 60
+    assert best["simulated_seconds"] == pytest.approx(120)
 
 
 def test_repeats_count_by_their_mean(tmp_path):
@@ -149,7 +155,8 @@ def test_repeats_count_by_their_mean(tmp_path):
     spec = SPEED | {"randomize": {"repeats": 3}, "budget": 24}
     result = run_search(spec, tmp_path / "out", simulator=(fake := FakeSimulator()))
     table, best = result.table, result.best
-    assert fake.batches == [36, 36] and table.num_rows == 72
+    assert fake.batches == [36, 36]
+    assert table.num_rows == 72
     assert table.column("repeat").to_pylist()[:4] == [0, 1, 2, 0]
     assert len(set(table.column("start.x").to_pylist())) == 72
     runs = table.slice(best["row"], 3)
@@ -167,8 +174,10 @@ def test_a_damaged_batch_is_run_again(tmp_path):
     path.write_bytes(content)
     said = []
     run_search(SPEED, tmp_path / "out", simulator=(fake := FakeSimulator()), warn=said.append)
-    assert fake.batches == [12] and numbers(tmp_path / "out") == before
-    assert "batch 2" in said[0] and "is damaged" in said[0]
+    assert fake.batches == [12]
+    assert numbers(tmp_path / "out") == before
+    assert "batch 2" in said[0]
+    assert "is damaged" in said[0]
     assert [each.name for each in (tmp_path / "out/results.aside").iterdir()] == ["chunk-00002.parquet.aside-1"]
 
 

@@ -29,7 +29,7 @@ def main() -> None:
 
 
 for name in (
-    "sweep", "replay", "search", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play", "plot",
-    "status", "schema", "servos", "model", "bench", "completion",
+    "sweep", "replay", "search", "tune", "landscape", "experiment", "identify", "walk", "render", "view", "play",
+    "plot", "status", "schema", "servos", "model", "bench", "completion",
 ):  # fmt: skip
     main.add_command(importlib.import_module(f"nermo_mjx.cli.{name}").command)

@@ -51,7 +51,8 @@ def command(
     kind = RECORDING if path.is_file() else kind_of_directory(path)
     if not set(chosen) <= set(kind.options) and any(chosen.values()):
         place = "" if kind is RECORDING else "the directory of "
-        raise WrongUse(f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}{kind.called}.")
+        raise WrongUse(f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}"
+                       f"{kind.called}.")  # fmt: skip
     if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: say with --out DIR where its figures go.")
     notes: list[str] = []

@@ -204,7 +204,8 @@ class Batches:
             for j, name in enumerate(self.search.names):
                 values = np.full(table.num_rows, np.nan)
                 values[: len(gradients) * self.search.repeats] = np.repeat(gradients[:, i, j], self.search.repeats)
-                about = {"unit": "1", "role": "gradient", "description": f"d {metric} / d share of the bounds of {name}"}
+                meaning = f"d {metric} / d share of the bounds of {name}"
+                about = {"unit": "1", "role": "gradient", "description": meaning}
                 field = pa.field(GRADIENT.format(metric, name), pa.float64(), metadata=about)
                 table = table.append_column(field, pa.array(values))
         return table

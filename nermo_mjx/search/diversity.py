@@ -16,7 +16,7 @@ from nermo_mjx.search.spec import Search
 
 #: First standard deviation of CMA-ME, as a share of the bounds; of CMA-MEGA, of the gradients' coefficients, and the
 #: length of its steps along them.
-SIGMA: Final = 0.2
+SIGMA: Final = 0.15
 COEFFICIENT_SIGMA: Final = 0.05
 LEARNING_RATE: Final = 0.05
 EMITTERS: Final = 4
@@ -126,11 +126,11 @@ def _interpreted() -> Iterator[None]:
     """Import pyribs without its compiled functions: they save microseconds a batch, and take ten seconds to compile."""
     import numba
 
-    before = numba.config.DISABLE_JIT
-    numba.config.DISABLE_JIT = True
+    config: Any = numba.config
+    before, config.DISABLE_JIT = config.DISABLE_JIT, True
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        numba.config.DISABLE_JIT = before
+        config.DISABLE_JIT = before

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from typing import Final
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.page import around, blank, page
 from nermo_mjx.plotting.shown import ShownValues, shown
-from nermo_mjx.plotting.style import BAND, BEST, COLOURS, GRID, INK, LINE, MISSING, MUTED, horizontal_grid, set_scales
+from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, horizontal_grid, set_scales
 from nermo_mjx.rollout import METRICS
 from nermo_mjx.search.outcome import Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.search.scoring import cells_of, elites_of
@@ -33,14 +32,15 @@ def convergence(found: Evaluations) -> Figure:
     number = np.arange(1, len(values) + 1)
     cost = np.where(allowed, found.scores.cost[:, 0], np.inf)
     best = int(np.argmin(cost))
-    leading = np.array([int(np.argmin(cost[: i + 1])) for i in _sampled(len(cost))])
+    first = np.concatenate([[True], cost[1:] < np.minimum.accumulate(cost)[:-1]])  # better than all before it
+    leading = np.maximum.accumulate(np.where(first, np.arange(len(cost)), 0))
     at = ", ".join(f"{name} {text}" for name, text in _parameters(found, best))
     note = f"{_what(found)}; line: best so far; star: best, {quantity.shown(values[best])} at {at}"
     figure = page(f"{_named(found)} over the evaluations", _WIDTH, 4.4, note)
     ax = figure.subplots()
     ax.scatter(number[allowed], values[allowed], s=9, color=BAND, lw=0, rasterized=len(values) > 2000)
     reached = np.isfinite(cost[leading])
-    ax.step(number[_sampled(len(cost))][reached], values[leading][reached], where="post", color=LINE)
+    ax.step(number[reached], values[leading][reached], where="post", color=LINE)
     ax.scatter(number[best], values[best], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
     _mark_lost(ax, number, ~allowed)
     low, high = np.nanquantile(values[allowed], [0.01, 1.0] if _higher(found) else [0.0, 0.99])
@@ -64,12 +64,13 @@ def front(found: Evaluations) -> Figure:
         for point in named
     ]  # fmt: skip
     more = f"front of all {len(terms)} objectives; " if len(terms) > 2 else ""
-    kept = tuple(ShownValues(each.name, each.unit, each.values[allowed]) for each in (x, y))
-    sides = tuple("max" if term.aim == "maximize" else "min" for term in terms[:2])
+    across, up = (ShownValues(each.name, each.unit, each.values[allowed]) for each in (x, y))
+    first, second = ("max" if term.aim == "maximize" else "min" for term in terms[:2])
     # A line along a front of more objectives would cross itself.
-    shown_sides = sides if len(terms) == 2 else ("nearest zero", "nearest zero")
+    sides = (first, second) if len(terms) == 2 else ("nearest zero", "nearest zero")
     title = f"{x.name} against {y.name}".replace("_", " ").capitalize()
-    return trade_off(*kept, np.array([place[int(p)] for p in best]), shown_sides, lines, title, f"{_what(found)}; {more}")  # type: ignore[arg-type]
+    places = np.array([place[int(point)] for point in best])
+    return trade_off(across, up, places, sides, lines, title, f"{_what(found)}; {more}")
 
 
 def hypervolume(found: Evaluations) -> Figure:
@@ -92,8 +93,8 @@ def coverage(found: Evaluations) -> Figure:
     """Filled cells and QD score over the evaluations."""
     filled, total = atlas_progress(found)
     cells = int(np.prod([each.cells for each in found.search.aim.measures]))
-    note = f"{_what(found)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of what " \
-           "their best is better than the worst of the first batch"  # fmt: skip
+    note = f"{_what(found)}; {filled[-1]:,} of {cells:,} cells are filled; QD score: sum over the filled cells of " \
+           "what their best is better than the worst of the first batch"  # fmt: skip
     figure = page("Filled cells and QD score over the evaluations", _WIDTH, 4.8, note)
     top, bottom = figure.subplots(2, 1, sharex=True)
     top.step(_ends(found), filled, where="post", color=LINE)
@@ -137,7 +138,7 @@ def atlas(found: Evaluations) -> Figure:
         _map(ax, found, points, quantity, scale, (i, j), best)
     bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=axes[: len(pairs)].tolist(), shrink=0.9, pad=0.02)
     bar.set_label(quantity.label)
-    bar.outline.set_visible(False)  # type: ignore[operator]
+    bar.outline.set_visible(False)
     return around(figure, title, note)
 
 
@@ -149,15 +150,15 @@ def _map(
     place = [np.clip(((found.scores.measures[points, i] - each.low) / (each.high - each.low) * each.cells).astype(int),
                      0, each.cells - 1) for i, each in zip(pair, (x, y), strict=True)]  # fmt: skip
     grid = np.full((x.cells, y.cells), np.nan)
-    for point, i, j in sorted(zip(points.tolist(), *place, strict=True), key=lambda each: found.scores.quality[each[0]]):
-        grid[i, j] = z.values[point]
+    order = np.argsort(found.scores.quality[points], kind="stable")  # the best of several comes last
+    grid[place[0][order], place[1][order]] = z.values[points[order]]
     xs, ys = (shown(each.metric, METRICS[each.metric].unit, np.linspace(each.low, each.high, each.cells + 1))
               for each in (x, y))  # fmt: skip
     ax.set_facecolor("#fafafa")
     ax.pcolormesh(xs.values, ys.values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS)
-    star = [shown(each.metric, METRICS[each.metric].unit, found.scores.measures[best, i]).values
-            for i, each in zip(pair, (x, y), strict=True)]  # fmt: skip
-    ax.scatter(*star, s=190, marker="*", fc=BEST, ec="white", lw=1.3, zorder=5, clip_on=False)
+    star_x, star_y = (shown(each.metric, METRICS[each.metric].unit, found.scores.measures[best, i]).values
+                      for i, each in zip(pair, (x, y), strict=True))  # fmt: skip
+    ax.scatter(star_x, star_y, s=190, marker="*", fc=BEST, ec="white", lw=1.3, zorder=5, clip_on=False)
     set_scales(ax, xs, ys)
     ax.set(xlabel=xs.label, ylabel=ys.label)
 
@@ -167,12 +168,13 @@ def _bars(found: Evaluations, points: np.ndarray, z: ShownValues, best: int, tit
     measure = found.search.aim.measures[0]
     figure = page(title, _WIDTH, 3.9, note)
     ax = figure.subplots()
-    edges = shown(measure.metric, METRICS[measure.metric].unit, np.linspace(measure.low, measure.high, measure.cells + 1))
+    unit = METRICS[measure.metric].unit
+    edges = shown(measure.metric, unit, np.linspace(measure.low, measure.high, measure.cells + 1))
     cell = cells_of(found.search.aim, found.scores.measures[points])
     values = z.values[points]
     floor = min(float(values.min()), 0.0) if np.ptp(values) == 0 else float(values.min() - 0.1 * np.ptp(values))
     ax.bar(edges.values[cell], values - floor, np.diff(edges.values)[cell], floor, align="edge", color=BAND, ec="white")
-    at = shown(measure.metric, METRICS[measure.metric].unit, found.scores.measures[best, 0]).values
+    at = shown(measure.metric, unit, found.scores.measures[best, 0]).values
     ax.scatter(at, z.values[best], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
     ax.set(xlabel=edges.label, ylabel=z.label, xlim=(edges.values[0], edges.values[-1]))
     horizontal_grid(ax)
@@ -219,7 +221,8 @@ def _parameters(found: Evaluations, point: int) -> list[tuple[str, str]]:
     about = found.search.sweep.parameters
     names = list(found.search.names[:6])
     values = found.means(names, np.array([point]))
-    return [(name, (each := shown(name, about[name].unit, values[name][0])).shown(float(each.values))) for name in names]
+    quantities = (shown(name, about[name].unit, values[name][0]) for name in names)
+    return [(each.name, each.shown(float(each.values))) for each in quantities]
 
 
 def _what(found: Evaluations) -> str:
@@ -239,9 +242,5 @@ def _ends(found: Evaluations) -> np.ndarray:
 def _mark_lost(ax: Axes, number: np.ndarray, lost: np.ndarray) -> None:
     """Short lines at the bottom where a point fell or broke a constraint."""
     if lost.any():
-        ax.plot(number[lost], np.full(int(lost.sum()), 0.01), "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform())
-
-
-def _sampled(count: int) -> np.ndarray:
-    """Places at which the best so far is drawn."""
-    return np.unique(np.linspace(0, count - 1, min(count, 2000)).round().astype(int))
+        height = np.full(int(lost.sum()), 0.01)
+        ax.plot(number[lost], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform())

@@ -61,10 +61,9 @@ class WalkGradients:
         return jax.jacfwd(lambda at: self._outputs(at, others))(shares)
 
     def _outputs(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, " k"]:
-        axes = self._search.sweep.axes
-        values: dict[str, Any] = dict(others) | {axis.name: _at(axis, share) for axis, share in zip(axes, shares, strict=True)}
-        metrics = self._rollout(values)
-        aim = self._search.aim
+        aim, axes = self._search.aim, self._search.sweep.axes
+        values: dict[str, Any] = dict(others)
+        metrics = self._rollout(values | {axis.name: _at(axis, at) for axis, at in zip(axes, shares, strict=True)})
         return jnp.stack([-aim.objective.value(metrics), *(metrics[each.metric] for each in aim.measures)])
 
 

@@ -1,4 +1,4 @@
-"""What a search found, from its table alone: best.json for programs, best.yaml as a sweep file, and an atlas's elites."""
+"""What a search found, from its table alone: best.json for programs, best.yaml, a sweep file, and an atlas's elites."""
 
 from __future__ import annotations
 
@@ -198,7 +198,8 @@ def atlas_table(found: Evaluations) -> pa.Table:
     if not plain:
         about = {"unit": "1", "description": "the sum that is minimized"}
         table.add("objective", found.scores.cost[points, 0], "metric", **about)
-    objective = {"metric": term.metric, "direction": term.aim} if plain else {"metric": "objective", "direction": "minimize"}
+    objective = dict(zip(("metric", "direction"), (term.metric, term.aim) if plain else ("objective", "minimize"),
+                         strict=True))  # fmt: skip
     told = {"objective": objective, "measures": [dataclasses.asdict(each) for each in aim.measures]}
     return table.table({"atlas": json.dumps(told), "search": found.search.digest()})
 

@@ -58,7 +58,8 @@ def figures(
     """
     search, files = Search.from_file(out / SEARCH), list(chunk_files(out).values())
     if not files:
-        raise DirectoryError(f"{out} holds no results of its search yet: run nermo-mjx search {out / SEARCH} --out {out}.")
+        command = f"nermo-mjx search {out / SEARCH} --out {out}"
+        raise DirectoryError(f"{out} holds no results of its search yet: run {command}.")
     results = Results(files)
     if x is not None:
         return chosen_figure(results, x, y, color)

@@ -153,8 +153,8 @@ def run_search(
         search = batches.search
         best = publish(batches, complete=True)
         if not best:
-            raise SearchFailed(f"{batches.out}: no point of this search walked to its end within its constraints: choose "
-                               "other bounds, or looser constraints.")  # fmt: skip
+            raise SearchFailed(f"{batches.out}: no point of this search walked to its end within its constraints: "
+                               "choose other bounds, or looser constraints.")  # fmt: skip
         recordings = keep_recordings(batches, best, computer)
         results = Results([*chunk_files(batches.out).values()])
         plots = write_figures(figures_of(search, results), batches.out / "plots") if search.plots else []
@@ -267,9 +267,10 @@ class Going:
                 "command again when it is mended."
             ) from failed.error
         found = [done[k] for k in range(len(parts))]
-        metrics = {name: np.concatenate([each.metrics[name][: len(part)] for each, part in zip(found, parts, strict=True)])
+        own = [slice(len(part)) for part in parts]
+        metrics = {name: np.concatenate([each.metrics[name][mine] for each, mine in zip(found, own, strict=True)])
                    for name in found[0].metrics}  # fmt: skip
-        status = np.concatenate([each.status[: len(part)] for each, part in zip(found, parts, strict=True)])
+        status = np.concatenate([each.status[mine] for each, mine in zip(found, own, strict=True)])
         seconds = round(time.perf_counter() - began, 3)
         return Simulated(metrics, status, sum(each.steps for each in found), seconds)
 

@@ -59,10 +59,12 @@ def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: n
         well: which runs went well (n * repeats,).
     """
     means = {name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1) for name in aim.metrics}
-    ok = np.asarray(well, bool).reshape(-1, repeats).all(axis=1)
+    ok: np.ndarray = np.logical_and.reduce(np.asarray(well, bool).reshape(-1, repeats), axis=1)
     terms = [np.asarray(term.value(means[term.metric]), float) for term in aim.objective.terms]
     cost = np.stack(terms, axis=1) if aim.pareto else np.sum(terms, axis=0)[:, None]
-    measures = np.stack([means[each.metric] for each in aim.measures], axis=1) if aim.measures else np.empty((len(ok), 0))
+    measures = np.empty((len(ok), len(aim.measures)))
+    for i, measure in enumerate(aim.measures):
+        measures[:, i] = means[measure.metric]
     violation = np.zeros(len(ok))
     for limit in aim.limits:
         value, unit = means[limit.metric], max(abs(b) for b in (limit.low, limit.high) if np.isfinite(b)) or 1.0

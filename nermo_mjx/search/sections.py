@@ -43,7 +43,7 @@ class CmaFields(Fields):
 
 class CmaMeFields(Fields):
     what: ClassVar = "an option of 'cma_me'"
-    sigma: Positive = optional("first standard deviation, as a share of the bounds, by default 0.2")
+    sigma: Positive = optional("first standard deviation, as a share of the bounds, by default 0.15")
     emitters: Annotated[int, Whole(1, 1000)] = optional("searches side by side, by default 4")
 
 
@@ -147,8 +147,8 @@ class Aim:
     @property
     def metrics(self) -> tuple[str, ...]:
         """Every metric that counts, each once."""
-        others = [each.metric for each in (*self.measures, *self.limits)]
-        return tuple(dict.fromkeys([*self.objective.metrics, *others]))
+        measured, limited = (each.metric for each in self.measures), (each.metric for each in self.limits)
+        return tuple(dict.fromkeys([*self.objective.metrics, *measured, *limited]))
 
     def written(self) -> dict[str, Any]:
         """As it stands in a search file."""
@@ -175,7 +175,7 @@ def read_aim(
     if pareto is not None and measures:
         doc.fail(("pareto",), "stands beside 'atlas', which takes one objective: put it under 'objective'.")
     if pareto is not None and len(pareto) < 2:
-        doc.fail(("pareto",), f"has {len(pareto)} objectives: expected two or more; one alone stands under 'objective'.")
+        doc.fail(("pareto",), f"has {len(pareto)} entries: expected two or more; one alone stands under 'objective'.")
     _check_terms(doc, "objective" if pareto is None else "pareto", pareto or objective or [])
     return Aim(
         read_objective(doc, pareto or objective),
@@ -240,7 +240,7 @@ def read_bounds(doc: Document, axes: list[Axis]) -> None:
     for axis in axes:
         if axis.form == "values":
             doc.fail(("vary", axis.name), f"is {describe(list(axis.numbers))}: a search moves between bounds; give "
-                                          "{uniform: [low, high]} or {loguniform: [low, high]}.", axis.name)  # fmt: skip
+                     "{uniform: [low, high]} or {loguniform: [low, high]}.", axis.name)  # fmt: skip
         if axis.name in METRICS:
             doc.fail(("vary", axis.name), "cannot be searched: in the table its name is a metric's.", axis.name)
 

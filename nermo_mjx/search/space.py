@@ -29,7 +29,7 @@ class Space:
         axes, defaults = search.sweep.axes, search.sweep.parameters
         self.dimensions = len(axes)
         self.periodic = np.array([_is_turn(axis) for axis in axes])
-        self.first = np.array([_share(axis, float(defaults[axis.name].default)) for axis in axes])
+        self.first = np.array([_share(axis, float(np.asarray(defaults[axis.name].default))) for axis in axes])
         self._seed = search.sweep.seed
 
     def shares(self, coordinates: np.ndarray) -> np.ndarray:

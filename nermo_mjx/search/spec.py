@@ -11,16 +11,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import core_schema
+from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.setup import Run, Setup
 from nermo_mjx.search import sections
 from nermo_mjx.search.sections import Aim
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
-from nermo_mjx.specs.fields import optional, read
+from nermo_mjx.specs.fields import JsonSchema, optional, read
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
-from nermo_mjx.specs.values import ByParameter, Whole
+from nermo_mjx.specs.values import ByParameter, Checked, Whole
 from nermo_mjx.specs.walk import WalkFields, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.axes import AxisForm, read_axis, read_draw
@@ -32,11 +34,17 @@ FREE: Final = ("budget", "keep", "plots")
 _BUDGET: Final = 1000.0
 
 
-def _listed(given: Any) -> Any:
-    return [given] if isinstance(given, dict) else given
+class OneOrMore(Checked):
+    """A list, of which one entry may stand alone."""
 
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        def listed(given: Any) -> Any:
+            return [given] if isinstance(given, dict) else given
 
-_Terms = Annotated[list[TermFields], BeforeValidator(_listed)]
+        return core_schema.no_info_before_validator_function(listed, handler(source))
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        return {"anyOf": [own, own["items"]]}
 
 
 class SearchFile(WalkFields):
@@ -46,13 +54,13 @@ class SearchFile(WalkFields):
     what: ClassVar = "a field of a search"
     sources: ClassVar = "'vary', 'set' or 'randomize'"
     vary: Annotated[dict[str, AxisForm], ByParameter()] = Field({}, description="searched parameters with their bounds")
-    objective: _Terms = optional("terms whose sum is minimized")
-    pareto: _Terms = optional("several objectives, each a term")
+    objective: Annotated[list[TermFields], OneOrMore()] = optional("a term, or several whose sum is minimized")
+    pareto: list[TermFields] = optional("several objectives, each a term")
     atlas: dict[str, sections.MeasureForm] = Field({}, description="measures by metric: [low, high, cells] of each")
     subject_to: dict[str, sections.LimitFields] = Field({}, description="constraints by metric: {max: x}, {min: x}")
     method: sections.MethodFields = optional("how it searches; by default what fits")
     budget: sections.BudgetFields = Field(
-        sections.BudgetFields(evaluations=_BUDGET), description="how long it goes on, 1000 evaluations by default"
+        sections.BudgetFields.model_validate(_BUDGET), description="how long it goes on, 1000 evaluations by default"
     )
     batch: Annotated[int, Whole(4, 100_000)] = optional("points that are evaluated together, a generation")
     randomize: Randomized = Field(Randomized.model_validate({}), description="what is left to chance in each run")

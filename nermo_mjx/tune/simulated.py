@@ -1,4 +1,4 @@
-"""The simulation behind a tuning without derivatives: a batch of walks in MuJoCo C, and slopes from their neighbours."""
+"""The simulation behind a tuning without derivatives: walks in MuJoCo C, and slopes from their neighbours."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class SimulatedProblem:
         at = np.asarray(points, float)
         if not gradient:
             value, metrics, ok = self._walk(at)
-            return Evaluation(value, None, metrics, ok)
+            return _evaluation(value, None, metrics, ok)
         n, p = at.shape
         apart = self._apart(p)
         worlds, reach = self._within(at[:, None] + apart)
@@ -63,7 +63,7 @@ class SimulatedProblem:
         rise = value[:, high] - value[:, low]
         run = reach[:, high, np.arange(p)] - reach[:, low, np.arange(p)]
         metrics = {name: column.reshape(n, -1)[:, 0] for name, column in metrics.items()}
-        return Evaluation(value[:, 0], rise / run, metrics, ok.all(axis=1))
+        return _evaluation(value[:, 0], rise / run, metrics, np.logical_and.reduce(ok, axis=1))
 
     def _apart(self, p: int) -> np.ndarray:
         """From a point to itself and its neighbours (worlds, p)."""
@@ -88,13 +88,16 @@ class SimulatedProblem:
         """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each."""
         values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
         values |= {name: points[:, i] for i, name in enumerate(self.names)}
-        record = self.reference is not None
-        result = self.simulator.run(values, self.tuning.run, record) if record else self.simulator.run(
-            values, self.tuning.run
-        )  # fmt: skip
+        how = {"record": True} if self.reference is not None else {}
+        result: Any = self.simulator.run(values, self.tuning.run, **how)
         metrics = {name: np.asarray(column, float) for name, column in result.metrics.items()}
         if self.reference is not None:
             error = [float(self.reference.error(jnp.asarray(qpos))) for qpos in result.trace.qpos]
             metrics[TRAJECTORY_ERROR] = np.array(error)
         value = np.asarray(self.tuning.objective.value(metrics), float)
         return value, metrics, (np.asarray(result.status) == "ok") & np.isfinite(value)
+
+
+def _evaluation(value: Any, slope: Any, metrics: dict[str, Any], ok: Any) -> Evaluation:
+    """What was found, as NumPy arrays: differences of float64 are not rounded before they are slopes."""
+    return Evaluation(value, slope, metrics, ok)
