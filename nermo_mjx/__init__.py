@@ -5,10 +5,10 @@ named metrics); `Rollout` (the same walk as a differentiable function); `METRICS
 `all_parameters`; `metric` for one's own;
 `control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
 `leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep` and
-`read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and `run_experiments`;
-`servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a notebook); `compiler_options` for
-programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and importing changes
-nothing in the process: see `nermo_mjx.runtime`.
+`read_table`; `Search` and `run_search`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment`
+and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a notebook);
+`compiler_options` for programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and
+importing changes nothing in the process: see `nermo_mjx.runtime`.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_metrics, all_parameters, metric
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
+    from nermo_mjx.search import Search, SearchResult, run_search
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
     from nermo_mjx.sweep.comparing import Comparison, compare
     from nermo_mjx.sweep.sensitivity import Sensitivity, sensitivity
@@ -51,6 +52,7 @@ _HOMES = {
     ),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
+    "nermo_mjx.search": ("Search", "SearchResult", "run_search"),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
     "nermo_mjx.sweep.comparing": ("Comparison", "compare"),
     "nermo_mjx.sweep.sensitivity": ("Sensitivity", "sensitivity"),
@@ -61,12 +63,12 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError", "Recording",
-    "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Sensitivity", "Sensors", "ServoAngles", "ServoTable",
-    "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_metrics",
-    "all_parameters", "compare", "compiler_options", "control_parameters", "kinematics", "leg_servos", "load_robot",
-    "make_engine", "metric", "parameter_tree", "published_controller", "quantity", "read_history", "read_table",
-    "render", "run_experiment", "run_experiments", "run_landscape", "run_sweep", "run_tuning", "sensitivity",
-    "servo_table", "show",
+    "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Search", "SearchResult", "Sensitivity", "Sensors",
+    "ServoAngles", "ServoTable", "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__",
+    "all_metrics", "all_parameters", "compare", "compiler_options", "control_parameters", "kinematics", "leg_servos",
+    "load_robot", "make_engine", "metric", "parameter_tree", "published_controller", "quantity", "read_history",
+    "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_search", "run_sweep",
+    "run_tuning", "sensitivity", "servo_table", "show",
 ]  # fmt: skip
 
 

@@ -31,6 +31,12 @@ def schemas() -> dict[str, dict[str, Any]]:
     return {kind: schema(kind) for kind in FILES}
 
 
+def kind_of(path: Path) -> str:
+    """Which command a shipped file is for."""
+    data = read_file(path).data
+    return "tune" if "tune" in data else "search" if {"objective", "pareto"} & set(data) else "sweep"
+
+
 def faults(schema: dict[str, Any], data: Any) -> list[str]:
     return [error.message for error in jsonschema.Draft7Validator(schema).iter_errors(data)]
 
@@ -49,17 +55,18 @@ def test_a_schema_is_one_itself(schemas, kind):
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_the_shipped_files_are_valid(schemas, path):
     """An editor marks nothing in them."""
-    kind = "tune" if path.stem.startswith("tune") else "sweep"
-    assert faults(schemas[kind], read_file(path).data) == []
+    assert faults(schemas[kind_of(path)], read_file(path).data) == []
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_resolved_files_are_valid(schemas, path):
     """So are those that results hold, with all defaults written out."""
+    from nermo_mjx.search import Search
     from nermo_mjx.sweep import Sweep
     from nermo_mjx.tune import Tuning
 
-    kind, read = ("tune", Tuning) if path.stem.startswith("tune") else ("sweep", Sweep)
+    kind = kind_of(path)
+    read = {"tune": Tuning, "search": Search, "sweep": Sweep}[kind]
     assert faults(schemas[kind], read.from_file(path).resolved()) == []
 
 
@@ -177,7 +184,7 @@ def test_the_command_writes_a_file(tmp_path):
 def test_an_unknown_kind_is_wrong_use():
     ran = CliRunner().invoke(main, ["schema", "sweeps"])
     assert ran.exit_code == 2
-    assert "'sweep', 'tune', 'landscape', 'servos'" in ran.output
+    assert "'sweep', 'search', 'tune', 'landscape', 'servos'" in ran.output
 
 
 ODD = [None, True, 0, -1, 2.5, float("nan"), float("inf"), 10**400, "", "x", [], [1], ["a"], [[1, 2]], [{}], {}]

@@ -61,6 +61,17 @@ COLUMNS: Final[dict[str, tuple[ShownColumn, ...]]] = {
         ShownColumn("runs", "runs", "{:g}"),
         ShownColumn("wall [s]", "wall_s", "{:.0f}"),
     ),
+    "search": (
+        ShownColumn("trot [Hz]", "frequency", "{:g}"),
+        ShownColumn("seed", "seed", "{:g}"),
+        ShownColumn("amplitude [rad]", "amplitude", "{:.3f}"),
+        ShownColumn("phase [rad]", "phase", "{:.2f}"),
+        ShownColumn("speed [m/s]", "speed", "{:.4f}"),
+        ShownColumn("of the best", "share", "{:.2%}"),
+        ShownColumn("runs", "runs", "{:g}"),
+        ShownColumn("to 99 %", "runs_to_99", "{:g}"),
+        ShownColumn("wall [s]", "wall_s", "{:.1f}"),
+    ),
     "startup": (
         _ENGINE, _WORLDS, ShownColumn("cache", "cache"), ShownColumn("in all [s]", "total_s", "{:.1f}"),
         ShownColumn("import [s]", "import_s", "{:.1f}"),
@@ -100,7 +111,7 @@ def rows(line: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield from ({**head, "cache": kind, "total_s": line[f"{kind}_s"], **line[kind]} for kind in ("cold", "warm"))
     elif line["case"] == "profile":
         yield from ({**head, **stage} for stage in line["stages"])
-    elif line["case"] == "tuning":
+    elif line["case"] in ("tuning", "search"):
         yield from ({**head, **search} for search in line["searches"])
     else:
         yield head
@@ -111,7 +122,11 @@ def titled(line: Mapping[str, Any]) -> str | None:
     if "error" in line:
         options = ", ".join(f"{key} {value}" for key, value in line.items() if key not in ("case", "error"))
         return f"{line['case']} ({options}) failed: {line['error']}"
-    if line["case"] == "tuning":
+    if line["case"] in ("tuning", "search"):
         dense = f"{line['dense_runs']} runs of a dense sweep reach {line['dense_speed']:.4f} m/s"
-        return f"Trot at {line['frequency']:g} Hz: {dense}; {line['budget_runs']} runs for each search"
+        more = f"{line['budget_runs']} runs for each search"
+        if line["case"] == "search":
+            found = f"median of the seeds {line['median_share']:.2%} in {line['median_wall_s']:.1f} s"
+            more += f"; {found}; the published gait, where each begins, {line['published_share']:.2%}"
+        return f"Trot at {line['frequency']:g} Hz: {dense}; {more}"
     return None

@@ -107,6 +107,11 @@ CASES: Final[dict[str, Benchmark]] = {
         "nermo_mjx.bench.tuning:tuning_case",
         {"frequency": Option((0.5, 0.8))},
     ),
+    "search": Benchmark(
+        "the speed that CMA-ES finds with each of ten seeds, against a dense sweep",
+        "nermo_mjx.bench.search:search_case",
+        {"frequency": Option((0.5, 0.8))},
+    ),
     "startup": Benchmark(
         "from a new process to the first control tick, stage by stage, with a cold and a warm cache",
         "nermo_mjx.bench.startup:startup_case",

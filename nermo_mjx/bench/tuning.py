@@ -39,27 +39,19 @@ def tuning_case(frequency: float) -> dict[str, Any]:
     Args:
         frequency: of the gait [Hz].
     """
-    trot = _Trot(frequency)
-    amplitudes, phases = np.linspace(0.0, 0.4, GRID[0]), np.linspace(-np.pi, np.pi, GRID[1], endpoint=False)
-    points = np.stack(np.meshgrid(amplitudes, phases, indexing="ij"), axis=-1).reshape(-1, 2)
-    began = time.perf_counter()
-    speeds = trot.speeds(points)
-    dense_s = time.perf_counter() - began
-    best = points[speeds.argmax()]
-    runs = int(BUDGET * len(points))
-    case: dict[str, Any] = {
-        "frequency": frequency, "dense_runs": len(points), "dense_s": dense_s, "dense_speed": float(speeds.max()),
-        "dense_amplitude": float(best[0]), "dense_phase": float(best[1]), "budget_runs": runs, "searches": [],
-    }  # fmt: skip
+    trot = Trot(frequency)
+    dense = trot.dense()
+    runs = int(BUDGET * dense["dense_runs"])
+    case: dict[str, Any] = {**dense, "budget_runs": runs, "searches": []}
     for aside in ASIDE:
-        phase = float((best[1] + aside + np.pi) % (2 * np.pi) - np.pi)
+        phase = float((dense["dense_phase"] + aside + np.pi) % (2 * np.pi) - np.pi)
         start = (AMPLITUDE, phase)
         for search in [_by_gradient(trot, start, runs), *(_by_cma(trot, start, runs, seed) for seed in range(SEEDS))]:
             case["searches"].append(search | {"start_phase": phase, "share": search["speed"] / case["dense_speed"]})
     return case
 
 
-class _Trot:
+class Trot:
     """The walk that is tuned, as a batch on the C engine and as a tuning."""
 
     def __init__(self, frequency: float) -> None:
@@ -71,6 +63,18 @@ class _Trot:
         values = {"spine.amplitude": points[:, 0], "spine.phase": points[:, 1]}
         result = self.simulator.run({"frequency": np.full(len(points), self.frequency), **values}, self.run)
         return np.where(result.status == "ok", result.metrics["speed"], 0.0)
+
+    def dense(self) -> dict[str, Any]:
+        """The best of a dense sweep of amplitude and phase, and what it took."""
+        amplitudes, phases = np.linspace(0.0, 0.4, GRID[0]), np.linspace(-np.pi, np.pi, GRID[1], endpoint=False)
+        points = np.stack(np.meshgrid(amplitudes, phases, indexing="ij"), axis=-1).reshape(-1, 2)
+        began = time.perf_counter()
+        speeds = self.speeds(points)
+        best = points[speeds.argmax()]
+        return {
+            "frequency": self.frequency, "dense_runs": len(points), "dense_s": time.perf_counter() - began,
+            "dense_speed": float(speeds.max()), "dense_amplitude": float(best[0]), "dense_phase": float(best[1]),
+        }  # fmt: skip
 
     def tuning(self, start: tuple[float, float], iterations: int) -> Tuning:
         """The tuning from a start."""
@@ -85,7 +89,7 @@ class _Trot:
         })  # fmt: skip
 
 
-def _by_gradient(trot: _Trot, start: tuple[float, float], runs: int) -> dict[str, Any]:
+def _by_gradient(trot: Trot, start: tuple[float, float], runs: int) -> dict[str, Any]:
     """As many iterations as the budget pays for, gradients at their cost in runs; the best point is kept."""
     problem = WalkProblem(trot.tuning(start, 1))
     iterations = int(runs / problem.gradient_cost)
@@ -99,7 +103,7 @@ def _by_gradient(trot: _Trot, start: tuple[float, float], runs: int) -> dict[str
     return _search("gradient", found, trot, used, time.perf_counter() - began) | {"iterations": iterations}
 
 
-def _by_cma(trot: _Trot, start: tuple[float, float], runs: int, seed: int) -> dict[str, Any]:
+def _by_cma(trot: Trot, start: tuple[float, float], runs: int, seed: int) -> dict[str, Any]:
     """CMA-ES (Hansen's `cma`) in the same coordinates, with its own population; the best sample is kept."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -121,7 +125,7 @@ def _by_cma(trot: _Trot, start: tuple[float, float], runs: int, seed: int) -> di
     return _search("cma-es", found, trot, used, time.perf_counter() - began) | {"seed": seed}
 
 
-def _search(name: str, found: np.ndarray, trot: _Trot, used: float, wall: float) -> dict[str, Any]:
+def _search(name: str, found: np.ndarray, trot: Trot, used: float, wall: float) -> dict[str, Any]:
     """What a search found, measured as the dense sweep is."""
     amplitude, phase = map(float, found[0])
     return {

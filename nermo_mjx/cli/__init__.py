@@ -29,7 +29,7 @@ def main() -> None:
 
 
 for name in (
-    "sweep", "merge", "replay", "compare", "sensitivity", "tune", "landscape", "experiment", "identify", "walk",
-    "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
+    "sweep", "merge", "replay", "compare", "sensitivity", "search", "tune", "landscape", "experiment", "identify",
+    "walk", "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
 ):  # fmt: skip
     main.add_command(importlib.import_module(f"nermo_mjx.cli.{name}").command)

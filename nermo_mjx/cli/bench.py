@@ -18,6 +18,7 @@ Cases:
   throughput  a walk with controller and metrics against plain physics
   gradient    value and gradient of a walk against the walk alone
   tuning      what tuning finds on a tenth of a dense sweep's time, and CMA-ES
+  search      what CMA-ES finds with ten seeds, against a dense sweep
   startup     a new process to its first control tick, cold and warm cache
   profile     a physics step, stage by stage
   speedtest   MuJoCo's own speed test of MJX on the same model
@@ -39,7 +40,7 @@ Examples:
 @options.number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
 @options.choice("--mode", GRADIENT_MODES, "How gradients are taken; repeatable.", default=None, multiple=True)
 @options.number("--cycles", "Gait cycles that are differentiated; repeatable.", options.POSITIVE, multiple=True)
-@options.number("--frequency", "Trots that are tuned [Hz]; repeatable.", options.POSITIVE, multiple=True)
+@options.number("--frequency", "Trots that are tuned or searched [Hz]; repeatable.", options.POSITIVE, multiple=True)
 @options.choice("--target", GPU_TARGETS, "GPU that is compiled for; repeatable.", default=None, multiple=True)
 @options.choice(
     "--program", GPU_PROGRAMS, "A walk, or its gradient in one mode; repeatable.", default=None, multiple=True

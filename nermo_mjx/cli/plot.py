@@ -39,19 +39,20 @@ def command(
 ) -> None:  # fmt: skip
     """Make the figures of PATH from what it holds; nothing is simulated.
 
-    PATH is the directory of a sweep, a tuning, a landscape, experiments, an
-    identification or benchmarks, whose figures are made from their tables, or
+    PATH is the directory of a sweep, a search, a tuning, a landscape,
+    experiments, an identification or benchmarks, whose figures are made from their tables, or
     a recording FILE.npz: gait diagram, orientation, foot paths, servo angles,
     way on the ground.
 
-    --x, --y and --color choose columns of a sweep: two parameters of a grid
+    --x, --y and --color choose columns of a table: two parameters of a grid
     give a heat map, two metrics with a better side a Pareto front, all else a
     scatter. --color alone, a metric, gives the usual figures of it.
     """
     kind = RECORDING if path.is_file() else kind_of_directory(path)
     if not set(chosen) <= set(kind.options) and any(chosen.values()):
         place = "" if kind is RECORDING else "the directory of "
-        raise WrongUse(f"--x, --y and --color choose columns of a sweep, but {path} is {place}{kind.called}.")
+        raise WrongUse(f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}"
+                       f"{kind.called}.")  # fmt: skip
     if out is None and kind is RECORDING:
         raise WrongUse(f"{path} is a recording: say with --out DIR where its figures go.")
     notes: list[str] = []

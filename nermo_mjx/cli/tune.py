@@ -1,4 +1,4 @@
-"""`nermo-mjx tune`: parameters by gradient."""
+"""`nermo-mjx tune`: parameters by gradient, or by another method."""
 
 from __future__ import annotations
 
@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
+from nermo_mjx.cli.group import WrongUse
 from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Stages, duration
 
 if TYPE_CHECKING:
     from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
+    from nermo_mjx.tune.cost import MethodCost
 
 EPILOG = """\b
 Examples:
   nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
   nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
   nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
+  nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
 """
 #: Metrics of the point that are named while it goes on; more would not fit a line.
 _NAMED = 3
@@ -34,14 +37,18 @@ _NAMED = 3
 @options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
 @click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
 @click.option("--video/--no-video", default=None, help="Render start and best, whatever the file says.")
+@click.option("--dry-run", is_flag=True, help="Say what each method would take here, and write nothing.")
 @options.workers
 @options.accept_new_code
 @options.report
 def command(
-    spec: Path, out: Path, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool, quiet: bool,
-    **chosen: Any,
+    spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool,
+    quiet: bool, **chosen: Any,
 ) -> None:  # fmt: skip
-    """Tune the parameters that a tuning file names, by gradient.
+    """Tune the parameters that a tuning file names.
+
+    The file's method says how: along exact gradients, along differences, or
+    by CMA-ES. What each would take here is said before it begins.
 
     Writes the best point, the history of all iterations, a sweep file with
     the tuned values, checkpoints, plots and, on demand, a video to DIR. After
@@ -52,10 +59,24 @@ def command(
     see DIR.
     """
     with stdout_reserved():
-        from nermo_mjx.tune import Tuning, run_tuning
+        from nermo_mjx.tune import Tuning
 
         tuning = Tuning.from_file(spec)
-        tuning = dataclasses.replace(tuning, **{name: value for name, value in chosen.items() if value is not None})
+        changed = {name: value for name, value in chosen.items() if value is not None}
+        if "starts" in changed and tuning.method.name == "cma":
+            raise WrongUse("--starts is not read by the method cma: give method: {cma: {population: N}} in the file.")
+        tuning = dataclasses.replace(tuning, **changed)
+        # A tuning that goes on has begun with its method.
+        begins = not (as_json or quiet or (out / "history.parquet").exists())
+        costs = _costs(tuning) if dry_run or begins else []
+        for line in _told(costs) if not dry_run else ():
+            click.echo(f"tune: {line}", err=True)
+    if dry_run:
+        _print_costs(costs, as_json)
+        return
+    with stdout_reserved():
+        from nermo_mjx.tune import run_tuning
+
         with (
             Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages,
             options.crew(workers, ray_address, stages.say) as crew,
@@ -71,6 +92,33 @@ def command(
         print_json(_content(result))
     elif not quiet:
         _print(result)
+
+
+def _costs(tuning: Tuning) -> list[MethodCost]:
+    """What each method would take here."""
+    from nermo_mjx.tune import cost
+
+    return cost.costs_of(tuning)
+
+
+def _told(costs: list[MethodCost]) -> list[str]:
+    """A sentence on each method, that of the file first."""
+    lines = []
+    for i, each in enumerate(costs):
+        compiles = ", and minutes to compile, once per machine" if each.method == "gradient" else ""
+        wall = "" if each.wall_seconds is None else f", about {duration(each.wall_seconds)} here"
+        instead = "" if i == 0 else "instead of it, "
+        lines.append(f"{instead}method {each.method}: {each.evaluations:,} evaluations, "
+                     f"{duration(each.simulated_seconds)} simulated{wall}{compiles}")  # fmt: skip
+    return lines
+
+
+def _print_costs(costs: list[MethodCost], as_json: bool) -> None:
+    if as_json:
+        print_json({"costs": [dataclasses.asdict(each) for each in costs]})
+    else:
+        for line in _told(costs):
+            click.echo(line)
 
 
 class _Display:

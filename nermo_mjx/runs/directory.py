@@ -33,6 +33,7 @@ RUN: Final = "run.json"
 _SIGNS: Final = {
     "sweep.yaml": "sweep",
     "tuning.yaml": "tuning",
+    "search.yaml": "search",
     "landscape.yaml": "landscape",
     "landscape.json": "landscape",
     "candidates.jsonl": "identification",

@@ -59,12 +59,17 @@ class Sample:
     A grid of millions of rows takes no memory; of a sampler, its points do: one number a variant and axis.
     """
 
-    def __init__(self, sweep: Sweep) -> None:
+    def __init__(self, sweep: Sweep, shares: np.ndarray | None = None) -> None:
+        """
+        Args:
+            shares: points in the unit cube (variants, axes) instead of the sampler's, as a search asks for them.
+        """
         self.sweep = sweep
         self._axes: dict[str, Axis] = {axis.name: axis for axis in sweep.axes}
         self._listed = {axis.name: axis.values() for axis in sweep.axes} if sweep.sampler == "grid" else {}
-        self._shares = _low_discrepancy(sweep) if sweep.sampler in ("sobol", "latin_hypercube", "saltelli") else None
-        self._ends = np.cumsum(sweep.counts)
+        drawn = sweep.sampler in ("sobol", "latin_hypercube", "saltelli")
+        self._shares = shares if shares is not None else _low_discrepancy(sweep) if drawn else None
+        self._ends = np.cumsum(sweep.counts) if shares is None else np.array([len(shares)])
         self._read = [[axis.name for axis in sweep.read_axes(structure)] for structure in sweep.structures]
         self._unread = [{name for name in (*sweep.varied, *(draw.name for draw in sweep.draws))
                          if unread(structure.setup, name)} for structure in sweep.structures]  # fmt: skip

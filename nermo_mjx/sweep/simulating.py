@@ -92,17 +92,22 @@ class BatchSimulator:
         """Make the simulator; raises `ParameterError` where its engine cannot run."""
         self._simulator = self._simulator or Simulator(self.setup, self.engine)
 
+    @property
+    def simulator(self) -> SimulatorLike:
+        """What simulates, made where it is first needed."""
+        self.warm()
+        assert self._simulator is not None
+        return self._simulator
+
     def stamp(self) -> CodeStamp:
         """Of the code, the model and the engine that simulate here."""
         return stamp(self.setup.load().fingerprint, self.engine)
 
     def __call__(self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None) -> Simulated:
         """Simulate a batch: name -> (worlds,)."""
-        self.warm()
-        assert self._simulator is not None
-        began = time.perf_counter()
+        simulator, began = self.simulator, time.perf_counter()
         saved: dict[str, Any] = {} if self.save is None else {"save": self.save}
-        result = self._simulator.run(values, self.run, progress=progress, notify=self.notify, **saved)
+        result = simulator.run(values, self.run, progress=progress, notify=self.notify, **saved)
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
         seconds = round(time.perf_counter() - began, 3)

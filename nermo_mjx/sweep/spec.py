@@ -369,7 +369,7 @@ def _read(doc: Document) -> Sweep:
     )
     _check_together(doc, sweep)
     sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, _values(sweep)))
-    return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
+    return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
 
 
 def _values(sweep: Sweep) -> dict[str, list[Value] | None]:
@@ -459,7 +459,7 @@ def _check_rows(doc: Document, sweep: Sweep, rows: RowList) -> None:
             doc.fail(("rows",), f"has values that do not go together: {error}")
 
 
-def _start_draws(sweep: Sweep) -> tuple[Draw, ...]:
+def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
     """The perturbation of the start that makes repeats differ, for what the file does not place itself.
 
     Of draws that are seeded by content the first repeat starts as a single one does, so that more can follow it.

@@ -32,8 +32,6 @@ from nermo_mjx.tune.outcome import best_of, tuned_sweep
 from nermo_mjx.tune.spec import Tuning, changes
 from nermo_mjx.tune.state import TuneState, initial_state
 
-#: What a rollout is computed with.
-ENGINE: Final = "mjx"
 RECORDING: Final = "recording.npz"
 VIDEO: Final = "video.mp4"
 _TUNING: Final = "tuning.yaml"
@@ -83,7 +81,7 @@ class Directory:
         Raises:
             OtherCode: another code made the history, and `accept` is not given.
         """
-        made_by = stamp(self.tuning.setup.load().fingerprint, ENGINE)
+        made_by = stamp(self.tuning.setup.load().fingerprint, self.tuning.method.engine)
         self._run.take_code(made_by, holds_rows=log is not None, accept=accept)
         return made_by.id
 

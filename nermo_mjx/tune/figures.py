@@ -134,6 +134,8 @@ def _column(figure: Figure, count: int) -> list[Axes]:
 
 
 def _what(traces: Traces) -> str:
+    if not traces.tuning.method.has_gradient:
+        return f"{len(traces.iterations)} generations of {traces.tuning.method.population} points, the best of each"
     starts, drawn = traces.starts, len(traces.drawn())
     some = f" ({drawn} of them drawn)" if drawn < starts else ""
     return f"{len(traces.iterations)} evaluations" + (f" of {starts:,} starts{some}" if starts > 1 else "")

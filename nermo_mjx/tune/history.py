@@ -105,7 +105,7 @@ def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[H
     )
     for name in tuning.names:
         yield HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc)
-    for name in tuning.names:
+    for name in tuning.names if tuning.method.has_gradient else ():
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
         yield HistoryColumn(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}")
         if estimator.samples:

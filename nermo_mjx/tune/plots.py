@@ -23,17 +23,18 @@ from nermo_mjx.tune.traces import Traces
 
 
 def figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Iterator[tuple[str, Figure]]:
-    """The figures of a tuning: `objective`, `parameters`, `gradients` and `path`.
+    """The figures of a tuning: `objective`, `parameters`, `gradients` where it has some, and `path`.
 
     Args:
         tuning: that was run.
         history: its table, as `read_history` returns it; in some iteration the robot walked to the end.
         background: the objective's landscape behind the paths.
     """
-    traces = Traces(tuning, history)
+    traces = Traces.of(tuning, history)
     yield "objective", objective_figure(traces)
     yield "parameters", parameters_figure(traces)
-    yield "gradients", gradients_figure(traces)
+    if tuning.method.has_gradient:
+        yield "gradients", gradients_figure(traces)
     yield "path", path_figure(traces, background)
 
 
@@ -49,7 +50,7 @@ def figures(out: Path) -> Figures:
         raise DirectoryError(
             f"there is nothing to draw of {out}: the robot walked to the end at no point of this tuning."
         )
-    return figures_of(tuning, history, _kept(out, tuning, Traces(tuning, history)))
+    return figures_of(tuning, history, _kept(out, tuning, Traces.of(tuning, history)))
 
 
 def _kept(out: Path, tuning: Tuning, traces: Traces) -> Background | None:

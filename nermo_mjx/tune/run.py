@@ -20,6 +20,7 @@ from nermo_mjx.runs.workers import LocalWorkers, Workers, WorkersLost
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune.directory import Directory
 from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.generations import GenerationTuner
 from nermo_mjx.tune.history import empty_log, history_table
 from nermo_mjx.tune.outcome import start_of
 from nermo_mjx.tune.pictures import Painter, Pictures
@@ -96,7 +97,7 @@ def run_tuning(
     accept_new_code: bool = False,
     workers: Workers | None = None,
 ) -> TuningResult:
-    """Tune parameters by gradient into a directory, or go on with what it holds.
+    """Tune parameters by gradient, or by another method, into a directory, or go on with what it holds.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led; every evaluation is
     one batch of starts x (1 + samples) worlds. After each, the state is stored: whoever kills the process loses the
@@ -131,7 +132,8 @@ def run_tuning(
         report = progress or (lambda _: None)
         report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
         if goes_on:
-            tuner = Tuner(tuning, SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers()))
+            shared = SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers())
+            tuner = Tuner(tuning, shared) if tuning.method.has_gradient else GenerationTuner(tuning, shared, log)
         directory.claim(log)
         tuning = directory.tuning
         if goes_on:
@@ -164,7 +166,11 @@ def as_tuning(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Tuning:
 
 def simulation_of(tuning: Tuning) -> Problem:
     """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
-    from nermo_mjx.tune.problem import WalkProblem  # engines, and what they compile, only where they are needed
+    if tuning.method.engine == "c":
+        from nermo_mjx.tune.simulated import SimulatedProblem  # engines, and what they compile, only where needed
+
+        return SimulatedProblem(tuning)
+    from nermo_mjx.tune.problem import WalkProblem
 
     return WalkProblem(tuning)
 

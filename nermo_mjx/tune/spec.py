@@ -22,8 +22,9 @@ from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_m
 from nermo_mjx.specs.values import ByParameter, Choice, Whole
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
-from nermo_mjx.tune import sections
+from nermo_mjx.tune import methods, sections
 from nermo_mjx.tune.bounds import Bounds
+from nermo_mjx.tune.methods import Method
 from nermo_mjx.tune.objective import Objective, objective_metrics
 from nermo_mjx.tune.optimizer import Optimizer
 from nermo_mjx.tune.sampling import Estimator
@@ -49,6 +50,7 @@ class TuningFile(WalkFields):
     tune: Annotated[dict[str, sections.TunedFields | None], ByParameter()] = Field({}, description="tuned parameters")
     objective: list[sections.TermFields] = optional("terms whose sum is minimized", minItems=1)
     recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
+    method: methods.MethodFields = optional("how an iteration finds its step, by default along exact gradients")
     optimizer: sections.OptimizerFields = optional("how an iteration steps")
     estimator: sections.EstimatorFields = Field(sections.EstimatorFields(exact=None), description="of gradients")
     starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned side by side")
@@ -74,6 +76,7 @@ class Tuning(WalkSpec):
         tuned: the tuned parameters in the order of the file.
         objective: what is minimized.
         recording: what `trajectory_error` compares with.
+        method: by gradient, by differences, or by CMA-ES, whose generations take the place of the starts.
         optimizer, estimator: how an iteration steps, and from which gradient.
         starts: points that are tuned side by side in one batch; the first is the given one, the others are drawn.
         iterations: steps; there is one evaluation more, of what the last step led to.
@@ -93,6 +96,7 @@ class Tuning(WalkSpec):
     mode: str = "auto"
     plots: bool = True
     video: bool = False
+    method: Method = dataclasses.field(default_factory=Method)
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], *, recorded: bool = True) -> Tuning:
@@ -145,9 +149,11 @@ class Tuning(WalkSpec):
         data["objective"] = [term.written() for term in self.objective.terms]
         if self.recording is not None:
             data["recording"] = self.recording.name if self.recording.parent == folder else str(self.recording)
+        data |= self.method.written()
         data["optimizer"] = self.optimizer.written()
         data["estimator"] = self.estimator.written()
-        return data | {name: getattr(self, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")}
+        data |= {name: getattr(self, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")}
+        return {name: value for name, value in data.items() if methods.reads(self.method.name, name)}
 
     def to_yaml(self, folder: Path | None = None) -> str:
         """The resolved tuning as a tuning file, see `resolved`."""
@@ -204,6 +210,7 @@ def _read(doc: Document, *, recorded: bool = True) -> Tuning:
         doc.fail(("pilot", "straight", "distance"), "ends each run at a distance: such a length jumps by whole cycles "
                  "and has no derivative; give run: {cycles: 8}.")  # fmt: skip
     objective = sections.read_objective(doc, file.objective)
+    method = methods.read_method(doc, file.method)
     tuning = Tuning(
         **walk,
         tuned=sections.read_tuned(doc, file.tune, all_parameters(walk["setup"])),
@@ -211,8 +218,11 @@ def _read(doc: Document, *, recorded: bool = True) -> Tuning:
         recording=sections.read_recording(doc, file.recording, objective, needed=recorded),
         optimizer=sections.read_optimizer(doc),
         estimator=sections.read_estimator(file.estimator),
+        method=method,
         **{name: getattr(file, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")},
     )
+    if method.name == "cma":
+        tuning = dataclasses.replace(tuning, starts=method.population)
     _check_together(doc, tuning)
     return tuning
 

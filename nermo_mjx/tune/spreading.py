@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.workers import TaskFailed, Workers
-from nermo_mjx.tune.directory import ENGINE
 from nermo_mjx.tune.evaluation import Evaluation, Problem
 from nermo_mjx.tune.spec import Tuning
 
@@ -23,7 +22,7 @@ class Evaluator:
     """Evaluates points; a `nermo_mjx.runs.workers.Computer`. The problem travels pickled, and is made again there."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
-        self._setup = tuning.setup
+        self._setup, self._engine = tuning.setup, tuning.method.engine
         self._problem: Problem | bytes = problem
 
     def __getstate__(self) -> dict[str, Any]:
@@ -36,7 +35,7 @@ class Evaluator:
 
     def stamp(self) -> CodeStamp:
         """Of the code and the model that walk here."""
-        return stamp(self._setup.load().fingerprint, ENGINE)
+        return stamp(self._setup.load().fingerprint, self._engine)
 
     def __call__(self, task: tuple[np.ndarray, bool], progress: Callable[[float], None] | None = None) -> Evaluation:
         """Points (n, p), with gradients or without; the same as NumPy arrays."""

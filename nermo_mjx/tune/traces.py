@@ -31,6 +31,15 @@ class Traces:
     tuning: Tuning
     table: pa.Table
 
+    @classmethod
+    def of(cls, tuning: Tuning, table: pa.Table) -> Traces:
+        """Of a tuning; of one by generations, the best point of each, as if it were one start."""
+        if tuning.method.has_gradient:
+            return cls(tuning, table)
+        value = table.column("objective").to_numpy(zero_copy_only=False).reshape(-1, tuning.starts)
+        best = np.where(np.isfinite(value), value, np.inf).argmin(axis=1) + tuning.starts * np.arange(len(value))
+        return cls(dataclasses.replace(tuning, starts=1), table.take(best))
+
     @property
     def starts(self) -> int:
         """Number of starts."""

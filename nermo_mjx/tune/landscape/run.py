@@ -25,13 +25,14 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, session, stamp
 from nermo_mjx.runs.files import clear_errors, parquet_bytes
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.tune.directory import ENGINE, keep_recording, set_aside, write_tuning
+from nermo_mjx.tune.directory import keep_recording, set_aside, write_tuning
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches, any_batch
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import Plan, plan
 from nermo_mjx.tune.landscape.points import IDENTITY, KEY, TABLE, TUNING, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.landscape.report import content_of, page
+from nermo_mjx.tune.methods import Method
 from nermo_mjx.tune.run import as_tuning, simulation_of
 from nermo_mjx.tune.spec import Tuning
 
@@ -97,6 +98,7 @@ def run_landscape(
             code began it.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
+    tuning = dataclasses.replace(tuning, method=Method())  # slopes are exact ones, however it is tuned
     if points < 5:
         raise ParameterError(f"points is {points}: allowed is 5 or more.")
     if not 0.0 < span <= 1.0:
@@ -106,7 +108,7 @@ def run_landscape(
         wanted = identity(tuning, points, span)
         table, evaluated = read(held.out / TABLE, wanted), 0
         if table is None:
-            made_by, begun = stamp(tuning.setup.load().fingerprint, ENGINE), any_batch(held.out)
+            made_by, begun = stamp(tuning.setup.load().fingerprint, tuning.method.engine), any_batch(held.out)
             # A directory without any point is anyone's.
             held.take_code(made_by, holds_rows=begun, accept=accept_new_code or not begun)
             problem = problem or simulation_of(tuning)

@@ -1,0 +1,104 @@
+"""What chooses the points of a search: asked for a batch, and told what it gave. Nothing else goes in.
+
+So a search is repeated, and gone on with, by telling again what its table holds.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import importlib.util
+from typing import Final, Protocol
+
+import numpy as np
+from scipy.stats import qmc
+
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.search.scoring import Scores
+from nermo_mjx.search.space import Space
+from nermo_mjx.search.spec import Search
+
+#: The library of each method, beside NumPy and SciPy.
+LIBRARIES: Final = {"cma": "cma", "nsga2": "pymoo", "cma_me": "ribs", "cma_mega": "ribs"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """Points to evaluate.
+
+    Attributes:
+        shares: of the bounds, (n, p) in [0, 1].
+        gradients: of so many, from the first on, gradients are wanted, too.
+    """
+
+    shares: np.ndarray
+    gradients: int = 0
+
+
+class Optimizer(Protocol):
+    """Chooses points; `ask` and `tell` in turn, and the same answers lead to the same questions."""
+
+    def ask(self) -> Asked:
+        """The next batch."""
+        ...
+
+    def tell(self, found: Scores) -> None:
+        """What the batch gave, in its order."""
+        ...
+
+
+class SobolSample:
+    """Points of one Sobol sequence, the published gait first: what a method has to beat."""
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        self._batch, self._first = batch, space.first
+        self._points, self._begun = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)), False
+
+    def ask(self) -> Asked:
+        """See `Optimizer`."""
+        if self._begun:
+            return Asked(self._points.random(self._batch))
+        self._begun = True
+        return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
+
+    def tell(self, found: Scores) -> None:
+        """See `Optimizer`."""
+
+
+def make_optimizer(search: Search, batch: int) -> Optimizer:
+    """The optimizer of a search, at its beginning.
+
+    Args:
+        batch: points of a batch; some methods change it as they go on.
+
+    Raises:
+        ParameterError: its library is not installed.
+    """
+    check_library(search.method)
+    space = Space(search)
+    if search.method == "sobol":
+        return SobolSample(space, search, batch)
+    if search.method == "cma":
+        from nermo_mjx.search.evolution import Evolution
+
+        return Evolution(space, search, batch)
+    if search.method == "nsga2":
+        from nermo_mjx.search.genetic import Genetic
+
+        return Genetic(space, search, batch)
+    from nermo_mjx.search.diversity import Diversity
+
+    return Diversity(space, search, batch)
+
+
+def check_library(method: str) -> None:
+    """Raises `ParameterError` unless what a method needs is installed."""
+    library = LIBRARIES.get(method)
+    if library is not None and importlib.util.find_spec(library) is None:
+        raise ParameterError(f"method is {method}, which needs {library}: pip install 'nermo-mjx[search]'.")
+
+
+def made_by(method: str) -> str:
+    """Name and version of what chooses the points, for the table's metadata."""
+    library = LIBRARIES.get(method, "scipy")
+    return f"{library} {importlib.metadata.version(library)}"

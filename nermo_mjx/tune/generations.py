@@ -1,0 +1,99 @@
+"""CMA-ES as the steps of a tuning: an iteration is a generation, rebuilt from the history when it goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.tune.bounds import from_unconstrained, to_unconstrained
+from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.history import Log, columns
+from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.state import TuneState
+from nermo_mjx.tune.tuner import Iterate
+
+
+def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
+    """Hansen's CMA-ES with a random generator of its own: NumPy's global one belongs to everyone.
+
+    Args:
+        start: where it begins (p,).
+        options: of `cma.CMAEvolutionStrategy`.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import cma
+
+    own = np.random.default_rng(rng.integers(2**63))
+    common = {"popsize": max(population, 4), "randn": lambda *shape: own.standard_normal(shape), "seed": math.nan,
+              "verbose": -9, "maxiter": math.inf}  # fmt: skip
+    return cma.CMAEvolutionStrategy(start, sigma, common | options)
+
+
+class GenerationTuner:
+    """Steps a tuning by generations, as `tuner.Tuner` does by gradients.
+
+    The population's points stand in the place of the starts: the first point of the first generation is the given one.
+    A point that does not walk to its end counts as worse than all others. Coordinates are those of
+    `nermo_mjx.tune.bounds`.
+    """
+
+    def __init__(self, tuning: Tuning, problem: Problem, log: Log | None) -> None:
+        """
+        Args:
+            log: the history so far, which is told once more; None if there is none.
+        """
+        assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
+        self.tuning, self.problem = tuning, problem
+        given = jnp.array([each.start for each in tuning.tuned], float)
+        self._given = np.asarray(to_unconstrained(tuning.bounds, given), float)
+        rng = np.random.default_rng(tuning.seed)
+        self._strategy = strategy(self._given, tuning.method.sigma, tuning.starts, rng)
+        self._points, self._first = np.empty((0, len(tuning.names))), True
+        if log is not None:
+            place = [column.name for column in columns(tuning, log.metrics)].index("objective")
+            for value in log.rows[:, :, place]:
+                self._ask()
+                self._tell(value)
+
+    def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
+        """Evaluate a generation."""
+        u = self._ask()
+        points = from_unconstrained(self.tuning.bounds, jnp.asarray(u, state.u.dtype))
+        found = self.problem.evaluate(points, False)
+        ok = np.asarray(found.ok) & np.isfinite(np.asarray(found.value))
+        value = np.where(ok, np.asarray(found.value, float), np.nan)
+        self._tell(value)
+        better = np.where(ok, value, np.inf) < np.asarray(state.best_value)
+        after = dataclasses.replace(
+            state,
+            u=jnp.asarray(u, state.u.dtype),
+            iteration=state.iteration + 1,
+            best_u=jnp.where(jnp.asarray(better)[:, None], jnp.asarray(u, state.u.dtype), state.best_u),
+            best_value=jnp.where(jnp.asarray(better), jnp.asarray(value, state.best_value.dtype), state.best_value),
+            best_iteration=jnp.where(jnp.asarray(better), state.iteration, state.best_iteration),
+        )
+        nothing = np.full(u.shape, np.nan)
+        return after, Iterate(
+            points=np.asarray(points, float), value=value, ok=ok, gradient=nothing, error=nothing, first_order=nothing,
+            discarded=(~ok).astype(int), lost=~ok,
+            metrics={name: np.asarray(column, float) for name, column in found.metrics.items()},
+            simulated_seconds=len(value) * self.problem.simulated_seconds,
+        )  # fmt: skip
+
+    def _ask(self) -> np.ndarray:
+        self._points = np.array(self._strategy.ask())
+        if self._first:
+            self._points[0] = self._given
+        self._first = False
+        return self._points
+
+    def _tell(self, value: np.ndarray) -> None:
+        known = value[np.isfinite(value)]
+        worst = known.max() + max(np.ptp(known), 1.0) if len(known) else 0.0
+        self._strategy.tell(self._points.tolist(), np.where(np.isfinite(value), value, worst).tolist())

@@ -1,0 +1,164 @@
+"""Tunings by CMA-ES and by differences: what they find, what they cost, and that they go on with the same numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from tune_fake import BEST, SPEC, FakeProblem, speed
+
+from nermo_mjx.cli import main
+from nermo_mjx.runs import codes_of
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.tune import Tuning, TuningInterrupted, run_tuning
+from nermo_mjx.tune.cost import costs_of
+from nermo_mjx.tune.simulated import SimulatedProblem
+
+PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
+CMA = PLAIN | {"method": {"cma": {"population": 8}}, "iterations": 12}
+DIFFERENCES = SPEC | {"method": "differences"}
+
+
+class Walker:
+    """A simulator in closed form, in float64; the robot falls above an amplitude."""
+
+    def __init__(self, falls_above=math.inf):
+        self.batches, self.falls_above, self.engine = [], falls_above, "c"
+
+    def run(self, values, run):
+        amplitude, phase = values["spine.amplitude"], values["spine.phase"]
+        self.batches.append(np.stack([amplitude, phase], axis=-1))
+        pace = 0.1 - 0.5 * (amplitude - BEST[0]) ** 2 - 0.02 * (1 - np.cos(phase - BEST[1]))
+        status = np.where(amplitude > self.falls_above, "fell", "ok")
+        return types.SimpleNamespace(metrics={"speed": pace, "roll_std": 0.1 + 0.1 * amplitude**2}, status=status)
+
+
+def problem(spec, **how):
+    tuning = Tuning.from_dict(spec)
+    return SimulatedProblem(tuning, simulator=Walker(**how)), tuning
+
+
+def slope_of(amplitude, phase):
+    """d objective / d (amplitude, phase) of `SPEC` in closed form."""
+    by_amplitude = (amplitude - BEST[0]) / 0.1 + 0.1 * 0.2 * amplitude / 0.05
+    return np.stack([by_amplitude, 0.02 * np.sin(phase - BEST[1]) / 0.1], axis=-1)
+
+
+def test_central_differences_are_the_slope():
+    """Of a parabola they are exact; of a cosine short by the sine of the step."""
+    found, _ = problem(DIFFERENCES)
+    points = np.array([[0.1, 0.5], [0.3, -2.0]])
+    slope = found.evaluate(points, True).gradient
+    step = 0.02 * 2 * math.pi
+    expected = slope_of(points[:, 0], points[:, 1]) * [1.0, math.sin(step) / step]
+    np.testing.assert_allclose(slope, expected, rtol=1e-5)
+    assert found.gradient_cost == 5.0
+    assert found.simulator.batches[0].shape == (10, 2)
+
+
+def test_differences_stay_within_the_bounds():
+    """At a bound a neighbour stands on it; a periodic parameter's comes back at the other side; slopes are right."""
+    for scheme in ("central", "forward"):
+        spec = DIFFERENCES | {"method": {"differences": {"scheme": scheme, "step": 0.01}}}
+        found, _ = problem(spec)
+        slope = found.evaluate(np.array([[0.399, 3.14], [0.0005, -3.14]]), True).gradient
+        worlds = found.simulator.batches[0]
+        assert (worlds[:, 0] >= 0).all()
+        assert (worlds[:, 0] <= 0.4).all()
+        assert (np.abs(worlds[:, 1]) <= math.pi + 1e-6).all()
+        np.testing.assert_allclose(slope, slope_of(np.array([0.399, 0.0005]), np.array([3.14, -3.14])), atol=0.04)
+
+
+def test_a_point_counts_as_fallen_if_a_neighbour_falls():
+    found, _ = problem(DIFFERENCES, falls_above=0.2)
+    assert found.evaluate(np.array([[0.1, 0.0], [0.199, 0.0]]), True).ok.tolist() == [True, False]
+
+
+def test_differences_tune_to_the_closed_form(tmp_path: Path) -> None:
+    """With the same optimizer as by gradient; best.json and history have the same form."""
+    spec = DIFFERENCES | {"iterations": 30}
+    found, _ = problem(spec)
+    result = run_tuning(spec, tmp_path / "out", problem=found)
+    assert result.best["metrics"]["speed"] == pytest.approx(0.1, abs=4e-3)
+    assert {"gradient.spine.phase", "objective", "iteration"} <= set(result.history.schema.names)
+    assert [code.engine for code in codes_of(tmp_path / "out").values()] == ["c"]
+
+
+def test_generations_tune_to_the_closed_form(tmp_path: Path) -> None:
+    """The first point is the given one; there are no gradients, and each generation is a row a point."""
+    found, tuning = problem(CMA)
+    result = run_tuning(CMA, tmp_path / "out", problem=found)
+    assert tuning.starts == 8
+    assert result.history.num_rows == 8 * 13
+    assert result.best["metrics"]["speed"] > 0.097
+    assert result.start["parameters"] == pytest.approx({"spine.amplitude": 0.05, "spine.phase": 2.5})
+    assert not any(name.startswith("gradient") for name in result.history.schema.names)
+    assert result.best["objective"] == pytest.approx(min(result.history.column("objective").to_pylist()))
+
+
+def test_falls_cost_a_generation_nothing_but_themselves(tmp_path: Path) -> None:
+    """Where the best would fall, the best that does not is found."""
+    found, _ = problem(CMA, falls_above=0.2)
+    best = run_tuning(CMA, tmp_path / "out", problem=found).best
+    assert best["parameters"]["spine.amplitude"] <= 0.2
+    assert best["metrics"]["speed"] > float(speed(0.2)) - 4e-3
+
+
+@pytest.mark.parametrize("spec", [CMA, DIFFERENCES], ids=["cma", "differences"])
+def test_a_stopped_tuning_ends_with_the_same_numbers(spec, tmp_path: Path) -> None:
+    tuning = Tuning.from_dict(spec)
+    whole = run_tuning(spec, tmp_path / "a", problem=FakeProblem(tuning))
+    with pytest.raises(TuningInterrupted):
+        run_tuning(spec, tmp_path / "b", problem=FakeProblem(tuning, stop_at=4))
+    rest = run_tuning(spec, tmp_path / "b", problem=(fake := FakeProblem(tuning)))
+    assert len(fake.batches) == tuning.iterations + 1 - 4
+    drop = ["wall_seconds", "code"]
+    assert rest.history.drop_columns(drop).equals(whole.history.drop_columns(drop))
+    assert json.loads((tmp_path / "b/best.json").read_text()) == json.loads((tmp_path / "a/best.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"method": "cmaes"}, "field 'method' is 'cmaes': expected gradient, cma or differences .* did you mean 'cma'"),
+        ({"method": "cma", "optimizer": "adam"}, "'optimizer' is not read by the method cma, but by gradient and diff"),
+        ({"method": "cma", "starts": 4}, r"'starts' is not read by the method cma.*give method: \{cma: \{population"),
+        ({"method": "differences", "estimator": "exact"}, "'estimator' is not read by the method differences"),
+        ({"method": {"cma": {"population": 2}}}, "is 2: expected a whole number from 4"),
+        ({"method": {"differences": {"scheme": "left"}}}, "is the text 'left': allowed are central, forward"),
+    ],
+)
+def test_wrong_methods_are_said(change, message) -> None:
+    with pytest.raises(SpecError, match=message):
+        Tuning.from_dict(PLAIN | change)
+
+
+@pytest.mark.parametrize("spec", [CMA, DIFFERENCES, SPEC], ids=["cma", "differences", "gradient"])
+def test_a_tuning_reads_back_as_itself(spec) -> None:
+    tuning = Tuning.from_dict(spec)
+    assert Tuning.from_text(tuning.to_yaml()) == tuning
+    assert ("method" in tuning.resolved()) == ("method" in spec)  # directories of earlier releases stay their own
+
+
+def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """At a hundred simulated seconds a second: counted by hand for two starts, six iterations, runs of five seconds."""
+    monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
+    costs = {each.method: each for each in costs_of(Tuning.from_dict(DIFFERENCES))}
+    assert list(costs) == ["differences", "gradient", "cma"]
+    assert costs["differences"].evaluations == 2 * 7 * 5
+    assert costs["differences"].simulated_seconds == pytest.approx(2 * 7 * 5 * 5.0)
+    assert costs["differences"].wall_seconds == pytest.approx(3.5)
+    assert costs["gradient"].simulated_seconds == pytest.approx(2 * 7 * 3 * 5.0)
+    assert costs["cma"].evaluations == 16 * 7
+    path = tmp_path / "tuning.yaml"
+    path.write_text(Tuning.from_dict(DIFFERENCES).to_yaml())
+    told = CliRunner().invoke(main, ["tune", str(path), "--out", str(tmp_path / "out"), "--dry-run"])
+    assert told.exit_code == 0
+    assert "method differences: 70 evaluations" in told.stdout
+    assert "instead of it, method gradient" in told.stdout
+    assert not (tmp_path / "out").exists()
