@@ -185,7 +185,7 @@ WRONG = {
                          "has no effect: it is read only with spine: stride_extension, and spine is none or balance"),
     "pilot's own number": ("pilot: [straight, {arc: {radius: 1}}]\n  pilot.radius: [1, 2]", "set by 'pilot.arc"),
     "beyond the legs": ("gait: [trt, lat]\n  stance.swing_amplitude: [0.01, 0.04]", "'stance.swing_"),
-    "too many": ("\n  ".join(f"{name}: [{', '.join(f'a{i}' for i in range(11))}]" for name in ("gait", "spine", "tail")),
+    "too many": ("\n  ".join(f"{name}: [{', '.join('abcdefghijk')}]" for name in ("gait", "spine", "tail")),
                  "makes 1,331 combinations of structures; allowed are 1,000"),
     "beyond one time step": ("physics: [reference, fast]\n  contact.time_constant: [0.005, 0.01]",
                              "contact.time_constant' is 0.005: allowed is [0.00666"),
