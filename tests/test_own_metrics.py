@@ -26,6 +26,7 @@ from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.tune import Tuning
+from nermo_mjx.tune.history import columns
 from nermo_mjx.view.caption import details_of
 
 SHAKE = '''\
@@ -236,6 +237,9 @@ def test_a_tuning_may_aim_at_a_metric_of_its_own(shake: Path) -> None:
     assert tuning.objective.metrics == ("speed", "yaw_shake")
     assert tuning.objective_metrics["yaw_shake"].unit == "rad/s"
     assert Tuning.from_text(tuning.to_yaml()).digest() == tuning.digest()
+    assert [(c.unit, c.description) for c in columns(tuning, ("yaw_shake",)) if c.name == "yaw_shake"] == [
+        ("rad/s", "Turning about its own axis")
+    ]
     with pytest.raises(ParameterError, match="is the text 'yaw_shake': allowed are speed"):
         Tuning.from_dict({**file, "metrics": []})
     with pytest.raises(ParameterError, match=r"did you mean 'yaw_shake'\?"):
