@@ -39,7 +39,8 @@ class Recording:
         ctrl: commanded servo angles [rad].
         sensors: named sensor readings, each with the time axis first; units as in `robot.interface.Sensors`.
         model_hash: `model_hash` of the model that ran; "" if unknown.
-        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`.
+        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`, and `units` of metrics of
+            one's own.
     """
 
     time: Float[np.ndarray, " T"]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +13,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from conftest import shared_simulator
 from sweep_fake import FakeSimulator
 from test_metrics import DT, STEPS, stream
 
 from nermo_mjx import METRICS, ParameterError, Rollout, Run, Setup, Simulator, all_metrics, metric
+from nermo_mjx.cli import main
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.own_metrics import REDUCTIONS, OwnMetric, check_metrics, load_metrics
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.tune import Tuning
+from nermo_mjx.tune.history import columns
+from nermo_mjx.view.caption import details_of
 
 SHAKE = '''\
 import jax.numpy as jnp
@@ -41,10 +48,10 @@ def hardest_step(sensors):
 SWEEP = {"vary": {"frequency": [0.8, 0.9]}, "run": {"duration": 0.4, "warmup": 0.1}, "plots": False}
 
 
-@pytest.fixture
-def shake(tmp_path: Path) -> Path:
-    path = tmp_path / "own" / "shake.py"
-    path.parent.mkdir()
+@pytest.fixture(scope="module")
+def shake(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Not to be changed: simulators with these metrics are shared."""
+    path = tmp_path_factory.mktemp("own") / "shake.py"
     path.write_text(SHAKE)
     return path
 
@@ -63,7 +70,7 @@ def reduced(readings: np.ndarray, begin: float, end: float) -> dict[str, float]:
     def tick(state: Any, now: Any) -> tuple[Any, None]:
         return measures.update(window, state, now[1], now[0], DT, 1.0, own=chosen), None
 
-    start = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], seen), chosen)
+    start = measures.init(jax.tree.map(lambda leaf: jnp.asarray(leaf[0, -1], jnp.float32), seen), chosen)
     state, _ = jax.lax.scan(tick, start, (DT * np.arange(len(readings)), seen))
     found = measures.result(state, jnp.asarray(0.27), own=chosen)
     return {name: float(found[name]) for name in REDUCTIONS}
@@ -108,14 +115,15 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
     root = own("mean", lambda sensors: jnp.sqrt(sensors.foot_force[0]))
 
     def mean(weight: Any) -> Any:
-        tick = np.arange(6)[:, None, None]
-        seen = stream(6)
-        force = jnp.where(tick == 0, 0.0, weight * 4.0) * np.ones((6, STEPS, 4))
-        seen = dataclasses.replace(seen, foot_force=jnp.where(tick == 5, jnp.nan, force))
-        state = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], seen), (root,))
-        for i in range(6):
-            readings = jax.tree.map(lambda leaf, i=i: leaf[i], seen)
-            state = measures.update(Window(begin=0.0), state, readings, jnp.asarray(i * DT), DT, 1.0, own=(root,))
+        tick, seen = np.arange(4)[:, None, None], jax.tree.map(jnp.asarray, stream(4))
+        force = jnp.where(tick == 0, 0.0, weight * 4.0) * np.ones((4, STEPS, 4))
+        seen = dataclasses.replace(seen, foot_force=jnp.where(tick == 3, jnp.nan, force))
+        start = measures.init(jax.tree.map(lambda leaf: leaf[0, -1], seen), (root,))
+
+        def add(state: Any, now: Any) -> tuple[Any, None]:
+            return measures.update(Window(begin=0.0), state, now[1], now[0], DT, 1.0, own=(root,)), None
+
+        state, _ = jax.lax.scan(add, start, (DT * np.arange(4), seen))
         return measures.result(state, jnp.asarray(0.27), own=(root,))["mean"]
 
     assert float(jax.jit(mean)(1.0)) == pytest.approx(2.0)
@@ -130,19 +138,20 @@ def test_what_is_not_measured_does_no_harm_to_value_and_slope() -> None:
 def test_a_simulator_measures_what_its_recording_shows(shake: Path) -> None:
     """The readings of a tick's end, of a signal that five steps hardly change; other metrics keep their last bit."""
     run = Run(duration=0.4, warmup=0.1)
-    simulator = Simulator(engine="c", metrics=[str(shake), own("integral", lambda sensors: sensors.linear_velocity[1])])
+    simulator = shared_simulator(Setup(metrics=str(shake)), "c")
     result = simulator.run({"frequency": [0.8, 1.0]}, run, record=True)
     assert result.trace is not None
     measured = result.trace.time > 0.1 + 1e-9
     shaken = np.sqrt((result.trace.sensors["gyro"][:, measured, 2] ** 2).mean(axis=1))
     np.testing.assert_allclose(result.metrics["yaw_shake"], shaken, rtol=0.2)
-    np.testing.assert_allclose(result.metrics["integral"], -result.metrics["distance"], rtol=0.05)
-    assert [*all_metrics(simulator.setup)] == [*METRICS, "yaw_shake", "hardest_step", "integral"]
     assert set(result.metrics) == set(all_metrics(simulator.setup))
-    plain = Simulator(engine="c").run({"frequency": [0.8, 1.0]}, run)
+    plain = shared_simulator(Setup(), "c").run({"frequency": [0.8, 1.0]}, run)
     for name, column in plain.metrics.items():
         np.testing.assert_array_equal(column, result.metrics[name], err_msg=name)
-    assert result.recording(1).metadata["setup"]["metrics"] == [str(shake), "integral"]
+    recording = result.recording(1)
+    assert recording.metadata["setup"]["metrics"] == [str(shake)]
+    (shown,) = (table["rows"] for table in details_of(recording) if table["title"] == "Metrics")
+    assert ["hardest_step", f"{result.metrics['hardest_step'][1]:.4g} N"] in [list(row) for row in shown]
 
 
 @pytest.mark.long
@@ -159,6 +168,18 @@ def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) ->
     assert float(slope) == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 
 
+@pytest.mark.compiles
+@pytest.mark.usefixtures("shared_simulators")
+def test_a_walk_prints_its_own_metrics(shake: Path) -> None:
+    words = ["walk", "--engine", "c", "--duration", "0.1", "--warmup", "0.02", "--metrics", str(shake)]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0, result.output
+    assert re.search(r"^hardest_step +\d\S* +N$", result.stdout, re.MULTILINE)
+    wrong = CliRunner().invoke(main, [*words[:-1], str(shake.with_name("no.py"))])
+    assert wrong.exit_code == 2
+    assert wrong.stderr.endswith("no.py cannot be read (No such file or directory).\n")
+
+
 # --- files
 
 
@@ -168,7 +189,9 @@ def test_a_file_gives_its_metrics_with_unit_side_and_description(shake: Path) ->
     assert first.doc == "Turning about its own axis"
     assert second.doc == "peak of hardest_step"
     assert load_metrics(f"{shake}:hardest_step") == (second,)
-    assert [*all_metrics(Setup(metrics=f"{shake}:hardest_step"))] == [*METRICS, "hardest_step"]
+    setup = Setup(metrics=[f"{shake}:hardest_step", own("drop")])
+    assert [*all_metrics(setup)] == [*METRICS, "hardest_step", "drop"]
+    assert setup.fields()["metrics"] == (f"{shake}:hardest_step", "drop")
 
 
 def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_path: Path) -> None:
@@ -178,10 +201,12 @@ def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_pa
             result.metrics |= {"yaw_shake": result.metrics["speed"] * 2, "hardest_step": result.metrics["speed"]}
             return result
 
-    (shake.parent / "sweep.yaml").write_text(
+    copy = tmp_path / "shake.py"
+    shutil.copy(shake, copy)
+    (tmp_path / "sweep.yaml").write_text(
         "metrics: shake.py\nvary: {frequency: [0.8, 0.9]}\nplots: false\nrun: {duration: 0.4}\n"
     )
-    sweep, out = Sweep.from_file(shake.parent / "sweep.yaml"), tmp_path / "out"
+    sweep, out = Sweep.from_file(tmp_path / "sweep.yaml"), tmp_path / "out"
     digest = sweep.digest()
     run_sweep(sweep, out, simulator=Measuring())
     assert (out / "metrics.py").read_text() == SHAKE
@@ -193,8 +218,8 @@ def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_pa
     }  # fmt: skip
     assert "better" not in meta(table.schema.field("hardest_step"))
     assert meta(table.schema.field("speed"))["better"] == "high"
-    shake.write_text(SHAKE.replace("gyro[2]", "gyro[1]"))
-    assert Sweep.from_file(shake.parent / "sweep.yaml").digest() != digest
+    copy.write_text(SHAKE.replace("gyro[2]", "gyro[1]"))
+    assert Sweep.from_file(tmp_path / "sweep.yaml").digest() != digest
     assert Sweep.from_file(out / "sweep.yaml").digest() == digest
 
 
@@ -212,6 +237,9 @@ def test_a_tuning_may_aim_at_a_metric_of_its_own(shake: Path) -> None:
     assert tuning.objective.metrics == ("speed", "yaw_shake")
     assert tuning.objective_metrics["yaw_shake"].unit == "rad/s"
     assert Tuning.from_text(tuning.to_yaml()).digest() == tuning.digest()
+    assert [(c.unit, c.description) for c in columns(tuning, ("yaw_shake",)) if c.name == "yaw_shake"] == [
+        ("rad/s", "Turning about its own axis")
+    ]
     with pytest.raises(ParameterError, match="is the text 'yaw_shake': allowed are speed"):
         Tuning.from_dict({**file, "metrics": []})
     with pytest.raises(ParameterError, match=r"did you mean 'yaw_shake'\?"):

@@ -11,16 +11,19 @@ import pandas
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from conftest import shared_simulator
 from sweep_fake import SPEC, FakeSimulator
 
-from nermo_mjx import Recording, Run, Simulator
+from nermo_mjx import Recording, Run, Setup, load_robot
 from nermo_mjx.rollout import Saving, Series
 from nermo_mjx.rollout.saving import all_signals, chosen_signals
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep, series
+from nermo_mjx.sweep.beside import Keep
 from nermo_mjx.sweep.keeping import kept_rows
+from nermo_mjx.sweep.replay import replay_row
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.spec import Keep
+from nermo_mjx.sweep.status import status
 from nermo_mjx.sweep.table import meta
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")
@@ -140,7 +143,7 @@ def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest
 def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
     """Worlds of two lengths, one a quarter of the control rate, blocks that begin between two samples."""
     saving = Saving(("front_left_foot_velocity", "spine_ctrl", "qvel_root_z", "yaw", "speed"), 100 / 3)
-    simulator = Simulator(engine="c")
+    simulator = shared_simulator(Setup(), "c")
     result = simulator.run({"frequency": [1.0, 2.0]}, Run(cycles=0.6, warmup_cycles=0), record=True, save=saving)
     kept, trace = result.series, result.trace
     assert kept is not None
@@ -163,7 +166,7 @@ def test_what_a_simulator_saves_is_its_recording_at_a_rate() -> None:
 
 def test_signals_have_the_names_of_the_models_sensors() -> None:
     """And each number of the state has a signal, by the names of MuJoCo's joints."""
-    robot = Simulator(engine="c").robot
+    robot = load_robot()
     model, every = robot.physical, all_signals(robot)
     known = {name for signal in every for name in signal.names}
     assert {model.sensor(i).name for i in range(model.nsensor)} - known == {"tail_tip_force"}
@@ -226,6 +229,27 @@ def test_kept_rows_are_recorded_once_and_again_if_they_are_lost(tmp_path: Path) 
 
 
 @pytest.mark.compiles
+def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec, done = {**KEPT, "keep": {"best": 3}}, []
+
+    def stopped(found: Any, *args: Any, **how: Any) -> Any:
+        if len(done) == 1:
+            raise KeyboardInterrupt
+        done.append(found.row)
+        return replay_row(found, *args, **how)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nermo_mjx.sweep.keeping.replay_row", stopped)
+        with pytest.raises(SweepInterrupted, match="run the same command again"):
+            run_sweep(spec, tmp_path, engine="c")
+    (file,) = (tmp_path / "recordings").iterdir()
+    first = file.stat().st_mtime_ns
+    assert status(tmp_path).notes == ("1 of its runs is recorded in recordings/.",)
+    assert len(run_sweep(spec, tmp_path, engine="c").recordings) == 3
+    assert (file.stat().st_mtime_ns, len(list((tmp_path / "recordings").iterdir()))) == (first, 3)
+
+
+@pytest.mark.compiles
 def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
     """A table in closed form is not what the robot does."""
     told: list[str] = []
@@ -270,7 +294,7 @@ def test_series_open_in_the_lines_of_the_page(tmp_path: Path, package: str) -> N
     samples = np.round(10 * table.column("frequency").to_numpy()).astype(int)
     if package == "duckdb":
         expected = {row: n / 20 for row, n in enumerate(samples.tolist()) if n > 6}
-        assert {row: peak for row, peak in found.fetchall()} == pytest.approx(expected)
+        assert dict(found.fetchall()) == pytest.approx(expected)
         return
     assert len(found) == samples.sum()
     if package == "pandas":

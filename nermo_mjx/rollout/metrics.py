@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot import LIMBS, Sensors
-from nermo_mjx.rollout import own_metrics, path_metrics
+from nermo_mjx.rollout import path_metrics, reduction
 from nermo_mjx.rollout.attitude import attitude, uprightness
 from nermo_mjx.rollout.catalogue import ANGLES, METRICS, PAIRS
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
@@ -112,7 +112,7 @@ class MetricState:
     load: Float[Array, " 5"]
     tail_loaded: Float[Array, ""]
     path: path_metrics.PathState
-    own: own_metrics.OwnState | None
+    own: reduction.OwnState | None
     on_path: Bool[Array, ""]
     lost: Bool[Array, ""]
     failure_time: Float[Array, ""]
@@ -133,7 +133,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
         origin=position, end=position, loaded=four, slid=four, swing=four, swing_loaded=four,
         load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
-        own=own_metrics.init(own, sensors) if own else None, on_path=no,
+        own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
@@ -228,9 +228,7 @@ def update(
         path=path_metrics.update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
-        own=None
-        if state.own is None
-        else own_metrics.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
+        own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
         on_path=jnp.asarray(path is not None),
         lost=lost,
         failure_time=jnp.where(judged & (fallen | lost), time, state.failure_time),
@@ -329,4 +327,4 @@ def result(
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
     found = {name: metrics[name] for name in METRICS}
-    return found if state.own is None else found | own_metrics.result(own, state.own, begun, time)
+    return found if state.own is None else found | reduction.result(own, state.own, begun, time)

@@ -89,7 +89,8 @@ class RunResult:
         return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
 
     def about(self, world: int = 0) -> dict[str, Any]:
-        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`."""
+        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and `units` of
+        metrics of one's own, which no other place knows."""
         measured = {name: float(column[world]) for name, column in self.metrics.items()}
         flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
         run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
@@ -101,6 +102,7 @@ class RunResult:
             "run": run,
             "engine": self.engine,
             "versions": versions(),
+            **({"units": {each.name: each.unit for each in self.setup.own_metrics}} if self.setup.metrics else {}),
         }
 
     def to_pandas(self) -> Any:

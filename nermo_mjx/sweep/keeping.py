@@ -14,10 +14,10 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Setup, Simulator
 from nermo_mjx.runs.text import plain
+from nermo_mjx.sweep.beside import Keep
 from nermo_mjx.sweep.replay import engine_for, find_row, replay_row, report_of
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.sides import cost, sides_in
-from nermo_mjx.sweep.spec import Keep
 from nermo_mjx.sweep.store import RECORDINGS, Store
 
 #: Kinds of rows that are kept by what became of them.

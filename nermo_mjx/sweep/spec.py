@@ -13,42 +13,28 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.rollout import Saving, Setup
-from nermo_mjx.rollout.saving import Keeper
+from nermo_mjx.rollout import Saving
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
-from nermo_mjx.specs.reading import Document, did_you_mean, dump, read_file, read_mapping, read_text
-from nermo_mjx.specs.values import Choice, Positive, Whole, by_parameter, refuse_parameter
+from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.values import Choice, Whole, by_parameter, refuse_parameter
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, unread
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.asked import AskedComparison, CompareFields, Value, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
+from nermo_mjx.sweep.beside import Keep, KeepFields, SaveFields, check_keep, read_saving
 from nermo_mjx.sweep.listing import RowList, RowsForm, RowTable, listed_rows, read_row_table
 from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
-from nermo_mjx.sweep.sides import sides_of
 from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
 
 LARGEST_SWEEP = 10_000_000
 #: Fields that no row depends on.
 _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
-#: Rows of one kind that are recorded at most; each takes about half a megabyte.
-MOST_KEPT = 10_000
-
-
-@dataclasses.dataclass(frozen=True)
-class Keep:
-    """Which rows are recorded when the table is complete: so many of each kind, the best by a metric."""
-
-    best: int = 0
-    metric: str = "speed"
-    fell: int = 0
-    diverged: int = 0
-    unsolved: int = 0
 
 
 class Sampler(OneOf):
@@ -82,37 +68,6 @@ class Randomized(Fields):
     @classmethod
     def refuse(cls, key: str) -> None:
         refuse_parameter(key)
-
-
-def _listed(given: Any) -> Any:
-    return [given] if isinstance(given, str) else given
-
-
-class SaveFields(Fields):
-    """What is kept of each run over time."""
-
-    what: ClassVar = "a field of what is saved"
-    expected: ClassVar = "{sensors: [gyro, foot_force], rate: 50}"
-    example: ClassVar = expected
-    sensors: Annotated[list[str], BeforeValidator(_listed)] = Field(
-        description="signals, sensors or groups of them; qpos, qvel, ctrl, attitude, speed",
-        json_schema_extra={"type": ["array", "string"], "minItems": 1},
-    )
-    rate: Positive = Field(
-        Saving.rate, description="samples a simulated second [Hz]: the control rate, or that divided by a whole number"
-    )
-
-
-class KeepFields(Fields):
-    """Rows that are recorded when the table is complete."""
-
-    what: ClassVar = "a field of what is kept"
-    expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
-    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many of the best, no two of one variant")
-    metric: str = Field(Keep.metric, description="by which the best are chosen: one that has a better side")
-    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many that fell, the first in the table")
-    diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many that lost their numbers")
-    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many that the solver did not finish")
 
 
 class SweepFile(WalkFields):
@@ -369,7 +324,7 @@ def _read(doc: Document) -> Sweep:
         seeds=file.seeds,
         chunk=file.chunk,
         plots=file.plots,
-        save=_read_saving(doc, file.save, first.setup),
+        save=read_saving(doc, file.save, first.setup),
         keep=None if file.keep is None else Keep(**file.keep.model_dump()),
     )
     _check_together(doc, sweep)
@@ -408,21 +363,6 @@ def _narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
     }  # fmt: skip
 
 
-def _read_saving(doc: Document, given: SaveFields | None, setup: Setup) -> Saving | None:
-    """What is saved, of signals that the robot has, at a rate that its controller has."""
-    if given is None:
-        return None
-    if not given.sensors:
-        doc.fail(("save", "sensors"), "is an empty list: name sensors, such as [gyro, foot_force].")
-    saving = Saving(tuple(given.sensors), float(given.rate))
-    try:
-        Keeper(saving, setup.load(), setup.make_controller().dt)
-    except ParameterError as error:
-        field, _, message = str(error).partition(" ")
-        doc.fail(("save", field), message)
-    return saving
-
-
 def _check_together(doc: Document, sweep: Sweep) -> None:
     """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
     section = "vary" if sweep.rows is None else "rows"
@@ -434,12 +374,7 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler not in ("grid", "rows"):
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
-    if sweep.keep is not None:
-        sides = sides_of(sweep.metrics)
-        if sweep.keep.metric not in sides:
-            hint = did_you_mean(sweep.keep.metric, sides)
-            doc.fail(("keep", "metric"), f"is '{sweep.keep.metric}': allowed is a metric with a better side, "
-                                         f"{', '.join(sides)}{hint}")  # fmt: skip
+    check_keep(doc, sweep.keep, sweep.metrics)
     rows = sweep.variants * sweep.repeats
     if rows > LARGEST_SWEEP:
         doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
