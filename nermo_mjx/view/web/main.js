@@ -3,7 +3,7 @@
 import { Clip } from "viewer/clip.js";
 import { onThemeChange, theme } from "viewer/colours.js";
 import { wireComparison, wireToggles, wireTransport, wireViews } from "viewer/controls.js";
-import { unpack } from "viewer/data.js";
+import { unpackAll } from "viewer/data.js";
 import { Model, prepare } from "viewer/geometry.js";
 import { wireKeys } from "viewer/keys.js";
 import { fillDetails, fillHead, fillHelp, fillScales, togglePanel } from "viewer/panels.js";
@@ -16,10 +16,10 @@ const find = (id) => document.getElementById(id);
 
 async function start() {
   const header = JSON.parse(find("header").textContent);
-  const buffer = await unpack(find("data").textContent);
+  const parts = await unpackAll();
   await prepare();
-  const models = header.models.map((model) => new Model(model, buffer));
-  const clips = header.clips.map((clip) => new Clip(clip, models[clip.model], buffer));
+  const models = header.models.map((model) => new Model(model, parts));
+  const clips = header.clips.map((clip) => new Clip(clip, models[clip.model], parts));
   const player = new Player(clips);
   fillHead(clips);
   fillDetails(clips);
