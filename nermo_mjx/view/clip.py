@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.recording import Recording
-from nermo_mjx.robot import Robot
+from nermo_mjx.robot import Robot, RobotConfig
 from nermo_mjx.view.camera import body_radius, root_body, smooth_path
 from nermo_mjx.view.caption import details_of, headline_of, title_of
 from nermo_mjx.view.frames import Frames
@@ -56,16 +56,14 @@ class Models:
     def __init__(self, packer: Packer) -> None:
         self.headers: list[dict[str, Any]] = []
         self._packer = packer
-        self._known: dict[int, int] = {}
-        self._robots: list[Robot] = []  # as long as they are here, no other one has their id
+        self._known: dict[RobotConfig, int] = {}
 
     def index(self, robot: Robot) -> int:
         """Place of a robot's header, which is made when it is new."""
-        if id(robot) not in self._known:
-            self._known[id(robot)] = len(self.headers)
+        if robot.config not in self._known:
+            self._known[robot.config] = len(self.headers)
             self.headers.append(shapes_of(robot.model, self._packer))
-            self._robots.append(robot)
-        return self._known[id(robot)]
+        return self._known[robot.config]
 
 
 def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> dict[str, Any]:

@@ -78,9 +78,15 @@ def document(
         "style": text("style.css"),
         "imports": as_json({"imports": _modules(folders)}),
         "header": as_json(header),
-        "data": "\n".join(f'<script type="text/plain" data-part="{part.part}">{part.text()}</script>' for part in parts),
+        "data": "\n".join(map(_part, parts)),
     }
+    if (own := _WEB / template.replace(".html", ".css")).is_file():
+        content["own_style"] = own.read_text(encoding="utf-8")
     return _PLACE.sub(lambda place: content[place[1]], text(template))
+
+
+def _part(packer: Packer) -> str:
+    return f'<script type="text/plain" data-part="{packer.part}">{packer.text()}</script>'
 
 
 def text(name: str) -> str:

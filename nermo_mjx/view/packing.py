@@ -58,7 +58,7 @@ class Packer:
         return self._add(content, "steps", array.shape) | {"scale": scale, "zero": zero}
 
     def floats(self, values: np.ndarray, exact: bool = False) -> dict[str, Any]:
-        """Entry of an array (n,) of any range, with a relative error below 1e-5, or with `exact` as 32-bit floats are."""
+        """Entry of an array (n,) of any range, with a relative error below 1e-5; `exact` keeps all of 32-bit floats."""
         planes = 4 if exact else 3
         with np.errstate(over="ignore"):
             bits = np.asarray(values, np.float32).view(np.uint32)
