@@ -80,9 +80,7 @@ def _recording(path: Path, other: Path | None, recordings: int | None) -> tuple[
     return page, {"samples": page.samples}
 
 
-def _directory(
-    path: Path, other: Path | None, recordings: int | None, notes: list[str]
-) -> tuple[Page, dict[str, Any]]:
+def _directory(path: Path, other: Path | None, recordings: int | None, notes: list[str]) -> tuple[Page, dict[str, Any]]:
     from nermo_mjx.runs import kind_of
     from nermo_mjx.view.explore import KINDS, MOST_RECORDINGS, explore
 

@@ -77,9 +77,7 @@ def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> d
     return {"models": models.headers, "clips": clips}
 
 
-def clip_of(
-    recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL
-) -> dict[str, Any]:
+def clip_of(recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL) -> dict[str, Any]:
     """The header of one recording.
 
     Raises:

@@ -39,7 +39,7 @@ class Frames:
         self.quaternion = without_jumps(turns)
 
     def fixed(self, path: Float[np.ndarray, "T K 3"]) -> tuple[list[int], Float[np.ndarray, "T K 3"]]:
-        """Points about the origin in the frames in which they move least: places in `bodies` or -1, and points there."""
+        """Points about the origin in the frames in which they move least: places in `bodies` or -1, and the points."""
         frames, points = [], path.copy()
         for k in range(path.shape[1]):
             each = [path[:, k], *(self._inside(i, path[:, k]) for i in range(len(self.bodies)))]

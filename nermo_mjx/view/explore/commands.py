@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,47 +39,56 @@ def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
 
 
 def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
-    """How `nermo-mjx walk` does the same as a row of a resolved file."""
-    texts = {each.name: each for each in runs.columns.values() if each.is_text and each.role == "varied"}
-    numbers = [
-        each.name for each in runs.columns.values() if not each.is_text and each.role in ("varied", "randomized")
-    ]
-    words, options = ["nermo-mjx", "walk"], []
-    if spec.get("controller") is not None or any(
-        name in texts or spec.get(name, default) != default for name, default in _NO_OPTIONS.items()
-    ):
+    """How `nermo-mjx walk` does the same as a row of a resolved file; None if it cannot."""
+    varied = [each for each in runs.columns.values() if each.role in ("varied", "randomized")]
+    names = {each.name: set(each.values) for each in varied if each.is_text}
+    if not _walkable(spec, names):
         return None
-    if not _has_presets_step(spec, "physics" in texts):
-        return None
-    for name in (*_OPTIONS, "pilot"):
-        if name in texts:
-            if name == "pilot" and not set(texts[name].values) <= set(_PILOTS):
-                return None
-            options.append([f"--{name}", name])
+    pilot, chosen = _pilot(spec)
     fixed = dict(spec.get("set") or {})
+    words = ["nermo-mjx", "walk"]
     for name in _OPTIONS:
         value = str(spec.get(name, getattr(Setup, name)))
-        if "<" in value:  # a scene of one's own, written out
-            return None
-        if name not in texts and value != str(getattr(Setup, name)):
-            words += [f"--{name}", value]
-    if "pilot" not in texts:
-        given = spec.get("pilot", Setup.pilot)
-        pilot, chosen = next(iter(given.items())) if isinstance(given, dict) else (given, None)
-        if pilot not in _PILOTS or not set(chosen or {}) <= set(_PILOTS[pilot]):
-            return None
+        words += [f"--{name}", value] if name not in names and value != str(getattr(Setup, name)) else []
+    if "pilot" not in names:
         words += ["--pilot", pilot] if pilot != Setup.pilot else []
-        fixed |= {f"pilot.{key}": _SIDES.get(value, value) for key, value in (chosen or {}).items()}
+        fixed |= {f"pilot.{key}": _SIDES.get(value, value) for key, value in chosen.items()}
     run = spec.get("run") or {}
     length, warmup = ("duration", "warmup") if "duration" in run else ("cycles", "warmup_cycles")
     for option, name in ((f"--{length}", length), ("--warmup", warmup)):
         words += [option, f"{run[name]:.17g}"] if name in run else []
     for name, value in fixed.items():
         words += ["--set", f"{name}={value!r}"]
-    return {"words": shlex.join(words), "options": options, "set": numbers}
+    return {
+        "words": shlex.join(words),
+        "options": [[f"--{name}", name] for name in (*_OPTIONS, "pilot") if name in names],
+        "set": [each.name for each in varied if not each.is_text],
+    }
 
 
-def _has_presets_step(spec: Mapping[str, Any], any_preset: bool) -> bool:
-    """Whether the time step is the one that goes with the preset, as `walk` takes it."""
+def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:
+    """Whether `walk` has an option for every choice of a file, and for those that its rows vary (`names`)."""
+    if spec.get("controller") is not None or not set(names) <= {*_OPTIONS, "pilot"}:
+        return False
+    if any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items()):
+        return False
+    chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene", "spine")}
+    # A scene of one's own is written out, and several modes of the spine are joined: neither is an option's value.
+    if any("<" in value for value in chosen["scene"]) or any("+" in value for value in chosen["spine"]):
+        return False
     step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
-    return step is None or any_preset or (preset is not None and float(step) == preset.timestep)
+    if "physics" not in names and step is not None and (preset is None or float(step) != preset.timestep):
+        return False
+    pilot, options = _pilot(spec)
+    return (
+        names["pilot"] <= set(_PILOTS) if "pilot" in names else pilot in _PILOTS and set(options) <= set(_PILOTS[pilot])
+    )
+
+
+def _pilot(spec: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """The pilot of a file, and its options."""
+    given = spec.get("pilot", Setup.pilot)
+    if not isinstance(given, dict):
+        return str(given), {}
+    name, options = next(iter(given.items()))
+    return str(name), options or {}

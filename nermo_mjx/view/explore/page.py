@@ -16,6 +16,7 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.sweep.points import thinned
+from nermo_mjx.sweep.summary import OBJECTIVES
 from nermo_mjx.view.clip import COMPACT, Models, clip_of
 from nermo_mjx.view.document import Page, document, text
 from nermo_mjx.view.explore.commands import commands_of
@@ -104,7 +105,11 @@ def start_of(runs: Runs) -> dict[str, Any]:
         return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1}
     if runs.grid and len(gridded) > 1:
         return {"x": gridded[0].name, "y": gridded[1].name, "colour": runs.leading, "cells": True}
-    directed = [each.name for each in metrics if each.better and each.name != runs.leading]
+    usual = [*OBJECTIVES]  # in the order in which they are asked for
+    directed = sorted(
+        (each.name for each in metrics if each.better and each.name != runs.leading),
+        key=lambda name: usual.index(name) if name in usual else len(usual),
+    )
     others = [*[each.name for each in [*numbers, *varied]], *[each.name for each in metrics], runs.leading]
     across = next(name for name in others if name != runs.leading or name == others[-1])
     return {"x": across, "y": runs.leading, "colour": (directed or [runs.leading])[0], "cells": False}

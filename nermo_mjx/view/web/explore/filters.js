@@ -230,14 +230,18 @@ class Range {
 
   #show() {
     [this.low, this.high] = [this.#value(this.from), this.#value(this.to)];
-    const [low, high] = [this.field.shown(this.low, false), this.field.shown(this.high)];
-    this.output.textContent = this.low === this.high ? high : `${low} – ${high}`;
+    this.#tell();
     this.thumbs.from.value = this.from;
     this.thumbs.to.value = this.to;
     this.thumbs.from.setAttribute("aria-valuetext", this.field.shown(this.low));
-    this.thumbs.to.setAttribute("aria-valuetext", high);
+    this.thumbs.to.setAttribute("aria-valuetext", this.field.shown(this.high));
     // Where both meet at the right end, the lower one must be within reach.
     this.thumbs.from.style.zIndex = this.from > this.last / 2 ? 1 : 0;
+  }
+
+  #tell() {
+    const [low, high] = [this.field.shown(this.low, false, 3), this.field.shown(this.high, true, 3)];
+    this.output.textContent = this.low === this.high ? high : `${low} – ${high}`;
   }
 
   get active() {
@@ -261,7 +265,7 @@ class Range {
     [this.from, this.to] = [within(Math.floor(this.#place(Math.max(low, this.field.low)))), within(Math.ceil(this.#place(Math.min(high, this.field.high))))];
     this.#show();
     [this.low, this.high] = [Math.max(low, this.field.low), Math.min(high, this.field.high)];
-    this.output.textContent = `${this.field.shown(this.low, false)} – ${this.field.shown(this.high)}`;
+    this.#tell();
   }
 
   release() {

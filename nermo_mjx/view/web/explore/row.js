@@ -1,7 +1,6 @@
 // The chosen run: its numbers, its commands, its recording; where none is chosen, the best ones and those recorded.
 
 import { element } from "viewer/dialogs.js";
-import { number } from "viewer/explore/table.js";
 
 const BEST = 10;
 const GROUPS = [["varied", "Parameters"], ["metric", "Metrics"], ["randomized", "Drawn at random"], ["index", "Place in the table"]];
@@ -154,13 +153,15 @@ export function csvOf(table, places) {
   return [columns.map((field) => field.name).join(","), ...lines, ""].join("\n");
 }
 
+const counted = (many) => many.toLocaleString("en");
+
 /** What the page's head says of the directory. */
 export function headOf(header, table) {
-  const counts = [`${number(header.total)} ${header.kind === "atlas" ? "cells" : "runs"}`];
+  const counts = [`${counted(header.total)} ${header.kind === "atlas" ? "cells" : "runs"}`];
   const status = table.field("status");
   status?.texts.forEach((name, code) => {
     const many = status.values.reduce((sum, each) => sum + (each === code), 0);
-    if (name !== "ok" && many) counts.push(`${number(many)} ${name}`);
+    if (name !== "ok" && many) counts.push(`${counted(many)} ${name}`);
   });
   const recordings = Object.keys(header.recordings).length;
   if (recordings) counts.push(`${recordings} recorded`);

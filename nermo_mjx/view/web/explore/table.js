@@ -54,10 +54,10 @@ export class Field {
   }
 
   /** A value with its unit, as people read it. */
-  shown(value, unit = true) {
+  shown(value, unit = true, digits = 4) {
     if (this.isText) return this.texts[value] ?? "–";
     if (!Number.isFinite(value)) return "–";
-    return `${number(value * this.factor)}${unit && this.unit ? `\u202f${this.unit}` : ""}`;
+    return `${number(value * this.factor, digits)}${unit && this.unit ? `\u202f${this.unit}` : ""}`;
   }
 
   shownAt(place, unit = true) {
@@ -90,9 +90,9 @@ export class Field {
   }
 }
 
-/** Four digits, with a true minus. */
-export function number(value) {
+/** Few digits, with a true minus. */
+export function number(value, digits = 4) {
   const size = Math.abs(value);
-  const text = size !== 0 && (size >= 1e6 || size < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  const text = size !== 0 && (size >= 1e6 || size < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
   return text.replaceAll("-", "−");
 }
