@@ -152,7 +152,7 @@ class Tab(Page):
 
     def key(self, key: str, shift: bool = False) -> None:
         """Press and release a key, named as in a KeyboardEvent."""
-        text = {"text": key} if len(key) == 1 else {}
+        text = {"text": key} if len(key) == 1 else {"text": "\r"} if key == "Enter" else {}
         code = {" ": "Space"}.get(key, key)
         modifiers = 8 if shift else 0
         self._call("Input.dispatchKeyEvent", type="keyDown", key=key, code=code, modifiers=modifiers, **text)

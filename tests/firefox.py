@@ -32,9 +32,9 @@ KEYS = {
     "Home": "\ue011", "ArrowLeft": "\ue012", "ArrowUp": "\ue013", "ArrowRight": "\ue014", "ArrowDown": "\ue015",
 }  # fmt: skip
 SHIFT = "\ue008"
-#: Errors and warnings of scripts in the pages, and what pages themselves tell as such.
+#: Errors and warnings of scripts in the pages, and what pages themselves tell as such; that there may be no WebGL is none.
 CONSOLE = """return Services.console.getMessageArray().filter((m) => m instanceof Ci.nsIScriptError
-    && /^(file:|viewer|data:text.javascript)/.test(m.sourceName) && !/css/i.test(m.category)).map((m) => m.message)"""
+    && /^(file:|viewer|data:text.javascript)/.test(m.sourceName) && !/css|webgl/i.test(m.category + m.errorMessage)).map((m) => m.message)"""
 
 
 def find() -> str | None:

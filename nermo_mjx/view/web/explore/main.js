@@ -66,7 +66,7 @@ class Explorer {
     wirePointing(this.chart, find("tip"), find("said"), (place) => this.choose(place), (shares) => this.brush(shares));
     this.#wireChoices();
     for (const id of ["reset", "empty-reset"]) find(id).addEventListener("click", () => this.filters.release());
-    find("save").addEventListener("click", () => save(`${header.title}.csv`, csvOf(table, this.filters.places)));
+    find("save").addEventListener("click", () => save(`${header.title}.csv`, this.csv));
     this.actions = {
       play: () => this.play(this.chart.chosen),
       cells: () => find("cells").click(),
@@ -177,6 +177,11 @@ class Explorer {
       }
       this.filters.keep(axis.field, from, to);
     }
+  }
+
+  /** The parameters of the runs that pass. */
+  get csv() {
+    return csvOf(this.table, this.filters.places);
   }
 
   #close() {
