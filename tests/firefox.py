@@ -22,8 +22,9 @@ NAMES = ("firefox", "firefox-esr")
 #: A port of its own choice, no look-ups, no first-run pages; the theme is set by each page.
 PREFS = {
     "marionette.port": 0, "app.update.disabledForTesting": True, "browser.shell.checkDefaultBrowser": False,
-    "browser.startup.page": 0, "browser.aboutwelcome.enabled": False, "datareporting.policy.dataSubmissionEnabled": False,
-    "network.captive-portal-service.enabled": False, "network.connectivity-service.enabled": False,
+    "browser.startup.page": 0, "browser.aboutwelcome.enabled": False,
+    "datareporting.policy.dataSubmissionEnabled": False, "network.captive-portal-service.enabled": False,
+    "network.connectivity-service.enabled": False,
     "toolkit.telemetry.enabled": False, "ui.prefersReducedMotion": 0, "remote.prefs.recommended": True,
 }  # fmt: skip
 THEME = "layout.css.prefers-color-scheme.content-override"
@@ -32,9 +33,10 @@ KEYS = {
     "Home": "\ue011", "ArrowLeft": "\ue012", "ArrowUp": "\ue013", "ArrowRight": "\ue014", "ArrowDown": "\ue015",
 }  # fmt: skip
 SHIFT = "\ue008"
-#: Errors and warnings of scripts in the pages, and what pages themselves tell as such; that there may be no WebGL is none.
+#: Errors and warnings of scripts in the pages; that there may be no WebGL is none.
 CONSOLE = """return Services.console.getMessageArray().filter((m) => m instanceof Ci.nsIScriptError
-    && /^(file:|viewer|data:text.javascript)/.test(m.sourceName) && !/css|webgl/i.test(m.category + m.errorMessage)).map((m) => m.message)"""
+    && /^(file:|viewer|data:text.javascript)/.test(m.sourceName)
+    && !/css|webgl/i.test(m.category + m.errorMessage)).map((m) => m.message)"""
 
 
 def find() -> str | None:

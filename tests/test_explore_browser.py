@@ -152,7 +152,7 @@ def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Pat
     found = tab.evaluate("explorer.chart.items.map((item) => [item.box, explorer.table.rows[item.place]])")
     assert sorted(row for _, row in found) == values["row"].tolist()
     frame = tab.evaluate("explorer.chart.frame")
-    for (left, top, width, height), row in found:
+    for (left, top, _, height), row in found:
         cell = int(values["cell"][np.flatnonzero(values["row"] == row)[0]])
         across, up = cell // MEASURES[1]["cells"], cell % MEASURES[1]["cells"]
         assert left == pytest.approx(frame["left"] + across * frame["width"] / 5, abs=0.1)
@@ -182,7 +182,8 @@ def test_a_click_shows_a_runs_numbers_and_its_commands(
     assert commands[0] == f"nermo-mjx replay {folder / 'sweep'} --row {row}"
     assert f"--set frequency={rows['frequency'][row]}" in commands[1]
     assert tab.evaluate("document.getElementById('tip').innerText").startswith(f"row {row}")
-    click(tab, *(np.array(place_of(tab, row)) + (0, 60)))
+    x, y = place_of(tab, row)
+    click(tab, x, y + 60)
     tab.key("Escape")
     assert tab.evaluate(SELECTED) is None
     assert "Best by speed" in tab.evaluate("document.getElementById('row').innerText")
@@ -192,7 +193,8 @@ def test_a_command_is_copied(tab: Any, page: Path) -> None:
     opened(tab, page)
     tab.evaluate("explorer.choose(5)")
     tab.evaluate(
-        "Object.defineProperty(navigator, 'clipboard', {value: {writeText: async (text) => (window.copied = text)}}) && 1"
+        """Object.defineProperty(navigator, 'clipboard',
+            {value: {writeText: async (text) => (window.copied = text)}}) && 1"""
     )
     tab.click("#row .command button")
     tab.wait("document.querySelector('#row .command button').textContent === 'Copied'")
@@ -355,8 +357,8 @@ def test_a_recording_plays_in_3d_and_closes(tab: Any, page: Path) -> None:
 
 def test_the_page_needs_nothing_else(tab: Any, page: Path) -> None:
     opened(tab, page)
-    loaded = "performance.getEntriesByType('resource').map((each) => each.name).filter((name) => !/^(data|blob):/.test(name))"
-    assert tab.evaluate(loaded) == []
+    loaded = tab.evaluate("performance.getEntriesByType('resource').map((each) => each.name)")
+    assert [name for name in loaded if not name.startswith(("data:", "blob:"))] == []
     assert tab.evaluate("document.title") == "Nermo: sweep, a sweep"
 
 
@@ -382,7 +384,8 @@ def test_everything_fits_its_window(tab: Any, page: Path, width: int, height: in
 def test_every_control_has_a_name(tab: Any, page: Path) -> None:
     opened(tab, page)
     tab.evaluate("explorer.choose(3)")
-    nameless = tab.evaluate("""[...document.querySelectorAll("button, select, input, [role=dialog], canvas[tabindex]")].filter(
+    nameless = tab.evaluate("""[...document.querySelectorAll(
+        "button, select, input, [role=dialog], canvas[tabindex]")].filter(
         (each) => !(each.getAttribute("aria-label") || each.getAttribute("aria-labelledby") || each.textContent.trim()
             || each.closest("label"))).map((each) => each.outerHTML)""")
     assert nameless == []

@@ -1,6 +1,6 @@
 // One axis: where values lie on it, its ticks, and the bins that cells have.
 
-import { number } from "viewer/explore/table.js";
+import { extent, number } from "viewer/explore/table.js";
 import { round, roundLog } from "viewer/ticks.js";
 
 /** Cells of a column that has neither steps nor a measure's. */
@@ -78,13 +78,4 @@ export class Axis {
     const { values } = this.log ? roundLog(low, high, count) : round(low, high, count, turns ? [1, 3, 4.5, 6, 9] : undefined);
     return values.map((value) => ({ share: this.share(value / field.factor), label: number(Math.abs(value) < 1e-12 ? 0 : value) }));
   }
-}
-
-function extent(values, places) {
-  let [low, high] = [Infinity, -Infinity];
-  for (const place of places) {
-    if (values[place] < low) low = values[place];
-    if (values[place] > high) high = values[place];
-  }
-  return [low, high];
 }

@@ -42,11 +42,12 @@ export class Chart {
     if (!this.view || !this.colours || !width || !height) return;
     const paper = this.#paper(this.points, width, height);
     const { x, y, colour, cells, fit, logs } = this.view;
-    this.colouring = new Colouring(this.table.field(colour), this.palette);
     this.passing = this.filters.places;
+    const fitted = fit && this.passing.length ? this.passing : null;
+    this.colouring = new Colouring(this.table.field(colour), this.palette, fitted);
     const axis = (name) =>
       new Axis(this.table.field(name), {
-        cells, log: logs.has(name), measure: this.table.measures.get(name), places: fit && this.passing.length ? this.passing : null,
+        cells, log: logs.has(name), measure: this.table.measures.get(name), places: fitted,
       });
     [this.across, this.up] = [axis(x), axis(y)];
     const ticks = this.up.ticks(Math.max(2, Math.floor((height - TOP - BOTTOM) / 34)));

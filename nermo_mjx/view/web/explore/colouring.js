@@ -1,13 +1,16 @@
 // Colours of numbers and of things, and the scale that explains them.
 
 import { element } from "viewer/dialogs.js";
+import { extent } from "viewer/explore/table.js";
 
 export class Colouring {
-  constructor(field, palette) {
+  /** `places`: runs whose values take all of the colours, or null for those of all runs. */
+  constructor(field, palette, places) {
     this.field = field;
     this.palette = palette;
     this.levels = field.isText ? palette.series : palette.scale;
-    [this.low, this.high] = field.isText ? [0, 1] : field.span;
+    [this.low, this.high] = field.isText ? [0, 1] : places ? extent(field.values, places) : field.span;
+    this.clips = !places;
     this.log = field.log && this.low > 0;
   }
 
@@ -45,7 +48,7 @@ export class Colouring {
     }
     const bar = element("i", "", "bar");
     bar.style.background = `linear-gradient(to right, ${this.levels.join(", ")})`;
-    const [low, high] = [`${this.low > field.low ? "≤ " : ""}${field.shown(this.low, false)}`, `${this.high < field.high ? "≥ " : ""}${field.shown(this.high, false)}`];
+    const [low, high] = [`${this.clips && this.low > field.low ? "≤ " : ""}${field.shown(this.low, false)}`, `${this.clips && this.high < field.high ? "≥ " : ""}${field.shown(this.high, false)}`];
     place.append(element("span", low), bar, element("span", high));
     if (field.better) {
       const side = { low: "low is better", high: "high is better", zero: "near zero is better" }[field.better];

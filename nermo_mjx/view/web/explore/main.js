@@ -21,7 +21,7 @@ const SHORTCUTS = [
   [[], "", "Enter", "choose the run"],
   [["p"], "play", "P", "play the chosen run's recording"],
   [["c"], "cells", "C", "cells, or points"],
-  [["f"], "fit", "F", "axes fit the runs that pass, or all"],
+  [["f"], "fit", "F", "axes and colours fit the runs that pass, or all"],
   [["r"], "reset", "R", "reset the filters"],
   [["?"], "help", "?", "this help"],
   [["Escape"], "close", "Esc", "close what is open; let go of the run"],
