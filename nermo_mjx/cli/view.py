@@ -31,7 +31,7 @@ Examples:
 
 
 @click.command("view", epilog=EPILOG)
-@click.argument("path", metavar="PATH", type=FileKind(".npz", exists=True))
+@click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page there, to keep or to share.")
 @options.number("--recordings", "Of a directory, how many recordings go into the page at most; by default 50.",
@@ -53,6 +53,8 @@ def command(
     """
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
+    if not path.exists():
+        raise WrongUse(f"{path} does not exist: expected a recording FILE.npz, or the directory of a sweep or a search.")
     notes: list[str] = []
     with stdout_reserved():
         if path.is_dir():

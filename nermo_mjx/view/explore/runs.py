@@ -20,7 +20,7 @@ from nermo_mjx.sweep.table import meta
 
 #: Roles of the columns that are shown, in this order; seeds and codes say nothing to a reader.
 ROLES: Final = ("varied", "randomized", "metric", "status", "index")
-#: Rows of a page at most: of 60 columns these are 3 MB.
+#: Rows of a page at most: of 50 columns these are 3 MB.
 MOST_ROWS: Final = 20_000
 #: The best ones are kept whatever is left out.
 _BEST_KEPT: Final = 500
