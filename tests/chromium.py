@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import base64
 import contextlib
 import itertools
@@ -33,6 +34,41 @@ def find() -> str | None:
     """Path of a Chromium or Chrome, `$CHROMIUM` first."""
     given = os.environ.get("CHROMIUM")
     return given or next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+class Page(abc.ABC):
+    """What tests ask of a page in whichever browser."""
+
+    @abc.abstractmethod
+    def evaluate(self, script: str) -> Any:
+        """The JSON value of an expression; promises are awaited."""
+
+    @abc.abstractmethod
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        """Move the pointer, and press or release its button, as DevTools names it."""
+
+    @abc.abstractmethod
+    def complaints(self) -> list[str]:
+        """Errors and warnings of the page."""
+
+    def wait(self, condition: str, seconds: float = PATIENCE) -> None:
+        """Until an expression is true."""
+        deadline = time.monotonic() + seconds
+        while not self.evaluate(condition):
+            assert time.monotonic() < deadline, f"still not, after {seconds:g} s: {condition}; {self.complaints()}"
+            time.sleep(0.05)
+
+    def click(self, selector: str, share: float = 0.5) -> None:
+        """Click an element, at a share of its width from the left."""
+        script = f"""(() => {{
+            const element = document.querySelector({json.dumps(selector)});
+            element.scrollIntoView({{block: "nearest"}});
+            const box = element.getBoundingClientRect();
+            return [box.left + {share} * box.width, box.top + box.height / 2];
+        }})()"""
+        x, y = self.evaluate(script)
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y)
 
 
 class Browser:
@@ -80,7 +116,7 @@ class Browser:
         return json.loads(message)
 
 
-class Tab:
+class Tab(Page):
     """A page in it."""
 
     def __init__(self, browser: Browser) -> None:
@@ -114,32 +150,13 @@ class Tab:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait(self, condition: str, seconds: float = PATIENCE) -> None:
-        """Until an expression is true."""
-        deadline = time.monotonic() + seconds
-        while not self.evaluate(condition):
-            assert time.monotonic() < deadline, f"still not, after {seconds:g} s: {condition}; {self.complaints()}"
-            time.sleep(0.05)
-
     def key(self, key: str, shift: bool = False) -> None:
         """Press and release a key, named as in a KeyboardEvent."""
-        text = {"text": key} if len(key) == 1 else {}
+        text = {"text": key} if len(key) == 1 else {"text": "\r"} if key == "Enter" else {}
         code = {" ": "Space"}.get(key, key)
         modifiers = 8 if shift else 0
         self._call("Input.dispatchKeyEvent", type="keyDown", key=key, code=code, modifiers=modifiers, **text)
         self._call("Input.dispatchKeyEvent", type="keyUp", key=key, code=code, modifiers=modifiers)
-
-    def click(self, selector: str, share: float = 0.5) -> None:
-        """Click an element, at a share of its width from the left."""
-        script = f"""(() => {{
-            const element = document.querySelector({json.dumps(selector)});
-            element.scrollIntoView({{block: "nearest"}});
-            const box = element.getBoundingClientRect();
-            return [box.left + {share} * box.width, box.top + box.height / 2];
-        }})()"""
-        x, y = self.evaluate(script)
-        self.mouse("mousePressed", x, y)
-        self.mouse("mouseReleased", x, y)
 
     def mouse(self, kind: str, x: float, y: float) -> None:
         buttons = 0 if kind == "mouseReleased" else 1

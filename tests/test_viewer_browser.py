@@ -336,7 +336,7 @@ def test_a_page_of_another_model_draws_its_shapes_and_meshes(
         mujoco.mj_step(model, data)
         rows.append((data.qpos.copy(), data.qvel.copy()))
     qpos, qvel = (np.array(each) for each in zip(*rows, strict=True))
-    monkeypatch.setattr("nermo_mjx.view.clip.robot_of", lambda _: type("Robot", (), {"model": model}))
+    monkeypatch.setattr("nermo_mjx.view.clip.robot_of", lambda _: type("Robot", (), {"model": model, "config": None}))
     monkeypatch.setattr("nermo_mjx.view.clip.recorded_model", lambda *_: model)
     recording = Recording(np.arange(1, 51) * model.opt.timestep, qpos, qvel, np.zeros((50, 0)))
     opened(tab, show(recording).save(tmp_path / "mesh.html"))

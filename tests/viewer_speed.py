@@ -1,6 +1,8 @@
-"""How fast the page is in headless Chromium, by hand: `python tests/viewer_speed.py FILE.html`, on a quiet machine.
+"""How fast a page is in headless Chromium, by hand: `python tests/viewer_speed.py FILE.html`, on a quiet machine.
 
-Prints the time until the page is ready and until its first still is drawn, and the frames a second while it plays.
+Of a recording's page it prints the time until it is ready and until its first still is drawn, and the frames a second
+while it plays; of a directory's page the time until it is ready and until it is seen, until another choice is drawn,
+and until a recording plays.
 """
 
 from __future__ import annotations
@@ -27,6 +29,10 @@ COUNT = """new Promise((done) => {
 })""".replace("SECONDS", str(SECONDS))
 
 
+#: Browsers draw when somebody looks.
+FLUSH = "explorer.chart.points.getContext('2d').getImageData(0, 0, 1, 1)"
+
+
 def measure(browser: chromium.Browser, page: Path, width: int, height: int) -> dict[str, float]:
     """Seconds until ready and until a finished still; frames a second over all the time and over its second half."""
     with browser.tab() as tab:
@@ -34,6 +40,8 @@ def measure(browser: chromium.Browser, page: Path, width: int, height: int) -> d
         tab.open(page, width, height)
         tab.wait("document.documentElement?.dataset.ready === 'yes'")
         ready = time.monotonic() - begin
+        if tab.evaluate("'explorer' in window"):
+            return {"ready_s": round(ready, 2)} | explored(tab, begin)
         tab.wait("!viewer.stage.stale && !viewer.stage.quality.unsettled")
         tab.picture()
         still = time.monotonic() - begin
@@ -42,6 +50,23 @@ def measure(browser: chromium.Browser, page: Path, width: int, height: int) -> d
         assert tab.complaints() == []
         figures = {"ready_s": ready, "still_s": still, "frames_per_s": whole, "second_half": later}
         return {key: round(value, 2) for key, value in figures.items()} | {"level": level}
+
+
+def explored(tab: chromium.Tab, begin: float) -> dict[str, float]:
+    """Seconds until a directory's page is seen; milliseconds that points and a brush take; seconds until it plays."""
+    tab.picture()
+    figures = {"seen_s": time.monotonic() - begin}
+    for name, act in (("points_ms", "explorer.chart.draw()"), ("brush_ms", "explorer.brush([0.2, 0.7, 0.2, 0.8])")):
+        script = f"(() => {{ const begin = performance.now(); {act}; {FLUSH}; return performance.now() - begin; }})()"
+        tab.evaluate("explorer.view.cells = false, explorer.show()")
+        figures[name] = tab.evaluate(script)
+    begin = time.monotonic()
+    if tab.evaluate("explorer.recorded.size"):
+        tab.evaluate("explorer.filters.release(), explorer.play([...explorer.recorded][0])")
+        tab.wait("document.querySelector('#theatre iframe')?.contentWindow.viewer?.stage.frames > 0")
+        figures["plays_s"] = time.monotonic() - begin
+    assert tab.complaints() == []
+    return {key: round(value, 2) for key, value in figures.items()}
 
 
 def main() -> None:

@@ -2,22 +2,68 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
 from nermo_mjx.recording import Recording
+from nermo_mjx.robot import Robot, RobotConfig
 from nermo_mjx.view.camera import body_radius, root_body, smooth_path
 from nermo_mjx.view.caption import details_of, headline_of, title_of
-from nermo_mjx.view.motion import Motion, finite_samples, motion_of
+from nermo_mjx.view.frames import Frames
+from nermo_mjx.view.motion import Motion, Tendon, finite_samples, motion_of
 from nermo_mjx.view.packing import Packer
 from nermo_mjx.view.recorded_robot import recorded_model, robot_of
 from nermo_mjx.view.shapes import shapes_of
 from nermo_mjx.view.signals import Plot, plots_of
 
-#: Samples of a page at most: 30 s at the recorders' 100 Hz; of a longer run every second, third, ... one.
-MOST_SAMPLES: Final = 3000
+
+@dataclasses.dataclass(frozen=True)
+class Detail:
+    """How much of a recording a page holds: the less, the smaller it is.
+
+    Attributes:
+        most: samples at most; of a longer run every second, third, ... one.
+        rate: samples a second at most [Hz].
+        length, turn, force: what places [m], quaternions and forces [N] are rounded to; 0 is as fine as 16 bits allow.
+        curve: the same of curves, as a share of their range.
+    """
+
+    most: int
+    rate: float = np.inf
+    length: float = 0.0
+    turn: float = 0.0
+    force: float = 0.0
+    curve: float = 0.0
+
+    def samples(self, recording: Recording) -> int:
+        """How many samples of a recording are kept at most."""
+        within = recording.duration * self.rate + 1
+        return self.most if within >= self.most else max(int(within), 2)
+
+
+#: 30 s at the recorders' 100 Hz.
+FULL: Final = Detail(3000)
+#: A quarter of the room, for pages with many recordings: the player goes evenly from sample to sample.
+COMPACT: Final = Detail(500, rate=34.0, length=1e-4, turn=5e-4, force=5e-3, curve=1e-3)
+
+
+class Models:
+    """The shapes of the robots that recordings show, each once."""
+
+    def __init__(self, packer: Packer) -> None:
+        self.headers: list[dict[str, Any]] = []
+        self._packer = packer
+        self._known: dict[RobotConfig, int] = {}
+
+    def index(self, robot: Robot) -> int:
+        """Place of a robot's header, which is made when it is new."""
+        if robot.config not in self._known:
+            self._known[robot.config] = len(self.headers)
+            self.headers.append(shapes_of(robot.model, self._packer))
+        return self._known[robot.config]
 
 
 def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> dict[str, Any]:
@@ -26,25 +72,28 @@ def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> d
     Raises:
         RecordingError, ParameterError: one of them cannot be shown.
     """
-    models: list[dict[str, Any]] = []
-    known: dict[int, int] = {}
-    clips = []
-    for recording, name in zip(recordings, names, strict=True):
-        robot = robot_of(recording)
-        if id(robot) not in known:
-            known[id(robot)] = len(models)
-            models.append(shapes_of(robot.model, packer))
-        model = recorded_model(recording, robot)
-        clips.append({"name": name, "model": known[id(robot)]} | _clip(recording, model, packer))
-    return {"models": models, "clips": clips}
+    models = Models(packer)
+    clips = [clip_of(each, name, models, packer) for each, name in zip(recordings, names, strict=True)]
+    return {"models": models.headers, "clips": clips}
 
 
-def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
-    motion = motion_of(recording, model, MOST_SAMPLES)
+def clip_of(recording: Recording, name: str, models: Models, packer: Packer, detail: Detail = FULL) -> dict[str, Any]:
+    """The header of one recording.
+
+    Raises:
+        RecordingError, ParameterError: it cannot be shown.
+    """
+    robot = robot_of(recording)
+    clip = _clip(recording, recorded_model(recording, robot), packer, detail)
+    return {"name": name, "model": models.index(robot)} | clip
+
+
+def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: Detail) -> dict[str, Any]:
+    motion = motion_of(recording, model, detail.samples(recording))
     root = root_body(model)
     origin = motion.position[:, root]
     # What stands still is far from a robot that walks away: its place is sent once, and the robot's keep their digits.
-    moving = np.flatnonzero(model.body_weldid != 0)
+    frames = Frames(model, motion, origin)
     centre, radius = _extent(recording, model)
     interval = float(np.median(np.diff(motion.time))) if len(motion.time) > 1 else 0.01
     return {
@@ -57,21 +106,27 @@ def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer) -> dict[s
         "radius": radius,
         "origin": packer.plain(origin),
         "follow": packer.plain(smooth_path(origin.copy(), interval) + centre),
-        "moving": moving.tolist(),
+        "moving": frames.bodies.tolist(),
+        "parents": frames.parents,
         "still": {"position": motion.position[0].tolist(), "quaternion": motion.quaternion[0].tolist()},
-        "position": packer.steps(motion.position[:, moving] - origin[:, None]),
-        "quaternion": packer.steps(_without_jumps(motion.quaternion[:, moving])),
-        "tendons": [
-            {"name": tendon.name, "radius": tendon.radius, "path": packer.steps(tendon.path - origin[:, None]),
-             "tension": packer.steps(tendon.tension)}
-            for tendon in motion.tendons
-        ],
+        "position": packer.steps(frames.position, detail.length),
+        "quaternion": packer.steps(frames.quaternion, detail.turn),
+        "tendons": [_tendon(tendon, frames, origin, packer, detail) for tendon in motion.tendons],
         "contacts": [
-            {"limb": contact.limb, "point": packer.steps(contact.point - origin), "force": packer.steps(contact.force)}
+            {"limb": contact.limb, "point": packer.steps(contact.point - origin, detail.length),
+             "force": packer.steps(contact.force, detail.force)}
             for contact in motion.contacts
         ],
         "footprints": _footprints(recording, motion),
-        "plots": [_plot(plot, packer) for plot in plots_of(recording, motion)],
+        "plots": [_plot(plot, packer, detail) for plot in plots_of(recording, motion)],
+    }  # fmt: skip
+
+
+def _tendon(tendon: Tendon, frames: Frames, origin: np.ndarray, packer: Packer, detail: Detail) -> dict[str, Any]:
+    within, path = frames.fixed(tendon.path - origin[:, None])
+    return {
+        "name": tendon.name, "radius": tendon.radius, "frames": within, "path": packer.steps(path, detail.length),
+        "tension": packer.steps(tendon.tension, detail.force),
     }  # fmt: skip
 
 
@@ -84,14 +139,6 @@ def _extent(recording: Recording, model: mujoco.MjModel) -> tuple[np.ndarray, fl
     root = root_body(model)
     centre, radius = body_radius(model, data, root)
     return centre - data.xpos[root], radius
-
-
-def _without_jumps(quaternion: np.ndarray) -> np.ndarray:
-    """The same turns (T, n, 4), each with the sign that is nearer to the one before, so that they can be mixed."""
-    signs = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
-    steady = quaternion.copy()
-    steady[1:] *= np.cumprod(signs, axis=0)[..., None]
-    return steady
 
 
 def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
@@ -111,11 +158,17 @@ def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
     return sorted(prints)
 
 
-def _plot(plot: Plot, packer: Packer) -> dict[str, Any]:
+def _plot(plot: Plot, packer: Packer, detail: Detail) -> dict[str, Any]:
     return {
         "key": plot.key, "title": plot.title, "unit": plot.unit, "bars": plot.bars,
         "lines": [
-            {"name": line.name, "colour": line.colour, "faint": line.faint, "values": packer.steps(line.values)}
+            {"name": line.name, "colour": line.colour, "faint": line.faint,
+             "values": packer.steps(line.values, detail.curve * _span(line.values))}
             for line in plot.lines
         ],
     }  # fmt: skip
+
+
+def _span(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.ptp(known)) if len(known) else 0.0

@@ -1,9 +1,10 @@
 // A recording over time: where bodies, tendons and contacts are at any moment, between samples too.
 
 import { read } from "viewer/data.js";
+import { carried, joined } from "viewer/frames.js";
 
 export class Clip {
-  constructor(header, model, buffer) {
+  constructor(header, model, parts) {
     Object.assign(this, {
       name: header.name,
       title: header.title,
@@ -16,18 +17,17 @@ export class Clip {
       footprints: header.footprints,
       model,
     });
-    const of = (entry) => read(buffer, entry);
+    const of = (entry) => read(parts, entry);
     this.time = of(header.time);
     this.origin = of(header.origin);
     this.follow = of(header.follow);
     this.moving = header.moving;
-    this.position = of(header.position);
-    this.quaternion = of(header.quaternion);
+    Object.assign(this, joined(header.parents, of(header.position), of(header.quaternion)));
     this.tendons = header.tendons.map((tendon) => ({
       name: tendon.name,
       radius: tendon.radius,
       points: tendon.path.shape[1],
-      path: of(tendon.path),
+      path: carried(tendon.frames, of(tendon.path), this, this.moving.length),
       tension: of(tendon.tension),
     }));
     this.contacts = header.contacts.map((contact) => ({

@@ -2,19 +2,38 @@
 
 const MISSING = -32768;
 
-/** The unpacked bytes of the page's data element. */
+/** The page's parts of data by their names, unpacked. */
+export async function unpackAll() {
+  const elements = [...document.querySelectorAll("[data-part]")];
+  return Object.fromEntries(await Promise.all(elements.map(async (each) => [each.dataset.part, await unpack(each.textContent)])));
+}
+
+/** The bytes of one part. */
 export async function unpack(text) {
   const bytes = Uint8Array.from(atob(text.trim()), (letter) => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new Response(stream).arrayBuffer();
 }
 
-/** One array of the header, as a typed array row by row; missing values are NaN. */
-export function read(buffer, entry) {
+const PLAIN = { float32: Float32Array, uint32: Uint32Array, uint16: Uint16Array };
+
+/** What an entry of the header stands for, from `{part: buffer}`: an array row by row, with NaN where values are missing. */
+export function read(parts, entry) {
+  const buffer = parts[entry.part];
   const size = entry.shape.reduce((product, n) => product * n, 1);
-  if (entry.kind === "float32") return new Float32Array(buffer, entry.at, size);
-  if (entry.kind === "uint32") return new Uint32Array(buffer, entry.at, size);
+  if (PLAIN[entry.kind]) return new PLAIN[entry.kind](buffer, entry.at, size);
+  if (entry.kind === "json") return JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, entry.at, size)));
+  if (entry.kind.startsWith("planes")) return readPlanes(buffer, entry.at, size, Number(entry.kind.slice(6)));
   return readSteps(new Uint8Array(buffer, entry.at, 2 * size), size, entry);
+}
+
+function readPlanes(buffer, at, size, planes) {
+  const bytes = new Uint8Array(buffer, at, planes * size);
+  const bits = new Uint32Array(size);
+  for (let plane = 0; plane < planes; plane++) {
+    for (let i = 0; i < size; i++) bits[i] |= bytes[plane * size + i] << (24 - 8 * plane);
+  }
+  return new Float32Array(bits.buffer);
 }
 
 function readSteps(bytes, size, entry) {

@@ -28,14 +28,14 @@ export async function prepare() {
 
 /** A model's bodies by name, and for each the merged geometry of what is seen and of what collides (or null). */
 export class Model {
-  constructor(header, buffer) {
+  constructor(header, parts) {
     this.bodies = header.bodies;
     this.eyes = header.eyes;
     this.hasGround = header.geoms.some(isGround);
     this.geoms = header.geoms.filter((geom) => !isGround(geom));
     this.meshes = header.meshes.map((mesh) => ({
-      vertices: read(buffer, mesh.vertices),
-      faces: read(buffer, mesh.faces),
+      vertices: read(parts, mesh.vertices),
+      faces: read(parts, mesh.faces),
     }));
   }
 

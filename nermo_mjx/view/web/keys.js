@@ -26,7 +26,7 @@ const SHORTCUTS = [
 ];
 
 /** Calls `actions[name](key, event)` for each shortcut pressed outside of a field. */
-export function wireKeys(actions) {
+export function wireKeys(actions, shortcuts = SHORTCUTS) {
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const field = event.target.closest?.("input, select, textarea");
@@ -35,7 +35,7 @@ export function wireKeys(actions) {
     }
     if (event.key === " " && event.target.closest?.("button, summary")) return; // it presses the button
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    const found = SHORTCUTS.find(([keys]) => keys.includes(key));
+    const found = shortcuts.find(([keys]) => keys.includes(key));
     if (!found || !actions[found[1]]) return;
     event.preventDefault();
     actions[found[1]](key, event);

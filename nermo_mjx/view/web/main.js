@@ -3,10 +3,11 @@
 import { Clip } from "viewer/clip.js";
 import { onThemeChange, theme } from "viewer/colours.js";
 import { wireComparison, wireToggles, wireTransport, wireViews } from "viewer/controls.js";
-import { unpack } from "viewer/data.js";
+import { unpackAll } from "viewer/data.js";
+import { fillHelp, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
 import { Model, prepare } from "viewer/geometry.js";
-import { wireKeys } from "viewer/keys.js";
-import { fillDetails, fillHead, fillHelp, fillScales, togglePanel } from "viewer/panels.js";
+import { shortcutRows, wireKeys } from "viewer/keys.js";
+import { fillDetails, fillHead, fillScales } from "viewer/panels.js";
 import { Player } from "viewer/player.js";
 import { Plots } from "viewer/plots.js";
 import { Stage } from "viewer/stage.js";
@@ -16,14 +17,14 @@ const find = (id) => document.getElementById(id);
 
 async function start() {
   const header = JSON.parse(find("header").textContent);
-  const buffer = await unpack(find("data").textContent);
+  const parts = await unpackAll();
   await prepare();
-  const models = header.models.map((model) => new Model(model, buffer));
-  const clips = header.clips.map((clip) => new Clip(clip, models[clip.model], buffer));
+  const models = header.models.map((model) => new Model(model, parts));
+  const clips = header.clips.map((clip) => new Clip(clip, models[clip.model], parts));
   const player = new Player(clips);
   fillHead(clips);
   fillDetails(clips);
-  fillHelp(clips.length > 1);
+  fillHelp(shortcutRows(clips.length > 1));
   if (!clips[0].plots.length) {
     document.body.classList.add("no-plots");
     find("plots-toggle").hidden = true;
@@ -98,14 +99,8 @@ function wireControls(player, stage, plots, clips) {
   });
   stage?.show(states);
   stage?.man.controls.addEventListener("start", () => (stage.turned = true));
-  for (const id of ["help", "details"]) {
-    find(`${id}-toggle`).addEventListener("click", () => togglePanel(id));
-    find(`${id}-close`).addEventListener("click", () => togglePanel(id, false));
-  }
-  find("full").addEventListener("click", () => {
-    if (document.fullscreenElement) document.exitFullscreen();
-    else document.documentElement.requestFullscreen?.().catch(() => {});
-  });
+  for (const id of ["help", "details"]) wirePanel(id);
+  wireFullScreen();
   const toggle = (id) => () => set(id);
   wireKeys({
     play: () => player.toggle(),

@@ -1,17 +1,10 @@
-// The head of the page, and the panels over the picture: help, details, the scales.
+// The head of the page, its details, and the scales in the picture's corner.
 
 import { tensionGradient } from "viewer/colours.js";
+import { element, tableRow } from "viewer/dialogs.js";
 import { METRES_PER_NEWTON } from "viewer/forces.js";
-import { shortcutRows } from "viewer/keys.js";
 
 const find = (id) => document.getElementById(id);
-
-function element(tag, text = "", className = "") {
-  const made = document.createElement(tag);
-  if (text) made.textContent = text;
-  if (className) made.className = className;
-  return made;
-}
 
 /** Title and figures of each clip. */
 export function fillHead(clips) {
@@ -56,36 +49,10 @@ export function fillDetails(clips) {
   }
 }
 
-function tableRow(cells, tag) {
-  const made = element("tr");
-  for (const cell of cells) made.append(element(tag, cell));
-  return made;
-}
-
-export function fillHelp(two) {
-  const table = find("keys");
-  for (const [key, meaning] of shortcutRows(two)) {
-    const row = element("tr");
-    const first = element("td");
-    first.append(element("kbd", key));
-    row.append(first, element("td", meaning));
-    table.append(row);
-  }
-}
-
 /** The scales in the picture's corner: what colours and arrows mean. */
 export function fillScales(greatestTension, hasTendons) {
   find("tension-bar").style.background = tensionGradient();
   find("tension-most").textContent = `${greatestTension.toPrecision(greatestTension < 10 ? 2 : 3)} N`;
   find("tension-scale").hidden = !hasTendons;
   find("force-scale-text").textContent = `1 N = ${(1000 * METRES_PER_NEWTON).toFixed(0)} mm`;
-}
-
-/** Opens or closes a panel. */
-export function togglePanel(id, open = find(id).hidden) {
-  for (const panel of document.querySelectorAll(".panel")) {
-    panel.hidden = !(open && panel.id === id);
-    document.querySelector(`[aria-controls="${panel.id}"]`)?.setAttribute("aria-expanded", String(!panel.hidden));
-  }
-  if (open) find(id).querySelector("button")?.focus();
 }

@@ -1,6 +1,7 @@
 // One plot over time: axes with units, curves or bars, a cursor at the time, and values beside the names.
 
 import { LIMBS } from "viewer/colours.js";
+import { round } from "viewer/ticks.js";
 
 const LEFT = 40;
 const RIGHT = 14;
@@ -245,14 +246,4 @@ function line(paper, x1, y1, x2, y2) {
   paper.moveTo(x1, y1);
   paper.lineTo(x2, y2);
   paper.stroke();
-}
-
-/** Round values between two, about so many, and the digits that they need. */
-function round(low, high, count) {
-  const rough = (high - low) / Math.max(count, 1) || 1;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].find((factor) => factor * power >= rough) * power;
-  const values = [];
-  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + 1e-9 * step; i++) values.push(i * step);
-  return { values, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
 }

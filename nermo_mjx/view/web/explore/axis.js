@@ -1,0 +1,81 @@
+// One axis: where values lie on it, its ticks, and the bins that cells have.
+
+import { extent, number } from "viewer/explore/table.js";
+import { round, roundLog } from "viewer/ticks.js";
+
+/** Cells of a column that has neither steps nor a measure's. */
+const BINS = 30;
+const MARGIN = 0.04;
+/** Points of a name are spread over so much of its step, so that they do not hide each other. */
+const SPREAD = 0.6;
+
+export class Axis {
+  /**
+   * `cells`: whether the axis is divided into bins; `measure`: how an atlas divides it; `log`: wanted; `places`: runs that
+   * it fits, or null for all.
+   */
+  constructor(field, { cells, measure, log, places }) {
+    this.field = field;
+    this.log = Boolean(log && field.positive);
+    this.steps = field.stepped && (cells || field.isText) && !measure ? field.known.length : 0;
+    if (this.steps) {
+      this.bins = this.steps;
+      return;
+    }
+    [this.low, this.high] = places ? extent(field.values, places) : [field.low, field.high];
+    if (cells && measure) [this.low, this.high] = [measure.low, measure.high];
+    this.bins = cells ? measure?.cells ?? BINS : 0;
+    if (!(this.low < this.high)) [this.low, this.high] = this.log ? [this.low / 2, this.low * 2] : [this.low - 0.5, this.low + 0.5];
+    const [from, to] = [this.#scaled(this.low), this.#scaled(this.high)];
+    const margin = cells ? 0 : MARGIN * (to - from);
+    [this.from, this.to] = [from - margin, to + margin];
+  }
+
+  #scaled(value) {
+    return this.log ? Math.log10(value) : value;
+  }
+
+  /** The share of the axis at which a run lies. */
+  at(place) {
+    const value = this.field.values[place];
+    if (!this.steps) return this.share(value);
+    const code = this.field.codes[place];
+    if (code >= this.steps) return NaN;
+    // The same place each time: by the golden ratio, neighbours lie far apart.
+    const spread = this.field.isText ? SPREAD * (((place * 0.618034) % 1) - 0.5) : 0;
+    return (code + 0.5 + spread) / this.steps;
+  }
+
+  share(value) {
+    return (this.#scaled(value) - this.from) / (this.to - this.from);
+  }
+
+  /** The value, or of an axis of steps the code, at a share of it. */
+  value(share) {
+    if (this.steps) return share * this.steps - 0.5;
+    const scaled = this.from + share * (this.to - this.from);
+    return this.log ? 10 ** scaled : scaled;
+  }
+
+  /** The bin of a run, -1 if it has none; values beyond a measure's ends are in its last cells. */
+  bin(place) {
+    if (this.steps) return this.field.codes[place] < this.steps ? this.field.codes[place] : -1;
+    const share = this.at(place);
+    return Number.isFinite(share) ? Math.min(Math.max(Math.floor(share * this.bins + 1e-9), 0), this.bins - 1) : -1;
+  }
+
+  /** Shares of the axis and their labels, about `count` of them. */
+  ticks(count) {
+    const { field } = this;
+    if (this.steps) {
+      const every = Math.ceil(this.steps / Math.max(count, 1));
+      return field.known
+        .map((value, code) => ({ share: (code + 0.5) / this.steps, label: field.isText ? value : number(value * field.factor) }))
+        .filter((_, code) => code % every === 0);
+    }
+    const [low, high] = [this.value(0) * field.factor, this.value(1) * field.factor];
+    const turns = field.unit === "deg" && high - low >= 180;
+    const { values } = this.log ? roundLog(low, high, count) : round(low, high, count, turns ? [1, 3, 4.5, 6, 9] : undefined);
+    return values.map((value) => ({ share: this.share(value / field.factor), label: number(Math.abs(value) < 1e-12 ? 0 : value) }));
+  }
+}

@@ -1,0 +1,263 @@
+// The plot: runs as points or cells, drawn on one canvas, and on another over it what is pointed at and chosen.
+
+import { Axis } from "viewer/explore/axis.js";
+import { cellsOf } from "viewer/explore/cells.js";
+import { Colouring } from "viewer/explore/colouring.js";
+
+const TOP = 12;
+const RIGHT = 16;
+const BOTTOM = 42;
+/** Radius of a point where there are so many at most [pixels]. */
+const RADII = [[300, 5.5], [1500, 4.5], [6000, 3.4], [Infinity, 2.7]];
+/** How near a pointer must come to a point [pixels]. */
+const REACH = 14;
+/** A cell at least this wide and high has its value written in it [pixels]. */
+const ROOM = [42, 17];
+
+export class Chart {
+  /** `table`, `palette`, and `filters`, which say what passes. */
+  constructor(table, palette, filters, recorded) {
+    Object.assign(this, { table, palette, filters, recorded });
+    this.points = document.getElementById("points");
+    this.marks = document.getElementById("marks");
+    this.items = [];
+    this.chosen = -1;
+    this.current = null;
+    new ResizeObserver(() => this.draw()).observe(this.points.parentElement);
+  }
+
+  /** What is shown: names `x`, `y`, `colour`; `cells`, `of`, `fit`, `logs`. */
+  show(view) {
+    this.view = view;
+    this.draw();
+  }
+
+  setColours(colours) {
+    this.colours = colours;
+    this.draw();
+  }
+
+  draw() {
+    const { clientWidth: width, clientHeight: height } = this.points.parentElement;
+    if (!this.view || !this.colours || !width || !height) return;
+    const paper = this.#paper(this.points, width, height);
+    const { x, y, colour, cells, fit, logs } = this.view;
+    this.passing = this.filters.places;
+    const fitted = fit && this.passing.length ? this.passing : null;
+    this.colouring = new Colouring(this.table.field(colour), this.palette, fitted);
+    const axis = (name) =>
+      new Axis(this.table.field(name), {
+        cells, log: logs.has(name), measure: this.table.measures.get(name), places: fitted,
+      });
+    [this.across, this.up] = [axis(x), axis(y)];
+    const ticks = this.up.ticks(Math.max(2, Math.floor((height - TOP - BOTTOM) / 34)));
+    paper.font = "11px system-ui, sans-serif";
+    const left = 28 + Math.min(Math.max(...ticks.map(({ label }) => paper.measureText(label).width), 10), width / 4);
+    this.frame = { left, top: TOP, width: width - left - RIGHT, height: height - TOP - BOTTOM };
+    this.#axes(paper, ticks, width, height);
+    paper.save();
+    paper.beginPath();
+    paper.rect(left - 1, TOP - 1, this.frame.width + 2, this.frame.height + 2);
+    paper.clip();
+    if (cells) this.#cells(paper);
+    else this.#points(paper);
+    paper.restore();
+    if (this.current) this.current = this.itemOf(this.current.place) ?? null;
+    this.mark();
+    this.colouring.explain(document.getElementById("scale"));
+  }
+
+  #paper(canvas, width, height) {
+    const ratio = Math.min(devicePixelRatio, 2);
+    Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+    // Drawn by the processor, as its pictures of points are: copying them from emulated graphics took half a second.
+    const paper = canvas.getContext("2d", { willReadFrequently: true });
+    paper.setTransform(ratio, 0, 0, ratio, 0, 0);
+    return paper;
+  }
+
+  #axes(paper, up, width, height) {
+    const { left, top, width: w, height: h } = this.frame;
+    const { muted, rule, ink } = this.colours;
+    paper.fillStyle = muted;
+    paper.strokeStyle = rule;
+    paper.lineWidth = 1;
+    paper.textAlign = "right";
+    paper.textBaseline = "middle";
+    const line = (...path) => {
+      paper.beginPath();
+      paper.moveTo(path[0], path[1]);
+      paper.lineTo(path[2], path[3]);
+      paper.stroke();
+    };
+    for (const { share, label } of up) {
+      const y = Math.round(top + (1 - share) * h) + 0.5;
+      if (!this.up.steps) line(left, y, left + w, y);
+      paper.fillText(clipped(paper, label, left - 24), left - 6, y);
+    }
+    paper.textAlign = "center";
+    paper.textBaseline = "alphabetic";
+    const texts = this.across.field.isText ? 90 : 58;
+    for (const { share, label } of this.across.ticks(Math.max(2, Math.floor(w / texts)))) {
+      const x = Math.round(left + share * w) + 0.5;
+      if (!this.across.steps) line(x, top, x, top + h);
+      paper.fillText(clipped(paper, label, texts + 20), x, top + h + 15);
+    }
+    paper.fillStyle = ink;
+    paper.font = "600 11.5px system-ui, sans-serif";
+    paper.fillText(this.across.field.label, left + w / 2, height - 7);
+    paper.save();
+    paper.translate(13, top + h / 2);
+    paper.rotate(-Math.PI / 2);
+    paper.fillText(this.up.field.label, 0, 0);
+    paper.restore();
+    paper.strokeStyle = this.colours["grid-strong"];
+    paper.strokeRect(left - 0.5, top - 0.5, w + 1, h + 1);
+  }
+
+  #points(paper) {
+    const { left, top, width, height } = this.frame;
+    const { values } = this.colouring.field;
+    const { count } = this.table;
+    this.radius = RADII.find(([most]) => count <= most)[1];
+    const place = (i) => ({ place: i, x: left + this.across.at(i) * width, y: top + (1 - this.up.at(i)) * height });
+    const inside = ({ x, y }) => Number.isFinite(x) && Number.isFinite(y);
+    paper.fillStyle = this.colours.grid;
+    if (this.passing.length < count) {
+      for (let i = 0; i < count; i++) {
+        const { x, y } = place(i);
+        if (!this.filters.pass[i] && Number.isFinite(x + y)) paper.fillRect(x - 2, y - 2, 4, 4);
+      }
+    }
+    const sprites = new Map();
+    const status = this.table.field("status");
+    const well = status ? status.texts.indexOf("ok") : 0;
+    this.items = Array.from(this.passing, place).filter(inside);
+    // The best are drawn last, over the others.
+    const cost = (item) => (this.colouring.field.isText ? 0 : this.colouring.field.cost(values[item.place]));
+    const drawn = this.items.map((item) => [cost(item), item]).sort(([a], [b]) => (b > a ? 1 : b < a ? -1 : 0));
+    for (const [, item] of drawn) {
+      const bad = status && status.values[item.place] !== well;
+      const level = this.colouring.level(values[item.place]);
+      const key = `${level} ${bad}`;
+      if (!sprites.has(key)) sprites.set(key, this.#sprite(this.colouring.css(level), bad));
+      const sprite = sprites.get(key);
+      paper.drawImage(sprite.canvas, item.x - sprite.size / 2, item.y - sprite.size / 2, sprite.size, sprite.size);
+    }
+    paper.strokeStyle = this.colours.ink;
+    paper.lineWidth = 1.4;
+    for (const item of this.items) if (this.recorded.has(item.place)) ring(paper, item.x, item.y, this.radius + 2.5);
+  }
+
+  /** A point's picture: a disc, or a cross where a run did not go well. */
+  #sprite(colour, bad) {
+    const size = 2 * this.radius + 4;
+    const ratio = Math.min(devicePixelRatio, 2);
+    const canvas = Object.assign(document.createElement("canvas"), { width: Math.ceil(size * ratio), height: Math.ceil(size * ratio) });
+    const paper = canvas.getContext("2d", { willReadFrequently: true });
+    paper.scale(ratio, ratio);
+    const middle = size / 2;
+    if (bad) {
+      const r = 0.75 * this.radius;
+      paper.lineCap = "round";
+      for (const [stroke, width] of [[this.colours.ink, 3.2], [colour, 1.8]]) {
+        Object.assign(paper, { strokeStyle: stroke, lineWidth: width });
+        paper.beginPath();
+        paper.moveTo(middle - r, middle - r);
+        paper.lineTo(middle + r, middle + r);
+        paper.moveTo(middle + r, middle - r);
+        paper.lineTo(middle - r, middle + r);
+        paper.stroke();
+      }
+      return { canvas, size };
+    }
+    paper.fillStyle = colour;
+    paper.beginPath();
+    paper.arc(middle, middle, this.radius, 0, 2 * Math.PI);
+    paper.fill();
+    // An edge, so that neither end of the scale is lost on its ground.
+    paper.globalAlpha = 0.5;
+    Object.assign(paper, { strokeStyle: this.colours.ink, lineWidth: 0.7 });
+    paper.stroke();
+    return { canvas, size };
+  }
+
+  #cells(paper) {
+    const { left, top, width, height } = this.frame;
+    const [w, h] = [width / this.across.bins, height / this.up.bins];
+    const { field } = this.colouring;
+    this.radius = Math.min(w, h) / 2;
+    this.items = cellsOf(this.across, this.up, field, this.passing, this.view.of);
+    const gap = Math.min(w, h) > 6 ? 1 : 0;
+    paper.textAlign = "center";
+    paper.textBaseline = "middle";
+    paper.font = "11px system-ui, sans-serif";
+    for (const item of this.items) {
+      const [x, y] = [left + item.x * w, top + (this.up.bins - 1 - item.y) * h];
+      Object.assign(item, { box: [x, y, w, h], x: x + w / 2, y: y + h / 2 });
+      const level = this.colouring.level(item.value);
+      paper.fillStyle = this.colouring.css(level);
+      paper.fillRect(x, y, w - gap, h - gap);
+      paper.fillStyle = this.colouring.ink(level);
+      if (w > ROOM[0] && h > ROOM[1]) paper.fillText(clipped(paper, field.shown(item.value, false), w - 4), item.x, item.y);
+      if (item.places.some((place) => this.recorded.has(place)) && Math.min(w, h) > 7) {
+        paper.strokeStyle = this.colouring.ink(level);
+        paper.lineWidth = 1.2;
+        ring(paper, x + w - 6, y + 6, 2.4);
+      }
+    }
+  }
+
+  /** The item that shows a run; undefined if none does. */
+  itemOf(place) {
+    return this.items.find((item) => (item.places ? item.places.includes(place) : item.place === place));
+  }
+
+  /** The item under a point of the canvas, or near it. */
+  hit(x, y) {
+    if (this.view.cells) {
+      return this.items.find(({ box: [left, top, w, h] }) => x >= left && x < left + w && y >= top && y < top + h) ?? null;
+    }
+    let [best, nearest] = [null, REACH ** 2];
+    for (const item of this.items) {
+      const away = (item.x - x) ** 2 + (item.y - y) ** 2;
+      if (away <= nearest) [best, nearest] = [item, away];
+    }
+    return best;
+  }
+
+  /** Draws what is pointed at, what is chosen, and a rectangle that is being drawn. */
+  mark(rectangle = null) {
+    const { clientWidth: width, clientHeight: height } = this.marks.parentElement;
+    const paper = this.#paper(this.marks, width, height);
+    const outline = (item, colour, size) => {
+      for (const [stroke, wide] of [[this.colours.surface, size + 2.5], [colour, size]]) {
+        Object.assign(paper, { strokeStyle: stroke, lineWidth: wide });
+        if (item.box) paper.strokeRect(...item.box);
+        else ring(paper, item.x, item.y, this.radius + 4);
+      }
+    };
+    const chosen = this.chosen >= 0 ? this.itemOf(this.chosen) : null;
+    if (chosen) outline(chosen, this.colours.second, 3);
+    if (this.current) outline(this.current, this.colours.ink, 1.8);
+    if (!rectangle) return;
+    paper.fillStyle = paper.strokeStyle = this.colours.accent;
+    paper.globalAlpha = 0.15;
+    paper.fillRect(...rectangle);
+    paper.globalAlpha = 1;
+    paper.strokeRect(...rectangle);
+  }
+}
+
+function ring(paper, x, y, radius) {
+  paper.beginPath();
+  paper.arc(x, y, radius, 0, 2 * Math.PI);
+  paper.stroke();
+}
+
+function clipped(paper, text, width) {
+  if (paper.measureText(text).width <= width) return text;
+  let length = text.length;
+  while (length > 1 && paper.measureText(`${text.slice(0, length)}…`).width > width) length--;
+  return `${text.slice(0, length)}…`;
+}

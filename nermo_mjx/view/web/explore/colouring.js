@@ -1,0 +1,58 @@
+// Colours of numbers and of things, and the scale that explains them.
+
+import { element } from "viewer/dialogs.js";
+import { extent } from "viewer/explore/table.js";
+
+export class Colouring {
+  /** `places`: runs whose values take all of the colours, or null for those of all runs. */
+  constructor(field, palette, places) {
+    this.field = field;
+    this.palette = palette;
+    this.levels = field.isText ? palette.series : palette.scale;
+    [this.low, this.high] = field.isText ? [0, 1] : places ? extent(field.values, places) : field.span;
+    this.clips = !places;
+    this.log = field.log && this.low > 0;
+  }
+
+  /** Which of `levels` a value has; -1 if it has none. */
+  level(value) {
+    if (this.field.isText) return value % this.levels.length;
+    if (!Number.isFinite(value)) return -1;
+    const scaled = (x) => (this.log ? Math.log(x) : x);
+    const share = this.low < this.high ? (scaled(value) - scaled(this.low)) / (scaled(this.high) - scaled(this.low)) : 0.5;
+    return Math.min(Math.max(Math.floor(share * this.levels.length), 0), this.levels.length - 1) || 0;
+  }
+
+  css(level) {
+    return level < 0 ? this.palette.missing : this.levels[level];
+  }
+
+  /** Ink that can be read on a colour. */
+  ink(level) {
+    const [r, g, b] = [1, 3, 5].map((at) => (parseInt(this.css(level).slice(at, at + 2), 16) / 255) ** 2.2);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.2 ? "#15181b" : "#ffffff";
+  }
+
+  /** Fills the element with names and colours, or with a bar and its ends. */
+  explain(place) {
+    const { field } = this;
+    place.replaceChildren(element("b", field.label));
+    if (field.isText) {
+      field.texts.forEach((name, code) => {
+        const chip = element("span");
+        chip.append(element("i"), name);
+        chip.firstChild.style.background = this.css(this.level(code));
+        place.append(chip);
+      });
+      return;
+    }
+    const bar = element("i", "", "bar");
+    bar.style.background = `linear-gradient(to right, ${this.levels.join(", ")})`;
+    const [low, high] = [`${this.clips && this.low > field.low ? "≤ " : ""}${field.shown(this.low, false)}`, `${this.clips && this.high < field.high ? "≥ " : ""}${field.shown(this.high, false)}`];
+    place.append(element("span", low), bar, element("span", high));
+    if (field.better) {
+      const side = { low: "low is better", high: "high is better", zero: "near zero is better" }[field.better];
+      place.append(element("small", side));
+    }
+  }
+}

@@ -1,0 +1,204 @@
+// Puts the page of a directory together: table, filters, plot, the chosen run, its recording.
+
+import { onThemeChange, theme } from "viewer/colours.js";
+import { unpack } from "viewer/data.js";
+import { element, fillHelp, togglePanel, wireFullScreen, wirePanel } from "viewer/dialogs.js";
+import { Chart } from "viewer/explore/chart.js";
+import { Filters } from "viewer/explore/filters.js";
+import { wirePointing } from "viewer/explore/pointing.js";
+import { RowPanel, csvOf, headOf } from "viewer/explore/row.js";
+import { Table } from "viewer/explore/table.js";
+import { Theatre } from "viewer/explore/theatre.js";
+import { wireKeys } from "viewer/keys.js";
+
+const find = (id) => document.getElementById(id);
+
+/** As in keys.js; those without a name are the plot's own. */
+const SHORTCUTS = [
+  [["Tab"], "", "Tab", "to the plot, the filters, the chosen run"],
+  [[], "", "← → ↑ ↓", "in the plot: walk from run to run"],
+  [[], "", "PgDn PgUp", "the next by colour, the one before; Home is the best, End the worst"],
+  [[], "", "Enter", "choose the run"],
+  [["p"], "play", "P", "play the chosen run's recording"],
+  [["c"], "cells", "C", "cells, or points"],
+  [["f"], "fit", "F", "axes and colours fit the runs that pass, or all"],
+  [["r"], "reset", "R", "reset the filters"],
+  [["?"], "help", "?", "this help"],
+  [["Escape"], "close", "Esc", "close what is open; let go of the run"],
+];
+const ROLES = { varied: "Parameters", metric: "Metrics", randomized: "Drawn at random", status: "Others", index: "Others" };
+
+async function start() {
+  const header = JSON.parse(find("header").textContent);
+  const packed = document.querySelector('[data-part="table"]').textContent;
+  const table = new Table(header, { table: await unpack(packed) });
+  const recorded = new Set(Object.keys(header.recordings).map((row) => table.placeOf.get(Number(row))));
+  const view = { ...header.start, of: "best", fit: false, logs: new Set(table.differing().filter((field) => field.log).map((field) => field.name)) };
+  const [title, ...figures] = [header.title, ...headOf(header, table)];
+  find("title").textContent = title;
+  find("figures").replaceChildren(...figures.map((text) => element("span", text)));
+  fillHelp(SHORTCUTS.map(([, , key, meaning]) => [key, meaning]));
+
+  const explorer = new Explorer(header, table, recorded, view);
+  wireKeys(explorer.actions, SHORTCUTS);
+  wirePanel("help");
+  wireFullScreen();
+  const paint = () => {
+    const colours = theme();
+    explorer.filters.setColours(colours);
+    explorer.chart.setColours(colours);
+  };
+  onThemeChange(paint);
+  explorer.show();
+  paint();
+  // For scripts and tests.
+  window.explorer = explorer;
+  document.documentElement.dataset.ready = "yes";
+}
+
+class Explorer {
+  constructor(header, table, recorded, view) {
+    Object.assign(this, { header, table, recorded, view });
+    this.filters = new Filters(find("filter-list"), table, recorded, () => this.show());
+    this.chart = new Chart(table, header.palette, this.filters, recorded);
+    this.panel = new RowPanel(find("row"), table, header.commands, recorded, (place, focus) => this.choose(place, focus), (place) => this.play(place));
+    this.theatre = new Theatre(header, () => this.#recordedRows(), (row) => this.choose(table.placeOf.get(row)));
+    wirePointing(this.chart, find("tip"), find("said"), (place) => this.choose(place), (shares) => this.brush(shares));
+    this.#wireChoices();
+    for (const id of ["reset", "empty-reset"]) find(id).addEventListener("click", () => this.filters.release());
+    find("save").addEventListener("click", () => save(`${header.title}.csv`, this.csv));
+    this.actions = {
+      play: () => this.play(this.chart.chosen),
+      cells: () => find("cells").click(),
+      fit: () => find("fit").click(),
+      reset: () => this.filters.release(),
+      help: () => togglePanel("help"),
+      close: () => this.#close(),
+    };
+  }
+
+  #wireChoices() {
+    const { view, table } = this;
+    const fields = table.differing();
+    for (const id of ["x", "y", "colour"]) {
+      const select = find(id);
+      for (const heading of new Set(Object.values(ROLES))) {
+        const group = Object.assign(element("optgroup"), { label: heading });
+        for (const field of fields) if (ROLES[field.role] === heading) group.append(new Option(field.title, field.name));
+        if (group.children.length) select.append(group);
+      }
+      if (!fields.some((field) => field.name === view[id])) select.append(new Option(table.field(view[id]).title, view[id]));
+      select.value = view[id];
+      select.addEventListener("change", () => {
+        view[id] = select.value;
+        this.show();
+      });
+    }
+    for (const id of ["cells", "fit"]) {
+      find(id).addEventListener("click", () => {
+        view[id] = !view[id];
+        this.show();
+      });
+    }
+    for (const id of ["x", "y"]) {
+      find(`${id}-log`).addEventListener("click", () => {
+        if (!view.logs.delete(view[id])) view.logs.add(view[id]);
+        this.show();
+      });
+    }
+    find("of").addEventListener("change", () => {
+      view.of = find("of").value;
+      this.show();
+    });
+  }
+
+  /** Draws all anew after another choice, or when other runs pass. */
+  show() {
+    const { view, table, filters } = this;
+    const colour = table.field(view.colour);
+    const pressed = { cells: view.cells, fit: view.fit, "x-log": view.logs.has(view.x), "y-log": view.logs.has(view.y) };
+    for (const [id, on] of Object.entries(pressed)) find(id).setAttribute("aria-pressed", String(on));
+    for (const id of ["x", "y"]) find(`${id}-log`).hidden = !table.field(view[id]).positive;
+    find("of").hidden = !view.cells || colour.isText;
+    find("of").replaceChildren(
+      ...[["best", colour.best], ["mean", "mean of all"], ["worst", colour.better ? "worst" : "lowest"]].map(([name, label]) => new Option(name === "mean" ? label : `${label} run`, name)),
+    );
+    find("of").value = view.of;
+    this.chart.show(view);
+    const shown = filters.places.length;
+    find("count").textContent = `${shown.toLocaleString("en")} of ${table.count.toLocaleString("en")} runs shown`;
+    find("empty").hidden = shown > 0;
+    find("marks").setAttribute("aria-label", `${view.cells ? "Cells" : "Runs"}: ${table.field(view.y).title} over ${table.field(view.x).title}, coloured by ${colour.title}. Arrow keys walk, Enter chooses.`);
+    this.#fillRow();
+  }
+
+  #fillRow() {
+    const { chosen } = this.chart;
+    const cell = chosen >= 0 && this.view.cells ? this.chart.itemOf(chosen)?.places : null;
+    this.panel.show(chosen, cell, this.filters.places, this.table.field(this.view.colour));
+  }
+
+  /** Chooses a run, or none with -1; `focus` goes to its numbers. */
+  choose(place, focus = false) {
+    this.chart.chosen = place;
+    this.#fillRow();
+    this.chart.mark();
+    find("said").textContent = place < 0 ? "No run chosen" : `Row ${this.table.rows[place]} chosen`;
+    document.body.classList.toggle("chosen", place >= 0);
+    if (focus) find("row").focus();
+  }
+
+  play(place) {
+    const row = this.table.rows[place];
+    if (this.recorded.has(place) && !this.theatre.isOpen) this.theatre.open(row, `Row ${row}`);
+  }
+
+  /** Rows whose recordings are kept, of those that pass. */
+  #recordedRows() {
+    return Array.from(this.filters.places).filter((place) => this.recorded.has(place)).map((place) => this.table.rows[place]);
+  }
+
+  /** Keeps the runs in a rectangle of shares of the axes; with null, lets go of both. */
+  brush(shares) {
+    const { across, up } = this.chart;
+    if (!shares) {
+      for (const axis of [across, up]) this.filters.release(axis.field);
+      return;
+    }
+    for (const [axis, low, high] of [[across, shares[0], shares[1]], [up, shares[2], shares[3]]]) {
+      const within = [low, high].map((share) => Math.min(Math.max(share, 0), 1));
+      let [from, to] = within.map((share) => axis.value(share));
+      if (axis.steps && !axis.field.isText) {
+        // Whole steps whose middle is inside, or the one that the rectangle lies in.
+        [from, to] = [Math.ceil(from), Math.floor(to)];
+        if (from > to) from = to = Math.round((axis.value(within[0]) + axis.value(within[1])) / 2);
+        const { known } = axis.field;
+        [from, to] = [from, to].map((step) => known[Math.min(Math.max(step, 0), known.length - 1)]);
+      }
+      this.filters.keep(axis.field, from, to);
+    }
+  }
+
+  /** The parameters of the runs that pass. */
+  get csv() {
+    return csvOf(this.table, this.filters.places);
+  }
+
+  #close() {
+    if (this.theatre.isOpen) this.theatre.close();
+    else if (!find("help").hidden) togglePanel("help", false);
+    else this.choose(-1);
+  }
+}
+
+function save(name, text) {
+  const link = Object.assign(document.createElement("a"), { download: name, href: URL.createObjectURL(new Blob([text], { type: "text/csv" })) });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+}
+
+start().catch((error) => {
+  find("failed").hidden = false;
+  find("failed-why").textContent = error.message;
+  console.error(error);
+});

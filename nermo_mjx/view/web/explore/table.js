@@ -1,0 +1,108 @@
+// The runs and their columns: numbers in SI units, texts, and how both are shown.
+
+import { read } from "viewer/data.js";
+
+/** Values of a column at most that make it an axis of steps, one for each. */
+const STEPS = 64;
+/** Beyond these shares of the values colours do not go on where wild ones would take most of them. */
+const TAIL = 0.005;
+const MOST_OF = 0.6;
+
+export class Table {
+  constructor(header, parts) {
+    this.rows = read(parts, header.rows);
+    this.count = this.rows.length;
+    this.fields = new Map(header.fields.map((about) => [about.name, new Field(about, parts)]));
+    this.placeOf = new Map([...this.rows].map((row, place) => [row, place]));
+    this.measures = new Map((header.atlas?.measures ?? []).map((measure) => [measure.metric, measure]));
+  }
+
+  field(name) {
+    return this.fields.get(name);
+  }
+
+  /** Fields of some roles, by default all, that differ between the runs. */
+  differing(...roles) {
+    return [...this.fields.values()].filter((field) => field.differs && (!roles.length || roles.includes(field.role)));
+  }
+}
+
+export class Field {
+  constructor(about, parts) {
+    Object.assign(this, about);
+    this.isText = Boolean(about.texts);
+    const values = read(parts, about.values);
+    /** What each of the runs has: the place of its value in `known`, if those are listed. */
+    this.codes = values instanceof Uint16Array ? values : null;
+    if (this.isText) this.known = about.texts;
+    this.values = this.codes && !this.isText ? Float64Array.from(values, (code) => this.known[code] ?? NaN) : values;
+    this.sorted = Float64Array.from(this.values).filter(Number.isFinite).sort();
+    [this.low, this.high] = [this.sorted[0] ?? 0, this.sorted.at(-1) ?? 1];
+    this.differs = this.known ? this.known.length > 1 : this.low < this.high;
+    /** Whether an axis has a step for each of its values. */
+    this.stepped = this.isText || Boolean(this.known && this.known.length <= STEPS);
+    this.positive = !this.isText && this.low > 0;
+  }
+
+  /** Name and unit. */
+  get label() {
+    return this.unit ? `${this.title} [${this.unit}]` : this.title;
+  }
+
+  get title() {
+    return this.name.replaceAll("_", " ");
+  }
+
+  /** A value with its unit, as people read it. */
+  shown(value, unit = true, digits = 4) {
+    if (this.isText) return this.texts[value] ?? "–";
+    if (!Number.isFinite(value)) return "–";
+    return `${number(value * this.factor, digits)}${unit && this.unit ? `\u202f${this.unit}` : ""}`;
+  }
+
+  shownAt(place, unit = true) {
+    return this.shown(this.values[place], unit);
+  }
+
+  /** A value in SI units with all the digits that the page has. */
+  exact(place) {
+    const value = this.values[place];
+    if (this.isText) return this.texts[value];
+    return Number.isFinite(value) ? String(this.known ? value : Number(value.toPrecision(7))) : "";
+  }
+
+  /** From where to where colours go. */
+  get span() {
+    const at = (share) => this.sorted[Math.round(share * (this.sorted.length - 1))];
+    const [low, high] = [at(TAIL), at(1 - TAIL)];
+    return low < high && high - low < MOST_OF * (this.high - this.low) ? [low, high] : [this.low, this.high];
+  }
+
+  /** A number that is less where a value is better; of a column without a better side, where it is higher. */
+  cost(value) {
+    if (!Number.isFinite(value)) return Infinity;
+    return this.better === "low" ? value : this.better === "zero" ? Math.abs(value) : -value;
+  }
+
+  /** What the best side of its values is called. */
+  get best() {
+    return this.better ? "best" : "highest";
+  }
+}
+
+/** Few digits, with a true minus. */
+export function number(value, digits = 4) {
+  const size = Math.abs(value);
+  const text = size !== 0 && (size >= 1e6 || size < 1e-4) ? value.toExponential(2) : String(Number(value.toPrecision(digits)));
+  return text.replaceAll("-", "−");
+}
+
+/** The least and the greatest value of some runs. */
+export function extent(values, places) {
+  let [low, high] = [Infinity, -Infinity];
+  for (const place of places) {
+    if (values[place] < low) low = values[place];
+    if (values[place] > high) high = values[place];
+  }
+  return [low, high];
+}
