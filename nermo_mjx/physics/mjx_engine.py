@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 from mujoco.batch import Batch
 
 from nermo_mjx.physics import differentiable, rows
@@ -27,15 +27,16 @@ from nermo_mjx.physics.solver import ROUNDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options
+from nermo_mjx.shapes import Array, Count, Dofs, Truth
 
 
 class MjxState(NamedTuple):
     """What the physics carries from step to step in one world."""
 
     qpos: Float[Array, " nq"]
-    qvel: Float[Array, " nv"]
+    qvel: Dofs
     act: Float[Array, " na"]
-    qacc_warmstart: Float[Array, " nv"]
+    qacc_warmstart: Dofs
 
 
 class Carry(NamedTuple):
@@ -51,7 +52,7 @@ class Carry(NamedTuple):
     physics: MjxState
     loop: Any
     sensordata: Float[Array, "steps n"]
-    unsolved: Int[Array, ""]
+    unsolved: Count
 
 
 class MjxEngine:
@@ -93,7 +94,7 @@ class MjxEngine:
         """One step of physics in one world."""
         return differentiable.step(model, data)
 
-    def is_unsolved(self, data: mjx.Data) -> Bool[Array, ""]:
+    def is_unsolved(self, data: mjx.Data) -> Truth:
         """Whether the constraint solver did not come to its end in the step that gave the data."""
         return rows.solver_rounds(data) > ROUNDS
 
