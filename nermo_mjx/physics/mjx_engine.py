@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float
 from mujoco.batch import Batch
 
 from nermo_mjx.physics import differentiable, rows
+from nermo_mjx.physics.checkpointing import keeping_little
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
@@ -149,7 +150,7 @@ class MjxEngine:
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), found
 
         def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
-            after: tuple[MjxState, tuple[Array, Array]] = each(advanced)(fields, ctrl, state)
+            after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(fields, ctrl, state)
             return after
 
         steps = self.loop.steps_per_tick
