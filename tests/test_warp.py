@@ -13,10 +13,12 @@ import swinging
 from conftest import WALKS
 from mujoco.batch import Batch
 
+from nermo_mjx import Setup, load_robot
 from nermo_mjx.physics import make_engine, resolve_engine, warp_engine
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.warp_engine import WarpEngine
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.rollout.loop import ClosedLoop
 
 installed = pytest.mark.skipif(
     importlib.util.find_spec("warp") is None, reason="warp-lang is not installed (pip install 'nermo-mjx[warp]')"
@@ -66,7 +68,7 @@ def test_auto_takes_warp_on_an_nvidia_gpu_where_it_is_installed(machine, backend
 def test_warp_says_in_a_sentence_why_it_cannot_run(machine, backend, cuda, warp, sentence):
     machine(backend, cuda, warp)
     with pytest.raises(ParameterError, match=re.escape(f"engine is 'warp': {sentence}")):
-        make_engine("warp", None, None)
+        make_engine("warp", load_robot(), ClosedLoop(load_robot(), Setup().make_controller()))
 
 
 def test_warp_computes_in_single_precision_only(machine):

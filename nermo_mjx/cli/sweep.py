@@ -91,8 +91,10 @@ def command(
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
         say = sayer("sweep", quiet)
-        for name, places in sweep.partly_read().items() if say is not None else ():
-            say(f"{name} is varied in {len(places)} of {len(sweep.structures)} structures; the others do not read it.")
+        for name, places in sweep.partly_read().items():
+            if say:
+                some = f"{len(places)} of {len(sweep.structures)} structures"
+                say(f"{name} is varied in {some}; the others do not read it.")
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control import trajectory
 from nermo_mjx.control.parameters import ControlParameters, Stance, choice, published_values, with_gait_factor
@@ -17,6 +17,7 @@ from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, quantities, replace_quantities
 from nermo_mjx.runtime import start_jax
+from nermo_mjx.shapes import Array
 
 #: Points of each half-cycle at which the nominal foot path is checked, and steps of the search for the longest stride.
 _PATH_POINTS, _STRIDE_STEPS = 9, 41
@@ -82,7 +83,7 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
     raise ParameterError(_sentence(one, float(stride[row]), params, int(limb), routing))
 
 
-def _distinct(stance: Stance, stride: np.ndarray) -> tuple[Stance, np.ndarray]:
+def _distinct(stance: Stance, stride: Array) -> tuple[Stance, Array]:
     """The distinct combinations of a batch: usually one, because most sweeps vary other things."""
     names = [field.name for field in dataclasses.fields(Stance)]
     leaves = np.broadcast_arrays(*(np.asarray(getattr(stance, name), float) for name in names), stride)

@@ -6,9 +6,9 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.control.parameters import Gait
+from nermo_mjx.shapes import PerLimb, Scalars, TruthPerLimb
 
 #: Shortest share of the cycle a half-cycle may take inside a traced program; `Gait.duty` is checked where it is built.
 SHORTEST_HALF = 1e-3
@@ -24,25 +24,23 @@ class LimbStates:
         progress: time within the half-cycle (stance or swing), normalised to [0, 1].
     """
 
-    stance: Bool[Array, "*batch 4"]
-    progress: Float[Array, "*batch 4"]
+    stance: TruthPerLimb
+    progress: PerLimb
 
 
-def wrap(phase: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def wrap(phase: Scalars) -> Scalars:
     """The phase within its cycle, in [0, 1)."""
     wrapped = phase - jnp.floor(phase)
     # In floating point, -1e-9 - floor(-1e-9) rounds to 1.
     return jnp.where(wrapped < 1.0, wrapped, 0.0)
 
 
-def advance(
-    phase: Float[Array, "*batch"], frequency: Float[Array, "*batch"], duration: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def advance(phase: Scalars, frequency: Scalars, duration: Scalars) -> Scalars:
     """Integrate the phase over `duration` seconds of the controller's clock; the frequency may change on the fly."""
     return wrap(phase + frequency * duration)
 
 
-def limb_states(gait: Gait, phase: Float[Array, "*batch"]) -> LimbStates:
+def limb_states(gait: Gait, phase: Scalars) -> LimbStates:
     """A leg is in stance while (phase - offset) mod 1 < duty (Tables A.2, A.6).
 
     Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance.
@@ -58,6 +56,6 @@ def limb_states(gait: Gait, phase: Float[Array, "*batch"]) -> LimbStates:
     return LimbStates(stance, jnp.minimum(progress, 1.0))
 
 
-def switches(now: Bool[Array, "*batch 4"], before: Bool[Array, "*batch 4"]) -> Bool[Array, "*batch 4"]:
+def switches(now: TruthPerLimb, before: TruthPerLimb) -> TruthPerLimb:
     """The switch flag: the leg has just begun a half-cycle and needs new control points."""
     return now != before

@@ -18,7 +18,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control import build, clock, fusion, pilot, trajectory
 from nermo_mjx.control.course import course_through
@@ -33,6 +33,7 @@ from nermo_mjx.robot.interface import Sensors, ServoAngles
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Array, Scalar
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,9 +74,7 @@ class Controller:
         """Control ticks for which the pilot's output is held."""
         return round(self.control_rate / self.pilot_rate)
 
-    def init(
-        self, params: ControlParameters, sensors: Sensors, phase: Float[Array, ""] | float = 0.0
-    ) -> ControllerState:
+    def init(self, params: ControlParameters, sensors: Sensors, phase: Scalar | float = 0.0) -> ControllerState:
         """State at the start: every leg on its nominal path at `phase`, so that the robot starts in its gait's posture.
 
         Args:
@@ -87,7 +86,7 @@ class Controller:
         memory = self.pilot.init(params, state.pilot, sensors, self._walk(params, state))
         return with_dtypes_of(state, dataclasses.replace(state, pilot=memory))
 
-    def initial_servo(self, params: ControlParameters, phase: Float[Array, ""] | float = 0.0) -> ServoAngles:
+    def initial_servo(self, params: ControlParameters, phase: Scalar | float = 0.0) -> ServoAngles:
         """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
         return self.servo_angles(self._start(params, phase))
 
@@ -133,7 +132,7 @@ class Controller:
         """Refuse strides that the legs cannot reach; see `build.check_workspace`."""
         build.check_workspace(params, routing=self.routing)
 
-    def _start(self, params: ControlParameters, phase: Float[Array, ""] | float) -> ControllerState:
+    def _start(self, params: ControlParameters, phase: Scalar | float) -> ControllerState:
         memory, drive = self.pilot.start(params)
         gait, path = self.gait.start(params, clock.wrap(jnp.asarray(phase, dtype=float)), drive)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)

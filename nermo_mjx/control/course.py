@@ -13,10 +13,11 @@ from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Scalars, Spatial
 
 #: Part of the course, by arc length from the progress made, in which the robot is looked for [m]. The robot sways back
 #: by a centimetre within a stride; ahead, the window leaves room to cut a bend.
@@ -59,7 +60,7 @@ class Course:
         return np.stack([self.x, self.y, self.heading, self.curvature], axis=-1).astype(np.float32)
 
 
-def course_through(points: Sequence[Sequence[float]], spacing: float = 0.01) -> Course:
+def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: float = 0.01) -> Course:
     """The smooth course through way points: a cubic spline over the chord lengths, with continuous curvature.
 
     Both ends have no curvature, because the course goes on straight beyond them.
@@ -98,7 +99,7 @@ def course_through(points: Sequence[Sequence[float]], spacing: float = 0.01) -> 
     return Course(x, y, heading, curvature, float(arc[-1]) / steps)
 
 
-def locate(course: Course, progress: Float[Array, "*batch"], position: Float[Array, "*batch 3"]) -> PathPoint:
+def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
     """The nearest point of the course near the progress made.
 
     Beyond either end the course goes on straight for the error, and the progress stays at the end. A robot that has
@@ -136,7 +137,7 @@ def locate(course: Course, progress: Float[Array, "*batch"], position: Float[Arr
     return PathPoint(error, point[..., 3], tangent, jnp.maximum(progress, reached))
 
 
-def _checked(points: Sequence[Sequence[float]], spacing: float) -> Float[np.ndarray, "points 2"]:
+def _checked(points: Sequence[Sequence[float]] | np.ndarray, spacing: float) -> Float[np.ndarray, "points 2"]:
     try:
         way = np.asarray(points, dtype=float)
     except (TypeError, ValueError):

@@ -7,11 +7,11 @@ Positive spine servo and joint angles turn left (`robot/parameters.py`). (5.33)'
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control import turning
 from nermo_mjx.control.parameters import ControlParameters, Spine, choice
@@ -21,6 +21,7 @@ from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Array, Scalar, Scalars
 
 #: Auxiliary modes; several may be on together, and their sum is clipped.
 MODES = ("stride_extension", "balance")
@@ -30,17 +31,18 @@ NO_MODE: Final = "none"
 _FADE_LINEAR_BELOW = 1e-3
 
 
+@runtime_checkable
 class SpineLike(Protocol):
     """What the spine does. Values are unbatched."""
 
     def __call__(
         self,
         params: Any,
-        phase: Float[Array, ""],
-        turn_rate: Float[Array, ""],
+        phase: Scalar,
+        turn_rate: Scalar,
         feet: Float[Array, "4 2"],
         stance: Bool[Array, " 4"],
-    ) -> Float[Array, ""]:
+    ) -> Scalar:
         """Commanded spine servo angle, positive left [rad].
 
         Args:
@@ -77,9 +79,7 @@ class SpineModes:
         if self.masses is not None:
             object.__setattr__(self, "masses", _plain(self.masses))
 
-    def __call__(
-        self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array
-    ) -> Float[Array, ""]:
+    def __call__(self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array) -> Scalar:
         """See `SpineLike`."""
         auxiliary = jnp.zeros_like(phase)
         if "stride_extension" in self.modes:
@@ -110,12 +110,12 @@ def _plain(masses: MassModel) -> MassModel:
     )  # fmt: skip
 
 
-def stride_extension(spine: Spine, phase: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def stride_extension(spine: Spine, phase: Scalars) -> Scalars:
     """Servo angle A cos(2 pi phase + psi) [rad], which compresses the swinging pair and extends the other (5.33)."""
     return spine.amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.phase)
 
 
-def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]) -> Float[Array, ""]:
+def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]) -> Scalar:
     """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
 
     Zero while all four feet are on the ground, where there is nothing to balance.
@@ -129,7 +129,7 @@ def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: 
     return servo_angle(balance_angle(masses, feet, stance, spine.balance_lift))
 
 
-def fuse(spine: Spine, steering: Float[Array, "*batch"], auxiliary: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
     """q_sp = q_max (alpha_tr + (1 - |alpha_tr|)^s f_sp), in [-q_max, q_max] (5.45, 5.46) [rad].
 
     Erratum: (5.46) is printed without the absolute value, with which a left turn would amplify the other mode.
@@ -144,7 +144,7 @@ def fuse(spine: Spine, steering: Float[Array, "*batch"], auxiliary: Float[Array,
     return spine.max_servo_angle * jnp.clip(steering + left_over * wanted, -1.0, 1.0)
 
 
-def compensation(spine: Spine, servo: Float[Array, ""]) -> Float[Array, "4 2"]:
+def compensation(spine: Spine, servo: Scalar) -> Float[Array, "4 2"]:
     """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
 
     Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise.

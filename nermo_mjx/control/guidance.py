@@ -22,9 +22,10 @@ from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.shapes import Array, Scalar
 
 #: Harmonics of the gait cycle of which the sway is made. On a straight line right mirrors left after half a cycle,
 #: which leaves the odd ones; in a turn the second joins them. Measured in trots with and without the spine: 5 to 8 mm
@@ -56,10 +57,10 @@ class Guidance:
     course: Float[Array, " 2"]
     unexplained: Float[Array, " 2"]
     sway: Float[Array, "2 harmonics 2"]
-    cycles: Float[Array, ""]
+    cycles: Scalar
 
 
-def start(error: Float[Array, ""], heading: Float[Array, ""], speed: Float[Array, ""]) -> Guidance:
+def start(error: Scalar, heading: Scalar, speed: Scalar) -> Guidance:
     """Estimate at rest: the robot will walk along its path, wherever its torso looks.
 
     Args:
@@ -117,7 +118,7 @@ def observe(
 
 
 def observer_gains(
-    bandwidth: Float[Array, ""] | float, cycles: Float[Array, ""] | float
+    bandwidth: Scalar | float, cycles: Scalar | float
 ) -> tuple[Float[Array, "2 2"], Float[Array, "2 harmonics 2"]]:
     """Gains that put each pole of an observer at exp(-bandwidth * cycles) of the plant's: stable for every bandwidth.
 
@@ -161,7 +162,7 @@ def observer_gains(
     return course, jnp.stack(sway, axis=1)
 
 
-def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) -> Float[Array, ""]:
+def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) -> Scalar:
     """Curvature to add to the path's [1/m]: poles of the way walked at 1 / look-ahead, unexplained turns taken back.
 
     The look-ahead is `look_ahead` on a line, and on a bend `BEND` of its radius at most: what the robot turns less than

@@ -11,9 +11,9 @@ from typing import Final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.shapes import Array, Planar, Scalars, Spatial
 
 #: Positions farther out than this count as this far [m]: what diverges stays finite.
 FARTHEST: Final = 1e6
@@ -31,20 +31,20 @@ class PathPoint:
         progress: arc length from the path's start, where the path keeps count of it, else 0 [m].
     """
 
-    error: Float[Array, "*batch"]
-    curvature: Float[Array, "*batch"]
-    tangent: Float[Array, "*batch 2"]
-    progress: Float[Array, "*batch"]
+    error: Scalars
+    curvature: Scalars
+    tangent: Planar
+    progress: Scalars
 
 
-def straight(pilot: Pilot, position: Float[Array, "*batch 3"]) -> PathPoint:
+def straight(pilot: Pilot, position: Spatial) -> PathPoint:
     """The line x = 0."""
     x = _near(position)[..., 0]
     ahead = jnp.broadcast_to(jnp.asarray([0.0, -1.0], x.dtype), (*x.shape, 2))
     return PathPoint(x, jnp.zeros_like(x), ahead, jnp.zeros_like(x))
 
 
-def arc(pilot: Pilot, position: Float[Array, "*batch 3"]) -> PathPoint:
+def arc(pilot: Pilot, position: Spatial) -> PathPoint:
     """The circle of `pilot.radius` that bends to `pilot.direction`.
 
     With the centre at (s R, 0), s = +1 left: e = s (R - |p - centre|), written without the difference of two large
@@ -60,7 +60,7 @@ def arc(pilot: Pilot, position: Float[Array, "*batch 3"]) -> PathPoint:
     return PathPoint(error, jnp.broadcast_to(side / pilot.radius, x.shape), tangent, jnp.zeros_like(x))
 
 
-def _near(position: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+def _near(position: Spatial) -> Spatial:
     return jnp.clip(position, -FARTHEST, FARTHEST)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from nermo_mjx.control import guidance, turning
 from nermo_mjx.control.course import Course, locate
@@ -17,6 +18,7 @@ from nermo_mjx.control.path import PATHS, PathPoint, straight
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
 
 #: Rate on the controller's clock for which the published gain on the change of the error holds [Hz].
 PUBLISHED_PILOT_RATE: Final = 50.0
@@ -36,8 +38,8 @@ class Drive(NamedTuple):
         turn_rate: in [-1, 1], positive left.
     """
 
-    speed: Float[Array, ""]
-    turn_rate: Float[Array, ""]
+    speed: Scalar
+    turn_rate: Scalar
 
 
 class Walk(NamedTuple):
@@ -51,14 +53,15 @@ class Walk(NamedTuple):
         rate: decisions a simulated second [Hz].
     """
 
-    time: Float[Array, ""]
-    phase: Float[Array, ""]
-    speed: Float[Array, ""]
-    yaw_rate: Float[Array, ""]
-    due: Bool[Array, ""]
+    time: Scalar
+    phase: Scalar
+    speed: Scalar
+    yaw_rate: Scalar
+    due: Truth
     rate: float
 
 
+@runtime_checkable
 class PilotLike(Protocol):
     """A pilot: pure functions over its parameters and a memory of its own, any pytree. Values are unbatched.
 
@@ -133,7 +136,7 @@ class Follow:
 
     along: Callable[[Pilot, Array], PathPoint] | Course = straight
 
-    def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Float[Array, ""]) -> PathPoint:
+    def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Scalar) -> PathPoint:
         """The point of the path beside a position.
 
         Args:
@@ -176,13 +179,13 @@ class Follow:
         change = (point.error - memory.point.error) / published_ticks
         return Beside(point, estimate), Drive(speed, steer(params.pilot, point.error, change, turn_rate))
 
-    def _guided(self, params: ControlParameters, curvature: Float[Array, ""]) -> Drive:
+    def _guided(self, params: ControlParameters, curvature: Scalar) -> Drive:
         """The gait's speed, and the turn rate for a curvature [1/m]."""
         turn_rate = params.pilot.guidance * turning.turn_rate_for(params, curvature / params.pilot.grip)
         return limited(params.gait.speed, turn_rate)
 
 
-def heading(point: PathPoint, sensors: Sensors) -> Float[Array, ""]:
+def heading(point: PathPoint, sensors: Sensors) -> Scalar:
     """Heading of the robot from the tangent of its path [rad], positive left, in (-pi, pi].
 
     A bent spine turns torso and hip to opposite sides of it, so it is the torso's less half of the bend.
@@ -201,10 +204,10 @@ def heading(point: PathPoint, sensors: Sensors) -> Float[Array, ""]:
 
 def steer(
     pilot: Pilot,
-    error: Float[Array, "*batch"],
-    change: Float[Array, "*batch"],
-    guided: Float[Array, "*batch"] | float = 0.0,
-) -> Float[Array, "*batch"]:
+    error: Scalars,
+    change: Scalars,
+    guided: Scalars | float = 0.0,
+) -> Scalars:
     """Turn rate of the published PD on the cross-track error, added to the guidance's; left of the path it is negative.
 
     Args:
@@ -226,7 +229,7 @@ class Tabulated:
     turn_rate: tuple[float, ...]
     hold: bool = False
 
-    def __call__(self, time: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def __call__(self, time: Scalar) -> tuple[Scalar, Scalar]:
         """(speed, turn rate) at `time`; before the first and after the last row, that row's."""
         times, speed, turn = (jnp.asarray(column) for column in (self.time, self.speed, self.turn_rate))
         if self.hold:
@@ -235,9 +238,7 @@ class Tabulated:
         return jnp.interp(time, times, speed), jnp.interp(time, times, turn)
 
 
-def tabulated(
-    time: Sequence[float], speed: Sequence[float] | float, turn_rate: Sequence[float] | float, *, hold: bool = False
-) -> Tabulated:
+def tabulated(time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: bool = False) -> Tabulated:
     """A command for the pilot `external` from arrays over time.
 
     Args:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+
+from nermo_mjx.shapes import Broadcastable
 
 
-def signed_power(
-    base: Float[Array, "*batch"], exponent: Float[Array, "*batch"], linear_below: float
-) -> Float[Array, "*batch"]:
+def signed_power(base: Broadcastable, exponent: Broadcastable, linear_below: float) -> Broadcastable:
     """sign(x)|x|^t for |x| >= linear_below, and the line through the origin to that point below it.
 
     Continuous in x and t. With t < 1 the plain power has an infinite slope at 0, and a gradient through it is NaN.

@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import Any, Protocol, runtime_checkable
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.interface import Sensors, ServoAngles
+from nermo_mjx.shapes import Array, Scalar
 
 #: What every controller has.
 REQUIRED = ("dt", "parameters", "init", "initial_servo", "update", "cycle_rate")
 
 
+@runtime_checkable
 class ControllerLike(Protocol):
     """A controller. `params` and its state are any pytrees; values are unbatched, and engines `vmap`.
 
@@ -30,10 +32,10 @@ class ControllerLike(Protocol):
     def parameters(self) -> Any:
         """The parameters of one world before values are named; they give the structure and the shapes of all others."""
 
-    def init(self, params: Any, sensors: Sensors, phase: Float[Array, ""]) -> Any:
+    def init(self, params: Any, sensors: Sensors, phase: Scalar) -> Any:
         """State at the start, from the readings at rest; `phase` is `start.phase`."""
 
-    def initial_servo(self, params: Any, phase: Float[Array, ""]) -> ServoAngles:
+    def initial_servo(self, params: Any, phase: Scalar) -> ServoAngles:
         """Servo angles in which the robot is put down."""
 
     def update(self, params: Any, state: Any, sensors: Sensors) -> tuple[Any, ServoAngles]:
@@ -47,6 +49,7 @@ class ControllerLike(Protocol):
 
 
 @runtime_checkable
+@runtime_checkable
 class FollowsPath(Protocol):
     """A controller that has a path, beside which the robot is measured (`cross_track_rms`, the way along it)."""
 
@@ -54,6 +57,7 @@ class FollowsPath(Protocol):
         """The point of the path beside a position [m]; None where it follows none after all."""
 
 
+@runtime_checkable
 @runtime_checkable
 class PlansContact(Protocol):
     """A controller that knows which feet are to stand (`swing_loaded_rear`)."""
@@ -63,6 +67,7 @@ class PlansContact(Protocol):
 
 
 @runtime_checkable
+@runtime_checkable
 class ChecksParameters(Protocol):
     """A controller that refuses parameters beyond the ranges of its quantities."""
 
@@ -70,6 +75,7 @@ class ChecksParameters(Protocol):
         """Raise `ParameterError` with one sentence. `params` are not traced, and may have leading batch axes."""
 
 
+@runtime_checkable
 @runtime_checkable
 class CompletesValues(Protocol):
     """A controller some of whose parameters follow others, unless both are named."""

@@ -7,9 +7,10 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control.pilot import Drive
+from nermo_mjx.shapes import Array, Count, Scalar
 
 State = TypeVar("State")
 
@@ -29,16 +30,16 @@ class ControllerState:
         spine: commanded spine servo angle, positive left [rad].
     """
 
-    tick: Int[Array, ""]
-    time: Float[Array, ""]
+    tick: Count
+    time: Scalar
     pilot: Any
     drive: Drive
     gait: Any
     foot: Float[Array, "4 2"]
-    spine: Float[Array, ""]
+    spine: Scalar
 
     @property
-    def phase(self) -> Float[Array, ""]:
+    def phase(self) -> Scalar:
         """Of the gait cycle, in [0, 1)."""
         return self.gait.phase
 
@@ -48,7 +49,7 @@ class ControllerState:
         return self.gait.stance
 
     @property
-    def turn_rate(self) -> Float[Array, ""]:
+    def turn_rate(self) -> Scalar:
         """In [-1, 1], positive left."""
         return self.drive.turn_rate
 

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control import clock, trajectory, turning
 from nermo_mjx.control.parameters import ControlParameters, choice
 from nermo_mjx.control.pilot import Drive
+from nermo_mjx.shapes import Array, Scalar
 
 
+@runtime_checkable
 class Stepped(Protocol):
     """What the controller reads of a gait's state, besides what is the gait's own."""
 
     @property
-    def phase(self) -> Float[Array, ""]:
+    def phase(self) -> Scalar:
         """Of the gait cycle, in [0, 1)."""
 
     @property
@@ -26,16 +28,17 @@ class Stepped(Protocol):
         """Planned contact of the limbs."""
 
 
+@runtime_checkable
 class GaitLike(Protocol):
     """A gait: pure functions over its parameters and a state of its own. Values are unbatched."""
 
-    def start(self, params: Any, phase: Float[Array, ""], drive: Drive) -> tuple[Any, Float[Array, "4 2"]]:
+    def start(self, params: Any, phase: Scalar, drive: Drive) -> tuple[Any, Float[Array, "4 2"]]:
         """State (see `Stepped`) in a steady gait at a phase, and the feet (y, z) in their legs' frames [m]."""
 
     def update(self, params: Any, state: Any, before: Drive, now: Drive, dt: float) -> tuple[Any, Float[Array, "4 2"]]:
         """State and feet `dt` simulated seconds later, driven as `before` until now and as `now` from here on."""
 
-    def walked(self, params: Any, state: Any, drive: Drive) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def walked(self, params: Any, state: Any, drive: Drive) -> tuple[Scalar, Scalar]:
         """(speed [m/s], yaw rate [rad/s]) without slip of the strides that the legs make now, in simulated time."""
 
 
@@ -51,7 +54,7 @@ class Steps:
             half-cycle starts at the end [m].
     """
 
-    phase: Float[Array, ""]
+    phase: Scalar
     stance: Bool[Array, " 4"]
     points: Float[Array, "4 3 2"]
 
@@ -72,9 +75,7 @@ class Stepping:
     def __post_init__(self) -> None:
         choice("trajectory", self.form, trajectory.FORMS)
 
-    def start(
-        self, params: ControlParameters, phase: Float[Array, ""], drive: Drive
-    ) -> tuple[Steps, Float[Array, "4 2"]]:
+    def start(self, params: ControlParameters, phase: Scalar, drive: Drive) -> tuple[Steps, Float[Array, "4 2"]]:
         """See `GaitLike`."""
         limbs = clock.limb_states(params.gait, phase)
         points = trajectory.nominal_points(params.stance, limbs.stance, _strides(params, drive))
@@ -89,9 +90,7 @@ class Stepping:
         points = _points(params, state, limbs, before, now, dt)
         return Steps(phase, limbs.stance, points), trajectory.position(points, limbs.progress, self.form)
 
-    def walked(
-        self, params: ControlParameters, state: Steps, drive: Drive
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def walked(self, params: ControlParameters, state: Steps, drive: Drive) -> tuple[Scalar, Scalar]:
         """See `GaitLike`."""
         speed, yaw_rate = turning.walked(params, state.points, state.stance, drive.turn_rate)
         return speed / params.tracking.clock_ratio, yaw_rate / params.tracking.clock_ratio

@@ -18,10 +18,11 @@ from collections.abc import Callable
 from typing import Final
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control.parameters import PUBLISHED_TRACKING, Stance, Tracking
 from nermo_mjx.control.power import signed_power
+from nermo_mjx.shapes import Array, Broadcastable, PlanarPerLimb, Scalars
 
 #: Weights of (nearer end, mid point, farther end) at u, for one coordinate.
 _Weights = tuple[Array, Array, Array]
@@ -56,7 +57,7 @@ FORMS: Final[dict[str, tuple[Callable[[Array], _Weights], Callable[[Array], _Wei
 }
 
 
-def weights(progress: Float[Array, "*batch"], form: str = "cubic") -> Float[Array, "*batch 3 2"]:
+def weights(progress: Scalars, form: str = "cubic") -> Float[Array, "*batch 3 2"]:
     """Weights of the three control points in y and z at `progress` in [0, 1]; they sum to 1."""
     first = progress < 0.5
     u = jnp.where(first, 2.0 * progress, 2.0 - 2.0 * progress)
@@ -69,13 +70,13 @@ def weights(progress: Float[Array, "*batch"], form: str = "cubic") -> Float[Arra
 
 
 def position(
-    points: Float[Array, "*batch 3 2"], progress: Float[Array, "*batch"], form: str = "cubic"
-) -> Float[Array, "*batch 2"]:
+    points: Float[Array, "*#batch 3 2"], progress: Broadcastable, form: str = "cubic"
+) -> Float[Array, "*#batch 2"]:
     """Foot position (y, z) on the path through `points` at `progress` [m]."""
     return jnp.sum(weights(progress, form) * points, axis=-2)
 
 
-def neutral_feet(stance: Stance) -> Float[Array, "*batch 4 2"]:
+def neutral_feet(stance: Stance) -> PlanarPerLimb:
     """Neutral positions of the feet in their leg's frame (Table A.7) [m]."""
     front = jnp.stack(jnp.broadcast_arrays(stance.front_y, stance.front_z), axis=-1)
     rear = jnp.stack(jnp.broadcast_arrays(stance.rear_y, stance.rear_z), axis=-1)
@@ -83,8 +84,11 @@ def neutral_feet(stance: Stance) -> Float[Array, "*batch 4 2"]:
 
 
 def plan(
-    stance: Stance, start: Float[Array, "*batch 4 2"], down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
-) -> Float[Array, "*batch 4 3 2"]:
+    stance: Stance,
+    start: Float[Array, "*#batch 4 2"],
+    down: Bool[Array, "*#batch 4"],
+    stride: Float[Array, "*#batch 4"],
+) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle.
 
     Args:
@@ -103,15 +107,15 @@ def plan(
 
 
 def nominal_points(
-    stance: Stance, down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
-) -> Float[Array, "*batch 4 3 2"]:
+    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"]
+) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle in a steady gait: each starts where the opposite half-cycle ends."""
     return plan(stance, end_points(stance, ~down, stride), down, stride)
 
 
 def end_points(
-    stance: Stance, down: Bool[Array, "*batch 4"], stride: Float[Array, "*batch 4"]
-) -> Float[Array, "*batch 4 2"]:
+    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"]
+) -> Float[Array, "*#batch 4 2"]:
     """Where a half-cycle ends: half a stride behind the neutral position in stance, and before it in swing [m]."""
     return neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
 
@@ -121,7 +125,7 @@ def _column(value: Array, axis: int) -> Array:
     return value[..., None] * jnp.asarray([1.0, 0.0] if axis == 0 else [0.0, 1.0], dtype=value.dtype)
 
 
-def share_closed(tracking: Tracking, dt: float) -> Float[Array, "*batch"]:
+def share_closed(tracking: Tracking, dt: float) -> Scalars:
     """Share of the foot error closed in one control tick; exactly 1 for `foot_gain` 1 (see `Tracking`).
 
     The published controller's velocity-space inverse kinematics closes `foot_gain` of the error per tick of 1/80 s of

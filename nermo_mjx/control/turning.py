@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control.parameters import ControlParameters, Gait, Stance, Turning
 from nermo_mjx.control.power import signed_power
@@ -19,6 +19,7 @@ from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.kinematics.spine import joint_angle, transform, yaw
 from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
+from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Planar, Scalar, Scalars
 
 #: Turn rate below which the turning curve is a straight line (see `signed_power`).
 CURVE_LINEAR_BELOW = 1e-3
@@ -29,12 +30,12 @@ STRAIGHT_BELOW = 1e-5
 _SIDE = tuple(1.0 if limb.endswith("left") else -1.0 for limb in LIMBS)
 
 
-def body_speed(gait: Gait, stride: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def body_speed(gait: Gait, stride: Scalars) -> Scalars:
     """Speed without slip, v = f * gait factor * stride (5.21, 5.22) [m/s of the controller's clock]."""
     return gait.frequency * gait.gait_factor * stride
 
 
-def stride_length(gait: Gait, stance: Stance, speed: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def stride_length(gait: Gait, stance: Stance, speed: Scalars) -> Scalars:
     """Stride for a commanded speed: (5.22) solved for the stride, saturated, times the normalised stride [m].
 
     Args:
@@ -46,13 +47,13 @@ def stride_length(gait: Gait, stance: Stance, speed: Float[Array, "*batch"]) -> 
     return jnp.clip(speed / per_stride, 0.0, stance.max_stride) * gait.stride
 
 
-def turning_curve(turn_rate: Float[Array, "*batch"], exponent: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def turning_curve(turn_rate: Broadcastable, exponent: Broadcastable) -> Broadcastable:
     """c(a) = sign(a)|a|^t of (5.38, 5.39). Errata: the sign is kept, and t = 0 means leg modulation off."""
     on = exponent > 0.0
     return jnp.where(on, signed_power(turn_rate, jnp.where(on, exponent, 1.0), CURVE_LINEAR_BELOW), 0.0)
 
 
-def stride_shares(turning: Turning, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch 4"]:
+def stride_shares(turning: Turning, turn_rate: Scalars) -> PerLimb:
     """alpha_left = min(1 - c, 1) and alpha_right = min(1 + c, 1) for the four legs (5.38, 5.39).
 
     Full input stops the inner legs' stride. Everywhere in [0, 1].
@@ -61,22 +62,18 @@ def stride_shares(turning: Turning, turn_rate: Float[Array, "*batch"]) -> Float[
     return jnp.minimum(1.0 - jnp.asarray(_SIDE, dtype=curve.dtype) * curve[..., None], 1.0)
 
 
-def spine_share(turning: Turning, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def spine_share(turning: Turning, turn_rate: Scalars) -> Scalars:
     """alpha_tr of (5.45), the part of the turn rate that the spine takes, in [-1, 1]."""
     return jnp.clip(turn_rate * turning.spine, -1.0, 1.0)
 
 
-def leg_curvature(
-    stride: Float[Array, "*batch"], share_difference: Float[Array, "*batch"], diagonal: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def leg_curvature(stride: Scalars, share_difference: Scalars, diagonal: Scalars) -> Scalars:
     """1/r of `leg_radius` with the sign of `share_difference` [1/m], alpha_right - alpha_left; positive left."""
     half = 0.5 * stride * share_difference / diagonal
     return share_difference / diagonal * jnp.sinc(half / jnp.pi)
 
 
-def leg_radius(
-    stride: Float[Array, "*batch"], share_difference: Float[Array, "*batch"], diagonal: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def leg_radius(stride: Broadcastable, share_difference: Broadcastable, diagonal: Broadcastable) -> Broadcastable:
     """Radius of leg-based turning without slip (5.40-5.42) [m]; infinite when both sides step alike.
 
     r = l_s sin((pi - th)/2) / sin(th) with th = l_s |alpha_left - alpha_right| / d_diag. It equals
@@ -93,8 +90,8 @@ def leg_radius(
 
 
 def spine_radius(
-    theta_v: Float[Array, "*batch"], to_joint: Float[Array, "*batch"], from_joint: Float[Array, "*batch"]
-) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+    theta_v: Broadcastable, to_joint: Broadcastable, from_joint: Broadcastable
+) -> tuple[Broadcastable, Broadcastable]:
     """Radii of spine-based turning without slip, from the shoulder axis (5.43) and the hip axis (5.44) [m].
 
     r_shoulder = l_sp2/th + l_sp1/tan(th) and r_hip = l_sp2/th + l_sp1/sin(th), with th = 4 theta_v as published; the
@@ -112,7 +109,7 @@ def spine_radius(
     return bend + to_joint / jnp.tan(turn), bend + to_joint / jnp.sin(turn)
 
 
-def foot_diagonals(stance: Stance, theta_v: Float[Array, "*batch"]) -> Float[Array, "*batch 2"]:
+def foot_diagonals(stance: Stance, theta_v: Scalars) -> Planar:
     """d_diag(theta_v): horizontal distance between the neutral feet of the pairs FL-RR and FR-RL [m].
 
     Measured between the feet, which gives the published 0.151 m of leg-based turning; between the axes of shoulder and
@@ -123,9 +120,7 @@ def foot_diagonals(stance: Stance, theta_v: Float[Array, "*batch"]) -> Float[Arr
     return jnp.linalg.norm(feet[..., :2, :] - feet[..., 3:1:-1, :], axis=-1)
 
 
-def smallest_radius(
-    stride: Float[Array, "*batch"], stance: Stance, theta_v: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def smallest_radius(stride: Scalars, stance: Stance, theta_v: Scalars) -> Scalars:
     """Radius of theory at full lock, leg-based at theta_v = 0 and mix-based otherwise (5.40-5.42) [m].
 
     The mix-based robot turns about the pair that the bent spine has brought together, the shorter diagonal.
@@ -133,7 +128,7 @@ def smallest_radius(
     return leg_radius(stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v), axis=-1))
 
 
-def path_curvature(params: ControlParameters, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
     """Curvature to expect of the path walked at a turn rate [1/m], at the gait's commanded speed; positive left.
 
     The legs' part is less than (5.40-5.42) say: two feet on the ground at different speeds can turn the body only by
@@ -150,8 +145,8 @@ def walked(
     params: ControlParameters,
     points: Float[Array, "4 3 2"],
     stance: Bool[Array, " 4"],
-    turn_rate: Float[Array, ""],
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    turn_rate: Scalar,
+) -> tuple[Scalar, Scalar]:
     """(speed [m/s], yaw rate [rad/s, positive left]) to expect of the strides that the legs make now.
 
     As `path_curvature`, but from what the legs have taken up of the turn rates before: a leg takes up its new stride
@@ -176,7 +171,7 @@ def walked(
     return speed, (right - left) * feet.across * per_stride + speed * _spine_part(params, feet, turn_rate)
 
 
-def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def turn_rate_for(params: ControlParameters, curvature: Scalars) -> Scalars:
     """Turn rate in [-1, 1] whose `path_curvature` is the one given [1/m]; full lock where that is out of reach.
 
     The curvature rises with the turn rate and is odd, so its size is found in [0, 1] and given the sign.
@@ -202,8 +197,8 @@ def turn_rate_for(params: ControlParameters, curvature: Float[Array, "*batch"]) 
 class _TwoFeet(NamedTuple):
     """(w, L) / d_diag^2 of the neutral feet of a diagonal, w apart across the body and L along it [1/m]."""
 
-    across: Float[Array, "*batch"]
-    along: Float[Array, "*batch"]
+    across: Scalars
+    along: Scalars
 
 
 def _turn_of_two_feet(stance: Stance) -> _TwoFeet:
@@ -213,22 +208,18 @@ def _turn_of_two_feet(stance: Stance) -> _TwoFeet:
     return _TwoFeet(turn[..., 0], turn[..., 1])
 
 
-def _path_curvature(
-    params: ControlParameters, feet: _TwoFeet, turn_rate: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def _path_curvature(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalars) -> Scalars:
     shares = stride_shares(params.turning, turn_rate)
     legs = (shares[..., 1] - shares[..., 0]) * feet.across / jnp.mean(shares, axis=-1)
     return legs + _spine_part(params, feet, turn_rate)
 
 
-def _spine_part(params: ControlParameters, feet: _TwoFeet, turn_rate: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def _spine_part(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalars) -> Scalars:
     """The spine's part of `path_curvature` [1/m]."""
     return feet.along * yaw(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
 
 
-def _turn_rate_of_legs(
-    params: ControlParameters, feet: _TwoFeet, curvature: Float[Array, "*batch"]
-) -> Float[Array, "*batch"]:
+def _turn_rate_of_legs(params: ControlParameters, feet: _TwoFeet, curvature: Scalars) -> Scalars:
     """Turn rate for a curvature >= 0 [1/m] without the spine, the turning curve not made linear near 0; at most 1.
 
     With c = a^t the shares are 1 - c and 1, so that the curvature is k c / (1 - c / 2).

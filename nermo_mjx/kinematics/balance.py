@@ -10,12 +10,12 @@ from typing import Final
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.kinematics.body import centre_of_mass, feet_positions
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.shapes import Array, Scalars, TruthPerLimb
 
 #: No leg is as long as this [m]; feet farther out are drawn in, so that all that follows is finite.
 _FARTHEST: Final = 1.0
@@ -23,7 +23,7 @@ _FARTHEST: Final = 1.0
 _COINCIDENT: Final = 1e-6
 
 
-def diagonal_distance(point: ArrayLike, front_foot: ArrayLike, rear_foot: ArrayLike) -> Float[Array, "*batch"]:
+def diagonal_distance(point: ArrayLike, front_foot: ArrayLike, rear_foot: ArrayLike) -> Scalars:
     """Signed distance [m] of a point from the line through two feet (5.35), all of shape (..., 2) = (x, y).
 
     d = (a x + b y + c) / sqrt(a^2 + b^2), a = f_y - r_y, b = r_x - f_x, c = f_x r_y - f_y r_x. Positive means right of
@@ -45,7 +45,7 @@ def balance_angle(
     stance: ArrayLike,
     lift: ArrayLike = 0.0,
     limit: ArrayLike = SPINE.max_joint_angle,
-) -> Float[Array, "*batch"]:
+) -> Scalars:
     """Spine joint angle theta_v [rad], within +-limit, that balances the robot on its stance feet.
 
     With one front and one rear foot on the ground, d = 0 on their line. With three, d = lift on the diagonal that
@@ -82,7 +82,7 @@ def balance_angle(
     return jnp.where(supported, angle, 0.0)
 
 
-def _support(stance: Bool[Array, "*batch 4"]) -> tuple[Array, Array, Array, Array]:
+def _support(stance: TruthPerLimb) -> tuple[Array, Array, Array, Array]:
     """Masks (..., 4) of the front foot, the rear foot and the third foot that decide, and whether there is a line.
 
     Two feet in stance at the same end of the body leave the choice to the other end, whose single foot picks the one

@@ -10,11 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.kinematics import spine
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import BODY
+from nermo_mjx.shapes import Array, Planar, Scalars, Spatial
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
 _SHOULDERS = _MIRROR * BODY.shoulder
@@ -48,7 +49,7 @@ def feet_positions(theta_v: ArrayLike, feet: ArrayLike) -> Float[Array, "*batch 
     return jnp.concatenate([front, rear], axis=-2)
 
 
-def hip_height_offset(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
+def hip_height_offset(theta_v: ArrayLike) -> Planar:
     """How much higher each hip is than with a straight spine (5.31).
 
     The published code's function returns the hip's rise, which is subtracted from the height of the rear foot: a foot
@@ -57,7 +58,7 @@ def hip_height_offset(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
     return hips(theta_v)[..., 2] - hips(0.0)[..., 2]
 
 
-def diagonals(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
+def diagonals(theta_v: ArrayLike) -> Planar:
     """Distance from shoulder to opposite hip, front left to rear right and front right to rear left (5.32).
 
     Monotonic over the usable range: bending left extends the first and compresses the second.
@@ -65,7 +66,7 @@ def diagonals(theta_v: ArrayLike) -> Float[Array, "*batch 2"]:
     return jnp.linalg.norm(hips(theta_v)[..., ::-1, :] - shoulders(), axis=-1)
 
 
-def stride_gain(theta_v: ArrayLike) -> Float[Array, "*batch"]:
+def stride_gain(theta_v: ArrayLike) -> Scalars:
     """What swinging the spine between -theta_v and theta_v adds to a stride [m] (5.33): 0.015 m at 0.1 rad a joint.
 
     Seen from the heading, which bisects the bend, torso and hip yaw by half the bend, in opposite senses. While a
@@ -80,7 +81,7 @@ def stride_gain(theta_v: ArrayLike) -> Float[Array, "*batch"]:
     return (BODY.shoulder[0] + jnp.hypot(across, along)) * jnp.sin(bend / 2)
 
 
-def centre_of_mass(masses: MassModel, theta_v: ArrayLike) -> Float[Array, "*batch 3"]:
+def centre_of_mass(masses: MassModel, theta_v: ArrayLike) -> Spatial:
     """Centre of mass of front and rear, joined by a massless spine (5.34). Leaves of `masses` may be batched."""
     masses = jax.tree.map(_constant, masses)
     front_mass, rear_mass = masses.front_mass[..., None], masses.rear_mass[..., None]

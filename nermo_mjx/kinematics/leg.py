@@ -22,11 +22,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.kinematics.tendon import arm_range, check_routing, knee_range, pull, shank
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, LegGeometry
+from nermo_mjx.shapes import Array, Planar, Scalars
 
 #: How far outside its range a foot or tendon may be and still count as reached: rounding in float32 [m].
 REACH_TOLERANCE: Final = 1e-6
@@ -60,17 +61,17 @@ class Leg:
 class LegPoints(NamedTuple):
     """Points of a leg, (y, z) from O [m]: knee A, tendon attachment B, ankle, foot H."""
 
-    knee: Float[Array, "*batch 2"]
-    attachment: Float[Array, "*batch 2"]
-    ankle: Float[Array, "*batch 2"]
-    foot: Float[Array, "*batch 2"]
+    knee: Planar
+    attachment: Planar
+    ankle: Planar
+    foot: Planar
 
 
 class LegPose(NamedTuple):
     """Where servo angles put a leg: foot (y, z) [m], knee angle theta_1 [rad], whether the tendon allows it."""
 
-    foot: Float[Array, "*batch 2"]
-    knee_angle: Float[Array, "*batch"]
+    foot: Planar
+    knee_angle: Scalars
     reachable: Bool[Array, "*batch"]
 
 
@@ -78,9 +79,9 @@ class LegSolution(NamedTuple):
     """How to reach a foot: servo (q1, q2) and knee angle [rad], the reachable foot nearest to it [m], and whether that
     is the foot that was asked for."""
 
-    servo: Float[Array, "*batch 2"]
-    knee_angle: Float[Array, "*batch"]
-    foot: Float[Array, "*batch 2"]
+    servo: Planar
+    knee_angle: Scalars
+    foot: Planar
     reachable: Bool[Array, "*batch"]
 
 
@@ -109,7 +110,7 @@ def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.
     return LegPoints(knee, knee + _polar(leg.l2, shin), ankle_point, foot)
 
 
-def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Float[Array, "*batch"]:
+def knee_servo(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Scalars:
     """Knee servo angle q2 [rad] whose taut tendon holds the knee at theta_1: l_t = l_t0 + r_p (theta_2 + k q2)."""
     leg = _arrays(leg)
     length = pull(leg, _angle(q1), _angle(knee_angle), routing)
@@ -187,6 +188,6 @@ def _angle(angle: ArrayLike) -> Array:
     return jnp.clip(jnp.asarray(angle), -_LARGEST_ANGLE, _LARGEST_ANGLE)
 
 
-def _polar(length: Array | np.ndarray, angle: Array) -> Float[Array, "*batch 2"]:
+def _polar(length: Array | np.ndarray, angle: Array) -> Planar:
     """length u(angle), with u(a) = (sin a, -cos a)."""
     return jnp.stack([length * jnp.sin(angle), -length * jnp.cos(angle)], axis=-1)

@@ -8,7 +8,8 @@ from typing import Final, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+
+from nermo_mjx.shapes import Array, Scalars
 
 #: Most steps: ten reach rounding everywhere in the workspace, in double precision; the rest is in reserve.
 STEPS: Final = 14
@@ -30,7 +31,7 @@ def bracketed_root(
     high: ArrayLike,
     slope_floor: float,
     start: ArrayLike | None = None,
-) -> Float[Array, "*batch"]:
+) -> Scalars:
     """The x in [low, high] with residual(x) = 0, element by element.
 
     Args:

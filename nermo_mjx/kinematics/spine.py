@@ -13,10 +13,11 @@ from typing import Final
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.robot.parameters import SPINE, SpineGeometry
+from nermo_mjx.shapes import Array, Scalars
 
 #: Angles saturate here, so that the sine of any float is finite [rad].
 _LARGEST_ANGLE: Final = 1e6
@@ -56,7 +57,7 @@ def transform(
     return _matmul(pose, jnp.asarray(fixed, dtype))
 
 
-def yaw(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array, "*batch"]:
+def yaw(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
     """How far the torso is turned against the hip, seen from above [rad]; positive to the left.
 
     The lateral joints' axes are tilted by up to 25 degrees, so that four joints turn it by 3.81 theta_v, and not by the
@@ -80,7 +81,7 @@ def max_joint_angle(spine: SpineGeometry = SPINE) -> float:
     return 2 * math.atan(spine.segment_length / (2 * spine.segment_offset))
 
 
-def joint_angle(servo: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array, "*batch"]:
+def joint_angle(servo: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
     """Angle theta_v [rad] of each lateral joint at a spine servo angle [rad], (5.26)-(5.29).
 
     The published form, theta_v = 2 alpha_v - pi + arccos(1 - l^2 / (2 R^2)) with l = l_v + r_sp q / 4, holds for the
@@ -95,7 +96,7 @@ def joint_angle(servo: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array, 
     return sign * (2 * jnp.arcsin(segment / (2 * radius)) - straight)
 
 
-def servo_angle(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array, "*batch"]:
+def servo_angle(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
     """Spine servo angle [rad] that bends each lateral joint by theta_v [rad]: closed form of (5.30), see `joint_angle`.
 
     l = 2 R sin((theta_v + pi - 2 alpha_v) / 2) and q_sp = 4 (l - l_v) / r_sp. Saturates at `max_joint_angle`.
@@ -105,7 +106,7 @@ def servo_angle(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array
     return sign * _servo_magnitude(jnp.minimum(size, max_joint_angle(spine)), spine)
 
 
-def angle_for_displacement(displacement: ArrayLike, spine: SpineGeometry = SPINE) -> Float[Array, "*batch"]:
+def angle_for_displacement(displacement: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
     """Joint angle theta_v [rad] that moves the spine end sideways by `displacement` [m], positive to the left.
 
     Inverts x of `transform`, which rises with theta_v over the whole range; saturates at `max_joint_angle`.

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Final
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
 
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Array, Scalars
 
 if TYPE_CHECKING:
     from nermo_mjx.kinematics.leg import Leg
@@ -34,7 +34,7 @@ def check_routing(routing: str) -> None:
         raise ParameterError(f"routing is {routing!r}: allowed is one of {', '.join(ROUTINGS)}.")
 
 
-def pull(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Float[Array, "*batch"]:
+def pull(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Scalars:
     """Tendon length less its wrap on the pulley, l_t - r_p theta_2 [m]; it falls as the knee flexes.
 
     Type 3 leads through the hip axis: |OB|, whatever q1. Type 2 leads through the guide point: |CB|. Both have

@@ -16,6 +16,18 @@ KEPT: Final = "solution"
 #: the robot (a megabyte over some kilobytes).
 _RESULTS_OVER_CARRY: Final = 256
 
+#: What only moves numbers about: the backward run does it again rather than keep its results. Gathers made half of all
+#: that was kept of a step of the robot.
+_MOVES: Final = frozenset(
+    {"broadcast_in_dim", "concatenate", "convert_element_type", "dynamic_slice", "gather", "iota", "neg", "pad",
+     "reshape", "rev", "select_n", "slice", "split", "squeeze", "transpose"}
+)  # fmt: skip
+
+
+def keeping_little(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function; its reverse mode keeps what was computed on the way, and not what was only moved about."""
+    return jax.checkpoint(function, policy=lambda primitive, *_, **__: primitive.name not in _MOVES, prevent_cse=False)
+
 
 def checkpointed_scan(body: Callable[[Any], tuple[Any, Any]], carry: Any, length: int) -> tuple[Any, Any]:
     """Apply `body` at least `length` times; in reverse mode memory grows with the square root of `length`.

@@ -16,18 +16,19 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
 from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.shapes import Array, Dofs, Efc
 
 
-def gradient(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, " nv"]:
+def gradient(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
     """g(a), zero at the solution."""
     force = forces(layout, problem, residual(problem, qacc))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
-def hessian(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, "nv nv"]:
+def hessian(layout: Layout, problem: Problem, qacc: Dofs) -> Float[Array, "nv nv"]:
     """dg/da = M - J^T f'(r) J, positive definite and, up to rounding, symmetric."""
     jacobian, at = problem.jacobian, residual(problem, qacc)
     springs, _ = _simple(layout, problem, at)
@@ -42,12 +43,12 @@ def hessian(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> Floa
     return problem.inertia + jacobian.T @ jnp.concatenate(parts)
 
 
-def residual(problem: Problem, qacc: Float[Array, " nv"]) -> Float[Array, " nefc"]:
+def residual(problem: Problem, qacc: Dofs) -> Efc:
     """r = J a - aref."""
     return problem.jacobian @ qacc - problem.aref
 
 
-def forces(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> Float[Array, " nefc"]:
+def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
     """Constraint force f of each row at the residual r.
 
     Equalities are two-sided springs, f = -D r. Dry friction is a spring that yields at +-frictionloss. Limits,
@@ -62,7 +63,7 @@ def forces(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) ->
     return jnp.concatenate(parts)
 
 
-def zones(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> Int[Array, " zones"]:
+def zones(layout: Layout, problem: Problem, residual: Efc) -> Int[Array, " zones"]:
     """In which of its linear or smooth pieces the force of each row, or of each contact with a cone, is."""
     springs, _ = _simple(layout, problem, residual)
     parts = [springs[: _first_cone(layout, residual)].astype(int)]
@@ -72,7 +73,7 @@ def zones(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> 
     return jnp.concatenate(parts)
 
 
-def _simple(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -> tuple[Array, Array]:
+def _simple(layout: Layout, problem: Problem, residual: Efc) -> tuple[Array, Array]:
     """Whether each row, were it none of a cone's, is a spring; and the force it keeps to in both directions if not."""
     row = np.arange(residual.shape[0])
     dry = (row >= layout.equality) & (row < layout.equality + layout.frictionloss)
@@ -82,13 +83,11 @@ def _simple(layout: Layout, problem: Problem, residual: Float[Array, " nefc"]) -
     return jnp.where(row < layout.equality + layout.frictionloss, holds, residual < 0.0), loss
 
 
-def _first_cone(layout: Layout, residual: Float[Array, " nefc"]) -> int:
+def _first_cone(layout: Layout, residual: Efc) -> int:
     return residual.shape[0] - sum(dim * count for dim, count in layout.cones)
 
 
-def _contacts(
-    layout: Layout, problem: Problem, residual: Float[Array, " nefc"]
-) -> Iterator[tuple[int, int, Array, Array, Array]]:
+def _contacts(layout: Layout, problem: Problem, residual: Efc) -> Iterator[tuple[int, int, Array, Array, Array]]:
     """(first row, dim, r, D, scale) of the contacts with cones of one dimension; the arrays are (count, dim)."""
     first, contact = _first_cone(layout, residual), 0
     for dim, count in layout.cones:

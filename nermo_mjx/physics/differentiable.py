@@ -22,7 +22,6 @@ from typing import Any
 import jax
 from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Float
 
 from nermo_mjx.physics import constraint, rows, solver, stages
 from nermo_mjx.physics.checkpointing import KEPT
@@ -30,6 +29,7 @@ from nermo_mjx.physics.integration import integrate
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.shapes import Array, Dofs
 
 
 @full_precision
@@ -80,7 +80,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _solution(layout: Layout, qacc: Float[Array, " nv"], problem: Problem) -> Float[Array, " nv"]:
+def _solution(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:
     """The solution `qacc` of a problem, as it is; its derivative is that of the problem's solution."""
     return qacc
 
@@ -94,7 +94,7 @@ def _(layout: Layout, primals: Any, tangents: Any) -> tuple[Array, Array]:
     return qacc, -cho_solve(cho_factor(constraint.hessian(layout, problem, qacc)), residual)
 
 
-def _newton(layout: Layout, qacc: Float[Array, " nv"], problem: Problem) -> Float[Array, " nv"]:
+def _newton(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:
     """One step of Newton's method from `qacc`."""
     factor = cho_factor(constraint.hessian(layout, problem, qacc))
     return qacc - cho_solve(factor, constraint.gradient(layout, problem, qacc))

@@ -9,7 +9,7 @@ called between ticks (`c`).
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax
 import numpy as np
@@ -20,6 +20,7 @@ from nermo_mjx.robot import ParameterError, Robot
 ENGINES = ("auto", "c", "mjx", "warp")
 
 
+@runtime_checkable
 class Loop(Protocol):
     """What runs between two ticks of physics, in one world; pure, jittable functions over pytrees."""
 
@@ -50,6 +51,7 @@ class Trace:
     sensordata: np.ndarray
 
 
+@runtime_checkable
 class Session(Protocol):
     """A batch of worlds in motion."""
 
@@ -71,6 +73,7 @@ class Session(Protocol):
         """Nothing more is wanted of the worlds in the mask (n,): their physics may stand still from now on."""
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Opens sessions for one robot and one loop; programs compiled for it are shared by its sessions."""
 

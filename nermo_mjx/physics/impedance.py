@@ -13,11 +13,12 @@ from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 from mujoco import mjMAXIMP, mjMINIMP
 
 from nermo_mjx.physics import rows
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.shapes import Array, Scalar
 
 #: Impedances of rows other than contacts; no derivative flows to them.
 OTHERS: Final = ("jnt_solimp", "dof_solimp", "tendon_solimp_lim", "tendon_solimp_fri", "eq_solimp")
@@ -70,7 +71,7 @@ def _(primals: Any, tangents: Any) -> Any:
 
 
 def reference(
-    solref: Float[Array, " 2"], solimp: Float[Array, " 5"], distance: Float[Array, ""], shortest: Float[Array, ""]
+    solref: Float[Array, " 2"], solimp: Float[Array, " 5"], distance: Scalar, shortest: Scalar
 ) -> tuple[Array, Array, Array]:
     """(k, b, imp): stiffness [1/s^2] and damping [1/s] of the reference acceleration, and the impedance.
 

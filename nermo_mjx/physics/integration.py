@@ -13,10 +13,11 @@ from typing import Final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.physics.linear import solve_definite
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.shapes import Array, Dofs
 
 #: Nodes a and weights b of the classical Runge-Kutta method of fourth order.
 _RK4_NODES: Final = (0.5, 0.5, 1.0)
@@ -45,7 +46,7 @@ def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
     return after.replace(qpos=positions(model, data.qpos, model.opt.timestep * after.qvel))
 
 
-def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Float[Array, " nv"]:
+def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Dofs:
     """Acceleration of Euler's method, implicit in the joints' damping B: (M + h B) a = q + J^T f."""
     if model.opt.disableflags & mjx.DisableBit.EULERDAMP:
         qacc: Array = data.qacc
@@ -79,7 +80,7 @@ def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Dat
     return after.replace(qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration)
 
 
-def positions(model: mjx.Model, qpos: Float[Array, " nq"], change: Float[Array, " nv"]) -> Float[Array, " nq"]:
+def positions(model: mjx.Model, qpos: Float[Array, " nq"], change: Dofs) -> Float[Array, " nq"]:
     """`qpos` after a change in the tangent space, a velocity times a time."""
     parts = []
     for kind, q, v in zip(np.asarray(model.jnt_type), model.jnt_qposadr, model.jnt_dofadr, strict=True):

@@ -13,12 +13,13 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 from mujoco.mjx._src import support
 
 from nermo_mjx.physics import spatial
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.tree import tree_of
+from nermo_mjx.shapes import Array, Count
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -27,7 +28,7 @@ _TRACING: Final = threading.RLock()
 
 
 def point_jacobian(
-    model: mjx.Model, data: mjx.Data, point: Float[Array, " 3"], body: Int[Array, ""] | int
+    model: mjx.Model, data: mjx.Data, point: Float[Array, " 3"], body: Count | int
 ) -> tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]:
     """As `mjx.jac`: how a point on a body moves, and how the body turns, with each velocity."""
     moves = jnp.asarray(tree_of(model).moves, point.dtype)[body][:, None]

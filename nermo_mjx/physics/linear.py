@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 import jax
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from nermo_mjx.shapes import Array
 
 
 def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> Float[Array, " n"]:

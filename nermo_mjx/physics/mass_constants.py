@@ -10,7 +10,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from nermo_mjx.shapes import Array
 
 #: Joint types whose degrees of freedom share one inverse weight, in groups of three.
 _GROUPED = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL): 1}

@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Bool, Float
 from mujoco.batch import Batch
 
 from nermo_mjx.physics import differentiable, rows
+from nermo_mjx.physics.checkpointing import keeping_little
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.mjx_import import mjx
@@ -27,15 +28,16 @@ from nermo_mjx.physics.solver import ROUNDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options
+from nermo_mjx.shapes import Array, Count, Dofs, Truth
 
 
 class MjxState(NamedTuple):
     """What the physics carries from step to step in one world."""
 
     qpos: Float[Array, " nq"]
-    qvel: Float[Array, " nv"]
+    qvel: Dofs
     act: Float[Array, " na"]
-    qacc_warmstart: Float[Array, " nv"]
+    qacc_warmstart: Dofs
 
 
 class Carry(NamedTuple):
@@ -51,7 +53,7 @@ class Carry(NamedTuple):
     physics: MjxState
     loop: Any
     sensordata: Float[Array, "steps n"]
-    unsolved: Int[Array, ""]
+    unsolved: Count
 
 
 class MjxEngine:
@@ -93,7 +95,7 @@ class MjxEngine:
         """One step of physics in one world."""
         return differentiable.step(model, data)
 
-    def is_unsolved(self, data: mjx.Data) -> Bool[Array, ""]:
+    def is_unsolved(self, data: mjx.Data) -> Truth:
         """Whether the constraint solver did not come to its end in the step that gave the data."""
         return rows.solver_rounds(data) > ROUNDS
 
@@ -148,7 +150,7 @@ class MjxEngine:
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), found
 
         def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
-            after: tuple[MjxState, tuple[Array, Array]] = each(advanced)(fields, ctrl, state)
+            after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(fields, ctrl, state)
             return after
 
         steps = self.loop.steps_per_tick

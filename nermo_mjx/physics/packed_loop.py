@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.physics.engine import Loop
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.runtime import compiler_options
+from nermo_mjx.shapes import Array
 
 
 class PackedLoop:

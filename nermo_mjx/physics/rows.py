@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.shapes import Array, Dofs, Efc
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,11 +47,11 @@ class Problem(NamedTuple):
     """
 
     inertia: Float[Array, "nv nv"]
-    smooth: Float[Array, " nv"]
+    smooth: Dofs
     jacobian: Float[Array, "nefc nv"]
-    aref: Float[Array, " nefc"]
-    stiffness: Float[Array, " nefc"]
-    frictionloss: Float[Array, " nefc"]
+    aref: Efc
+    stiffness: Efc
+    frictionloss: Efc
     cone: Float[Array, "ncone 6"]
 
 

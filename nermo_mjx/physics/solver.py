@@ -15,10 +15,11 @@ from typing import Final, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Float
 
 from nermo_mjx.physics import constraint
 from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
 #: Most rounds. Walks, falls and impacts need 3.5 in the mean and 10 at most; at the ends of the contacts'
 #: ranges 1 to 3 states in 1,000 need more than 20.
@@ -42,18 +43,18 @@ class Solution(NamedTuple):
         rounds: how many were made.
     """
 
-    qacc: Float[Array, " nv"]
-    converged: Bool[Array, ""]
-    small: Bool[Array, ""]
-    rounds: Int[Array, ""]
+    qacc: Dofs
+    converged: Truth
+    small: Truth
+    rounds: Count
 
     @property
-    def needed(self) -> Int[Array, ""]:
+    def needed(self) -> Count:
         """Rounds that were needed; `ROUNDS` + 1 where it has not converged."""
         return jnp.where(self.converged, self.rounds, ROUNDS + 1)
 
 
-def solve(layout: Layout, problem: Problem, start: Float[Array, " nv"]) -> Solution:
+def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
     """The acceleration at which the gradient of the problem vanishes.
 
     Args:
@@ -80,7 +81,7 @@ def solve(layout: Layout, problem: Problem, start: Float[Array, " nv"]) -> Solut
     return found
 
 
-def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple[Array, Array, Array]:
+def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, Array]:
     """The next acceleration, whether the step to it was small, and whether all rows kept their zones along it."""
     factor = cho_factor(constraint.hessian(layout, problem, qacc))
     gradient = constraint.gradient(layout, problem, qacc)
@@ -104,7 +105,7 @@ def _round(layout: Layout, problem: Problem, qacc: Float[Array, " nv"]) -> tuple
     return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
 
 
-def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Float[Array, ""]:
+def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Scalar:
     """Where a rising function is about zero: on the chord over the change of its sign.
 
     Args:

@@ -10,7 +10,9 @@ from typing import Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from nermo_mjx.shapes import Array
 
 Vector = Float[Array, "*#n 3"]
 Quaternion = Float[Array, "*#n 4"]

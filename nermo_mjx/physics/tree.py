@@ -13,10 +13,11 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.physics import rows, spatial
 from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.shapes import Array
 
 FREE, BALL, SLIDE, HINGE = (mjx.JointType[name] for name in ("FREE", "BALL", "SLIDE", "HINGE"))
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.physics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
@@ -22,6 +22,7 @@ from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.runtime import start_jax
+from nermo_mjx.shapes import Array
 
 #: Model fields that each group of body parameters reaches.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {

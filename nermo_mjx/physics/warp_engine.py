@@ -16,12 +16,13 @@ import mujoco
 import numpy as np
 from jax.extend import backend
 from jax.extend.core import ClosedJaxpr
-from jaxtyping import Array, Bool
+from jaxtyping import Bool
 
 from nermo_mjx.physics import rows
 from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.shapes import Truth
 
 
 def obstacle() -> str | None:
@@ -74,7 +75,7 @@ class WarpEngine(MjxEngine):
         """All of them: Warp's model is a program that computes every sensor."""
         return np.full(self.model.nsensordata, True)
 
-    def is_unsolved(self, data: mjx.Data) -> Bool[Array, ""]:
+    def is_unsolved(self, data: mjx.Data) -> Truth:
         """See `MjxEngine.is_unsolved`; Warp's own solver does not say."""
         return jnp.zeros((), bool)
 

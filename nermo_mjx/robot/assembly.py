@@ -60,7 +60,7 @@ class RobotConfig:
         routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`.
         cone: of the friction, `elliptic` or `pyramidal`.
         physics: `reference` or `fast`, see `PRESETS`.
-        timestep: of the physics [s]; None is the preset's, and what is given wins over it.
+        timestep: of the physics [s]; by default the preset's, and what is given wins over it.
     """
 
     robot: str = "nermo_lite"
@@ -69,7 +69,7 @@ class RobotConfig:
     routing: str = "type3"
     cone: str = "elliptic"
     physics: str = "reference"
-    timestep: float = None  # type: ignore[assignment]  # a number once it is made
+    timestep: float = PresetTimestep("nan")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
@@ -84,7 +84,7 @@ class RobotConfig:
                 raise ParameterError(
                     f"{field} is {getattr(self, field)!r}: allowed is {' or '.join(map(repr, allowed))}."
                 )
-        if self.timestep is None or isinstance(self.timestep, PresetTimestep):
+        if isinstance(self.timestep, PresetTimestep):
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
         if not 1e-5 <= self.timestep <= 0.004:
             raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.004] s.")

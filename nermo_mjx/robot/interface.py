@@ -7,9 +7,10 @@ from typing import Final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.shapes import Array, PerLimb, Quaternion, Scalars, Spatial
 
 #: Actuators of the robot in the order of `ctrl`; the tail servo exists only with the articulated tail.
 SERVOS: Final = (*(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail")
@@ -47,11 +48,11 @@ class ServoAngles:
         tail: positive bends the tail's tip to the left.
     """
 
-    hip: Float[Array, "*batch 4"]
-    knee: Float[Array, "*batch 4"]
-    spine: Float[Array, "*batch"]
-    neck: Float[Array, "*batch"]
-    tail: Float[Array, "*batch"]
+    hip: PerLimb
+    knee: PerLimb
+    spine: Scalars
+    neck: Scalars
+    tail: Scalars
 
     def vector(self, n_servos: int) -> Float[Array, "*batch n"]:
         """The `ctrl` vector of a model with `n_servos` actuators, in the order of `SERVOS`."""
@@ -77,16 +78,16 @@ class Sensors:
         tail_force: normal contact force of the tail on the ground [N].
     """
 
-    position: Float[Array, "*batch 3"]
-    orientation: Float[Array, "*batch 4"]
-    linear_velocity: Float[Array, "*batch 3"]
-    gyro: Float[Array, "*batch 3"]
-    accelerometer: Float[Array, "*batch 3"]
+    position: Spatial
+    orientation: Quaternion
+    linear_velocity: Spatial
+    gyro: Spatial
+    accelerometer: Spatial
     servo_angle: Float[Array, "*batch n"]
     servo_velocity: Float[Array, "*batch n"]
     servo_torque: Float[Array, "*batch n"]
-    knee_angle: Float[Array, "*batch 4"]
-    foot_force: Float[Array, "*batch 4"]
+    knee_angle: PerLimb
+    foot_force: PerLimb
     foot_position: Float[Array, "*batch 4 3"]
     foot_velocity: Float[Array, "*batch 4 3"]
-    tail_force: Float[Array, "*batch"]
+    tail_force: Scalars

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble
 from nermo_mjx.robot.interface import Sensors
@@ -23,6 +23,7 @@ from nermo_mjx.robot.physical import physical_model
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.scene import Scene, scene_geoms, scene_name
 from nermo_mjx.robot.terrain import Terrain
+from nermo_mjx.shapes import Array
 
 
 @dataclasses.dataclass(frozen=True)

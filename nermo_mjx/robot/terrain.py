@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
 
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Array, Scalars
 
 #: Cosine of the steepest plane that counts as ground.
 _STEEPEST: Final = 0.1
@@ -34,7 +34,7 @@ class Terrain:
         #: Height beside all of it: there a robot falls, and has fallen where it is lower.
         self._bottom = min(surface.bottom for surface in self._surfaces)
 
-    def height(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
+    def height(self, x: ArrayLike, y: ArrayLike) -> Scalars:
         """Height [m] of the highest ground at (x, y) [m], which broadcast; beside all of it, of its lowest point."""
         x, y = jnp.asarray(x), jnp.asarray(y)
         heights = [surface.height(x, y) for surface in self._surfaces]

@@ -7,10 +7,11 @@ pitch about x (left; positive is nose down), yaw about z (positive turns left), 
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+
+from nermo_mjx.shapes import Quaternion, Scalars, Spatial
 
 
-def attitude(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3"]:
+def attitude(quaternion: Quaternion) -> Spatial:
     """(roll, pitch, yaw) of a unit quaternion (w, x, y, z) [rad]; finite derivatives everywhere but upside down."""
     w, x, y, z = (quaternion[..., i] for i in range(4))
     r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
@@ -19,6 +20,6 @@ def attitude(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3"]:
     return jnp.stack([jnp.arctan2(-r20, r22), jnp.arctan2(r21, level), jnp.arctan2(-r01, r11)], axis=-1)
 
 
-def uprightness(quaternion: Float[Array, "*batch 4"]) -> Float[Array, "*batch"]:
+def uprightness(quaternion: Quaternion) -> Scalars:
     """Cosine of the torso's tilt: 1 upright, 0 on its side."""
     return 1 - 2 * (quaternion[..., 1] ** 2 + quaternion[..., 2] ** 2)

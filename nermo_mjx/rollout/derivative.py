@@ -7,7 +7,9 @@ from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Float
+
+from nermo_mjx.shapes import Array, Scalar
 
 MODES: Final = ("auto", "forward", "reverse")
 #: Up to this many parameters forward mode is cheaper by the costs below, and it compiles faster.
@@ -18,7 +20,7 @@ FORWARD_COST: Final = 1.0
 REVERSE_COST: Final = 5.0
 
 #: A scalar function of a point (p,), with whatever else it finds on the way.
-Function = Callable[[Float[Array, " p"]], tuple[Float[Array, ""], Any]]
+Function = Callable[[Float[Array, " p"]], tuple[Scalar, Any]]
 
 
 def choose_mode(parameters: int, mode: str = "auto") -> str:
@@ -35,7 +37,7 @@ def cost(parameters: int, mode: str) -> float:
 
 def value_and_gradient(
     function: Function, mode: str
-) -> Callable[[Float[Array, " p"]], tuple[Float[Array, ""], Float[Array, " p"], Any]]:
+) -> Callable[[Float[Array, " p"]], tuple[Scalar, Float[Array, " p"], Any]]:
     """The function's value, its gradient, and the rest of its result, in one pass.
 
     Args:

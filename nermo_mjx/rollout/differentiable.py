@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.protocol import ControllerLike
@@ -25,6 +25,7 @@ from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.setup import Run, Setup, with_own
 from nermo_mjx.rollout.start import StartPose
+from nermo_mjx.shapes import Array, Scalar
 
 
 class Path(NamedTuple):
@@ -99,7 +100,7 @@ class Rollout:
         qvel: ArrayLike | None = None,
         *,
         policy: Any = None,
-    ) -> dict[str, Float[Array, ""]]:
+    ) -> dict[str, Scalar]:
         """The metrics of one world, as named in `all_metrics(setup)`.
 
         Args:
@@ -123,7 +124,7 @@ class Rollout:
         qvel: ArrayLike | None = None,
         *,
         policy: Any = None,
-    ) -> tuple[dict[str, Float[Array, ""]], Path]:
+    ) -> tuple[dict[str, Scalar], Path]:
         """The metrics and the path of one world; both are differentiable. The arguments are the same."""
         params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)

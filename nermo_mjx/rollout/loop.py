@@ -7,7 +7,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
@@ -16,6 +16,7 @@ from nermo_mjx.robot import ParameterError, Robot, ServoAngles
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.parameters import Start, Window
+from nermo_mjx.shapes import Array, Count, Scalar
 
 
 @jax.tree_util.register_dataclass
@@ -41,8 +42,8 @@ class LoopState:
         ctrl: what the servos aim at [rad].
     """
 
-    tick: Int[Array, ""]
-    time: Float[Array, ""]
+    tick: Count
+    time: Scalar
     control: Any
     metrics: metrics.MetricState
     ctrl: Float[Array, " n_servos"]

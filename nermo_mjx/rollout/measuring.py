@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any, Final, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.shapes import Scalar, Truth
 
 #: A tick that begins less than this share of it before the run's end is one after it: so exact is time in float32 for
 #: two minutes. Only so it does not matter how far beyond its end a world is simulated, for others in its batch.
@@ -31,25 +31,25 @@ class MeasuredPart(NamedTuple):
         arrived: whether measuring ends with that cycle, since the wanted distance is covered.
     """
 
-    elapsed: Float[Array, ""]
-    weight: Float[Array, ""]
-    rest: Float[Array, ""]
-    begin: Float[Array, ""]
-    end: Float[Array, ""]
-    inside: Bool[Array, ""]
-    cycle_ends: Bool[Array, ""]
-    arrived: Bool[Array, ""]
+    elapsed: Scalar
+    weight: Scalar
+    rest: Scalar
+    begin: Scalar
+    end: Scalar
+    inside: Truth
+    cycle_ends: Truth
+    arrived: Truth
 
 
 def measured_part(
     window: Window,
-    elapsed: Float[Array, ""],
-    cycles: Float[Array, ""],
-    time: Float[Array, ""],
+    elapsed: Scalar,
+    cycles: Scalar,
+    time: Scalar,
     dt: float,
     cycle_rate: Any,
-    goes_on: Bool[Array, ""],
-    far_enough: Bool[Array, ""],
+    goes_on: Truth,
+    far_enough: Truth,
 ) -> MeasuredPart:
     """The part of the tick [time - dt, time] that lies in the window.
 
@@ -89,6 +89,6 @@ def measured_part(
     )
 
 
-def begins_in_run(window: Window, time: Float[Array, ""], dt: float) -> Bool[Array, ""]:
+def begins_in_run(window: Window, time: Scalar, dt: float) -> Truth:
     """Whether the tick [time - dt, time] begins before the run's end, which every world of a batch simulates."""
     return time - window.end < (1.0 - _ROUNDING) * dt

@@ -20,7 +20,7 @@ from typing import Any, Final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot import LIMBS, Sensors
@@ -31,6 +31,7 @@ from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_pa
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.rollout.path_metrics import root
+from nermo_mjx.shapes import Array, Scalar, Truth
 
 #: A foot bears nothing below the first force and is loaded above the second [N], with a smooth share between. 3 % of
 #: the robot's weight on one foot of four, which is halfway, is far below any stance.
@@ -91,17 +92,17 @@ class MetricState:
         fell, diverged, begun, finished: flags of the run.
     """
 
-    time: Float[Array, ""]
-    work: Float[Array, ""]
-    way: Float[Array, ""]
-    travelled: Float[Array, ""]
+    time: Scalar
+    work: Scalar
+    way: Scalar
+    travelled: Scalar
     mean: Float[Array, " 3"]
     square: Float[Array, " 3"]
     readings: Float[Array, " 4"]
     low: Float[Array, " 4"]
     high: Float[Array, " 4"]
-    course: Float[Array, ""]
-    turning: Float[Array, ""]
+    course: Scalar
+    turning: Scalar
     position: Float[Array, " 3"]
     origin: Float[Array, " 3"]
     end: Float[Array, " 3"]
@@ -110,16 +111,16 @@ class MetricState:
     swing: Float[Array, " 4"]
     swing_loaded: Float[Array, " 4"]
     load: Float[Array, " 5"]
-    tail_loaded: Float[Array, ""]
+    tail_loaded: Scalar
     path: path_metrics.PathState
     own: reduction.OwnState | None
-    on_path: Bool[Array, ""]
-    lost: Bool[Array, ""]
-    failure_time: Float[Array, ""]
-    fell: Bool[Array, ""]
-    diverged: Bool[Array, ""]
-    begun: Bool[Array, ""]
-    finished: Bool[Array, ""]
+    on_path: Truth
+    lost: Truth
+    failure_time: Scalar
+    fell: Truth
+    diverged: Truth
+    begun: Truth
+    finished: Truth
 
 
 def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
@@ -142,7 +143,7 @@ def update(
     window: Window,
     state: MetricState,
     sensors: Sensors,
-    time: Float[Array, ""],
+    time: Scalar,
     dt: float,
     cycle_rate: Any,
     path: PathPoint | None = None,
@@ -271,8 +272,8 @@ def _share(part: Array, whole: Array) -> Array:
 
 
 def result(
-    state: MetricState, mass: Float[Array, ""], gravity: Any = GRAVITY, own: tuple[OwnMetric, ...] = ()
-) -> dict[str, Float[Array, ""]]:
+    state: MetricState, mass: Scalar, gravity: Any = GRAVITY, own: tuple[OwnMetric, ...] = ()
+) -> dict[str, Scalar]:
     """The metrics of one world, named as in `METRICS`, and those of one's own. What was never measured is NaN.
 
     Derivatives are finite, also beside metrics that are NaN.

@@ -10,7 +10,9 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
+
+from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
 
 #: Flatter than this, the fit of a circle means nothing: smallest share of the path's spread across its main direction.
 FLAT = 1e-5
@@ -31,12 +33,12 @@ class PathState:
         cycles, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
-    square: Float[Array, ""]
-    walked: Float[Array, ""]
-    error: Float[Array, ""]
+    square: Scalar
+    walked: Scalar
+    error: Scalar
     place: Float[Array, " 2"]
-    time: Float[Array, ""]
-    cycles: Float[Array, ""]
+    time: Scalar
+    cycles: Scalar
     first: Float[Array, " 2"]
     second: Float[Array, "2 2"]
     third: Float[Array, " 2"]
@@ -54,10 +56,10 @@ def init(position: Float[Array, " 3"]) -> PathState:
 def update(
     state: PathState,
     place: Float[Array, " 2"],
-    error: Float[Array, ""],
-    weight: Float[Array, ""],
-    rest: Float[Array, ""],
-    cycle_ends: Bool[Array, ""],
+    error: Scalar,
+    weight: Scalar,
+    rest: Scalar,
+    cycle_ends: Truth,
 ) -> PathState:
     """Add one tick.
 
@@ -86,7 +88,7 @@ def update(
     )
 
 
-def radius(state: PathState) -> Float[Array, ""]:
+def radius(state: PathState) -> Scalar:
     """Radius of the circle fitted to the way walked [m] (algebraic least squares of Kasa, 1976); NaN if flat.
 
     To the cycles' mean positions: fitted to the swaying torso, an arc would come out too small.
@@ -106,7 +108,7 @@ def radius(state: PathState) -> Float[Array, ""]:
     return jnp.where(curved, root(square - 2.0 * centre @ mean + centre @ centre), jnp.nan)
 
 
-def root(value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def root(value: Scalars) -> Scalars:
     """Square root; 0, without a slope, for what is not positive, where the plain root's slope is infinite."""
     positive = value > 0.0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)

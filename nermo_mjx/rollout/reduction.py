@@ -12,12 +12,13 @@ import functools
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Float
 
 from nermo_mjx.robot import Sensors
 from nermo_mjx.rollout.measuring import MeasuredPart
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.path_metrics import root
+from nermo_mjx.shapes import Array, Scalar, Truth
 
 
 @jax.tree_util.register_dataclass
@@ -52,8 +53,8 @@ def update(
     state: OwnState,
     sensors: Sensors,
     part: MeasuredPart,
-    share: Float[Array, ""],
-    meant: Bool[Array, ""],
+    share: Scalar,
+    meant: Truth,
 ) -> OwnState:
     """Add one control tick.
 
@@ -84,9 +85,7 @@ def update(
     return jax.tree.map(lambda new, old: jnp.where(part.inside, new, old), measured, passed)
 
 
-def result(
-    metrics: tuple[OwnMetric, ...], state: OwnState, begun: Bool[Array, ""], time: Float[Array, ""]
-) -> dict[str, Float[Array, ""]]:
+def result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar) -> dict[str, Scalar]:
     """The metrics of one world by name; NaN where nothing was measured.
 
     Args:

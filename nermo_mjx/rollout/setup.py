@@ -75,7 +75,7 @@ class Setup:
     routing: str = "type3"
     cone: str = "elliptic"
     physics: str = "reference"
-    timestep: float = None  # type: ignore[assignment]  # a number once it is made
+    timestep: float = RobotConfig.timestep
     gait: str = "trt"
     spine: str = "none"
     steering: str = "leg"

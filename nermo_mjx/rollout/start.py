@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.kinematics import spine
@@ -18,6 +18,7 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.parameters import Start
+from nermo_mjx.shapes import Array
 
 #: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
 #: decide whether a tendon holds or its knee springs loose in the first step.

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from nermo_mjx.plotting.page import around, blank, page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, horizontal_grid, set_scales
+from nermo_mjx.rollout import Metric
 from nermo_mjx.search.outcome import Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.search.scoring import cells_of, elites_of
 from nermo_mjx.sweep.trade_off import named_points, trade_off
@@ -100,11 +101,7 @@ def coverage(found: Evaluations) -> Figure:
     top.set_ylabel("filled cells [1]")
     term = found.search.aim.objective.terms[0]
     single = len(found.search.aim.objective.terms) == 1 and term.aim != "hold"
-    scale = (
-        shown(term.metric, found.search.sweep.metrics[term.metric].unit, total * term.scale / term.weight)
-        if single
-        else None
-    )
+    scale = shown(term.metric, _about(found)[term.metric].unit, total * term.scale / term.weight) if single else None
     bottom.step(_ends(found), total if scale is None else scale.values, where="post", color=LINE)
     bottom.set_ylabel(f"QD score [{1 if scale is None else scale.unit or 1}]")
     for ax in (top, bottom):
@@ -155,11 +152,11 @@ def _map(
     grid = np.full((x.cells, y.cells), np.nan)
     order = np.argsort(found.scores.quality[points], kind="stable")  # the best of several comes last
     grid[place[0][order], place[1][order]] = z.values[points[order]]
-    xs, ys = (shown(each.metric, found.search.sweep.metrics[each.metric].unit, np.linspace(each.low, each.high, each.cells + 1))
+    xs, ys = (shown(each.metric, _about(found)[each.metric].unit, np.linspace(each.low, each.high, each.cells + 1))
               for each in (x, y))  # fmt: skip
     ax.set_facecolor("#fafafa")
     ax.pcolormesh(xs.values, ys.values, np.ma.masked_invalid(grid.T), norm=scale, cmap=COLOURS)
-    star_x, star_y = (shown(each.metric, found.search.sweep.metrics[each.metric].unit, found.scores.measures[best, i]).values
+    star_x, star_y = (shown(each.metric, _about(found)[each.metric].unit, found.scores.measures[best, i]).values
                       for i, each in zip(pair, (x, y), strict=True))  # fmt: skip
     ax.scatter(star_x, star_y, s=190, marker="*", fc=BEST, ec="white", lw=1.3, zorder=5, clip_on=False)
     set_scales(ax, xs, ys)
@@ -171,7 +168,7 @@ def _bars(found: Evaluations, points: np.ndarray, z: ShownValues, best: int, tit
     measure = found.search.aim.measures[0]
     figure = page(title, _WIDTH, 3.9, note)
     ax = figure.subplots()
-    unit = found.search.sweep.metrics[measure.metric].unit
+    unit = _about(found)[measure.metric].unit
     edges = shown(measure.metric, unit, np.linspace(measure.low, measure.high, measure.cells + 1))
     cell = cells_of(found.search.aim, found.scores.measures[points])
     values = z.values[points]
@@ -197,7 +194,7 @@ def _term_values(found: Evaluations, place: int) -> ShownValues:
     term, cost = found.search.aim.objective.terms[place], found.scores.cost[:, place]
     if term.aim == "hold":
         return ShownValues(f"{term.metric} off {term.at:g}", "", cost)
-    return shown(term.metric, found.search.sweep.metrics[term.metric].unit, _as_metric(term, cost))
+    return shown(term.metric, _about(found)[term.metric].unit, _as_metric(term, cost))
 
 
 def _as_metric(term: Term, cost: np.ndarray | float) -> np.ndarray | float:
@@ -214,8 +211,13 @@ def _higher(found: Evaluations) -> bool:
     return len(terms) == 1 and terms[0].aim == "maximize"
 
 
+def _about(found: Evaluations) -> dict[str, Metric]:
+    """Every metric of the runs, by name."""
+    return found.search.sweep.metrics
+
+
 def _unit(found: Evaluations, metric: str, value: np.ndarray | float) -> str:
-    quantity = shown(metric, found.search.sweep.metrics[metric].unit, value)
+    quantity = shown(metric, _about(found)[metric].unit, value)
     return quantity.shown(float(quantity.values))
 
 

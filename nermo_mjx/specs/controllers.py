@@ -1,4 +1,4 @@
-"""Code of one's own in spec files, a controller and metrics: what a file names, and the copies that a directory keeps."""
+"""Code of one's own in spec files, a controller and metrics: what a file names, and the copies in a directory."""
 
 from __future__ import annotations
 

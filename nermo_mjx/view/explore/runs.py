@@ -15,7 +15,8 @@ import pyarrow.parquet as pq
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.sweep.points import thinned
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES
+from nermo_mjx.sweep.sides import OBJECTIVES
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.table import meta
 
 #: Roles of the columns that are shown, in this order; seeds and codes say nothing to a reader.

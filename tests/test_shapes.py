@@ -1,0 +1,29 @@
+"""While tests run, every room from the robot to the rollout refuses arrays of another shape than it names."""
+
+import jax.numpy as jnp
+import pytest
+from jaxtyping import TypeCheckError
+
+from nermo_mjx.control.path import PathPoint
+from nermo_mjx.kinematics.root import bracketed_root
+from nermo_mjx.physics.spatial import rotate
+from nermo_mjx.robot.interface import ServoAngles
+from nermo_mjx.rollout.attitude import attitude
+
+ONE, TWO, THREE, FOUR = jnp.zeros(()), jnp.zeros(2), jnp.zeros(3), jnp.zeros(4)
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments"),
+    [
+        pytest.param(ServoAngles, (THREE, FOUR, ONE, ONE, ONE), id="robot: three limbs"),
+        pytest.param(bracketed_root, (jnp.sin, ONE, ONE, "steep"), id="kinematics: a slope that is no number"),
+        pytest.param(PathPoint, (ONE, ONE, THREE, ONE), id="control: a tangent on the ground with three numbers"),
+        pytest.param(PathPoint, (THREE, TWO, TWO, ONE), id="control: worlds that are three here and two there"),
+        pytest.param(rotate, (TWO, FOUR), id="physics: a vector with two numbers"),
+        pytest.param(attitude, (THREE,), id="rollout: a quaternion with three numbers"),
+    ],
+)
+def test_an_array_of_another_shape_is_refused(function, arguments):
+    with pytest.raises(TypeCheckError):
+        function(*arguments)
