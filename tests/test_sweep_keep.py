@@ -126,10 +126,11 @@ def test_series_that_do_not_fit_are_refused_or_make_smaller_chunks(monkeypatch: 
     sweep, seconds = Sweep.from_dict(SAVED), np.array([4.0, 8.0, 8.0, 2.0])
     assert series.series_bytes(sweep, seconds) == 22 * 20 * 32
     monkeypatch.setattr(series, "LARGEST_CHUNK", 3 * 160 * 32)
-    assert series.chunk_with_series(sweep, seconds, None, lambda: 64) == 3
-    assert series.chunk_with_series(sweep, seconds, 2, lambda: 64) == 2
+    monkeypatch.setattr(series, "simulated_seconds", lambda *_: seconds)
+    assert series.chunk_with_series(sweep, None, lambda: 64) == 3
+    assert series.chunk_with_series(sweep, 2, lambda: 64) == 2
     with pytest.raises(SpecError, match=r"save takes 14.1 kB of memory for a chunk of 4 runs: .* take chunk: 3"):
-        series.chunk_with_series(sweep, seconds, 4, lambda: 64)
+        series.chunk_with_series(sweep, 4, lambda: 64)
 
 
 def test_a_full_disk_is_seen_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
