@@ -4,10 +4,10 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import TypeCheckError
 
-from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.turning import body_speed, leg_radius
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.physics.spatial import rotate
-from nermo_mjx.robot.interface import ServoAngles
+from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout.attitude import attitude
 
 ONE, TWO, THREE, FOUR = jnp.zeros(()), jnp.zeros(2), jnp.zeros(3), jnp.zeros(4)
@@ -16,10 +16,10 @@ ONE, TWO, THREE, FOUR = jnp.zeros(()), jnp.zeros(2), jnp.zeros(3), jnp.zeros(4)
 @pytest.mark.parametrize(
     ("function", "arguments"),
     [
-        pytest.param(ServoAngles, (THREE, FOUR, ONE, ONE, ONE), id="robot: three limbs"),
+        pytest.param(load_robot().sensors, ("none",), id="robot: readings that are none"),
         pytest.param(bracketed_root, (jnp.sin, ONE, ONE, "steep"), id="kinematics: a slope that is no number"),
-        pytest.param(PathPoint, (ONE, ONE, THREE, ONE), id="control: a tangent on the ground with three numbers"),
-        pytest.param(PathPoint, (THREE, TWO, TWO, ONE), id="control: worlds that are three here and two there"),
+        pytest.param(body_speed, (ONE, ONE), id="control: a gait that is a number"),
+        pytest.param(leg_radius, (THREE, TWO, ONE), id="control: worlds that are three here and two there"),
         pytest.param(rotate, (TWO, FOUR), id="physics: a vector with two numbers"),
         pytest.param(attitude, (THREE,), id="rollout: a quaternion with three numbers"),
     ],
