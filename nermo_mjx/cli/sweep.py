@@ -91,10 +91,10 @@ def command(
         if seed is not None:
             sweep = dataclasses.replace(sweep, seed=seed)
         say = sayer("sweep", quiet)
-        for name, places in sweep.partly_read().items():
-            if say:
-                some = f"{len(places)} of {len(sweep.structures)} structures"
-                say(f"{name} is varied in {some}; the others do not read it.")
+        if say is not None:
+            for name, places in sweep.partly_read().items():
+                read = f"{len(places)} of {len(sweep.structures)} structures"
+                say(f"{name} is varied in {read}: the others do not read it.")
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(
