@@ -24,6 +24,7 @@ from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.own_metrics import REDUCTIONS, OwnMetric, check_metrics, load_metrics
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
+from nermo_mjx.sweep.redraw import figures
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.tune import Tuning
 from nermo_mjx.tune.history import columns
@@ -54,6 +55,15 @@ def shake(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("own") / "shake.py"
     path.write_text(SHAKE)
     return path
+
+
+class Measuring(FakeSimulator):
+    """It shakes the more, the faster it is."""
+
+    def run(self, values: Any, run: Any, **how: Any) -> Any:
+        result = super().run(values, run, **how)
+        result.metrics |= {"yaw_shake": result.metrics["speed"] * 2, "hardest_step": result.metrics["speed"]}
+        return result
 
 
 def own(reduce: str, function: Any = lambda sensors: sensors.gyro[2]) -> OwnMetric:
@@ -195,12 +205,6 @@ def test_a_file_gives_its_metrics_with_unit_side_and_description(shake: Path) ->
 
 
 def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_path: Path) -> None:
-    class Measuring(FakeSimulator):
-        def run(self, values: Any, run: Any, **how: Any) -> Any:
-            result = super().run(values, run, **how)
-            result.metrics |= {"yaw_shake": result.metrics["speed"] * 2, "hardest_step": result.metrics["speed"]}
-            return result
-
     copy = tmp_path / "shake.py"
     shutil.copy(shake, copy)
     (tmp_path / "sweep.yaml").write_text(
@@ -221,6 +225,18 @@ def test_the_directory_keeps_the_file_and_its_content_counts(shake: Path, tmp_pa
     copy.write_text(SHAKE.replace("gyro[2]", "gyro[1]"))
     assert Sweep.from_file(tmp_path / "sweep.yaml").digest() != digest
     assert Sweep.from_file(out / "sweep.yaml").digest() == digest
+
+
+@pytest.mark.draws
+def test_summary_and_figures_know_which_side_is_better(shake: Path, tmp_path: Path) -> None:
+    """Of what shakes less is better, and of what has no side the highest is marked, and not called the best."""
+    spec = {**SWEEP, "metrics": str(shake), "vary": {"frequency": [0.7, 0.8, 0.9]}}
+    best = run_sweep(spec, tmp_path, simulator=Measuring()).summary["best"]
+    assert (best["yaw_shake"]["side"], best["yaw_shake"]["parameters"]) == ("min", {"frequency": 0.7})
+    assert "hardest_step" not in best
+    for name, star in (("yaw_shake", "star: best, .* at 0.7 Hz"), ("hardest_step", "star: highest, .* at 0.9 Hz")):
+        texts = [text.get_text() for _, figure in figures(tmp_path, color=name) for text in figure.texts]
+        assert any(re.search(star, text) for text in texts), texts
 
 
 def test_a_sweep_without_metrics_of_its_own_is_the_sweep_it_was() -> None:

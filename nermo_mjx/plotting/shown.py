@@ -25,6 +25,7 @@ class ShownValues:
         values: (n,), in that unit.
         log: whether the axis is logarithmic.
         names: of a choice among names, these; the values are places among them.
+        side: which values of a metric are better, `max`, `min` or `nearest zero`; empty where none are.
     """
 
     name: str
@@ -32,6 +33,7 @@ class ShownValues:
     values: np.ndarray
     log: bool = False
     names: tuple[str, ...] = ()
+    side: str = ""
 
     @property
     def label(self) -> str:
@@ -45,7 +47,7 @@ class ShownValues:
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
 
-def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False) -> ShownValues:
+def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False, side: str = "") -> ShownValues:
     """A column in SI units as a `ShownValues`."""
     unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
-    return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log)
+    return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log, side=side)

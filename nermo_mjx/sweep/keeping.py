@@ -36,7 +36,7 @@ def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     """
     kept: dict[int, str] = {}
     if keep.best:
-        price = cost(keep.metric, results.column(keep.metric), sides_in(results.schema))
+        price = cost(sides_in(results.schema)[keep.metric], results.column(keep.metric))
         price = np.where(results.well & np.isfinite(price), price, np.inf)
         order = np.argsort(price, kind="stable")
         order = order[np.isfinite(price[order])]

@@ -98,7 +98,7 @@ def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> I
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
     note = f"{len(z.values):,} runs; line: running mean"
     if len(z.values) > MOST_POINTS:
-        best = np.argmin(cost(z.name, z.values))  # a star
+        best = np.argmin(cost(z.side, z.values))  # a star
         thin = thinned(np.arange(len(z.values)), MOST_POINTS, [int(best)])
         first = [dataclasses.replace(x, values=x.values[thin]) for x in first]
         z, note = dataclasses.replace(z, values=z.values[thin]), f"{MOST_POINTS:,} of {note}"

@@ -116,7 +116,7 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     sides = sides_in(results.schema)
     if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
-        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark, sides)
+        return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
     if color is None and not {x, y} & set(metrics):
         color = LEADING
     if results.is_grid and color in metrics and {x, y} <= set(varied) and x != y:
@@ -131,7 +131,7 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     places = np.flatnonzero(good)
     note = f"{len(places):,} runs"
     if len(places) > MOST_POINTS:
-        best = places[np.argmin(cost(drawn[-1].name, drawn[-1].values[places]))]
+        best = places[np.argmin(cost(drawn[-1].side, drawn[-1].values[places]))]
         places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
     note = remark + note
     across, up, *by = (dataclasses.replace(each, values=each.values[places]) for each in drawn)

@@ -96,7 +96,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str) -> Figure:
         own = z.values[(groups.of == place) & np.isfinite(z.values)]
         if len(own):
             mean[place], spread[place] = own.mean(), own.std()
-    best = int(np.nanargmin(cost(z.name, mean))) if np.isfinite(mean).any() else -1
+    best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
     figure = blank(7.2, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for place in range(count):
@@ -107,7 +107,7 @@ def dots(groups: Groups, z: ShownValues, title: str, note: str) -> Figure:
     ax.set(xlabel=z.label, ylim=(count - 0.5, -0.5))
     ax.grid(axis="x", color=GRID, lw=0.8)
     ax.set_axisbelow(True)
-    told = f"; orange: {best_word(z.name)}, {z.shown(mean[best])}" if best >= 0 else ""
+    told = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
     return around(figure, title, f"{note}{groups.what}: mean of all runs, and their standard deviation{told}")
 
 

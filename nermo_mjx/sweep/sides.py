@@ -40,7 +40,6 @@ def sides_in(schema: pa.Schema) -> dict[str, str]:
     return sides_of({name: Metric("", "", better and better.decode()) for name, better in about.items()})
 
 
-def cost(metric: str, values: np.ndarray, sides: Mapping[str, str] = OBJECTIVES) -> np.ndarray:
-    """Values of a metric so that less is better; of one without a better side, less where it is higher."""
-    side = sides.get(metric, "max")
-    return {"max": -values, "min": values, "nearest zero": np.abs(values)}[side]
+def cost(side: str, values: np.ndarray) -> np.ndarray:
+    """Values of a metric with this better side so that less is better; without one, less where it is higher."""
+    return {"": -values, "max": -values, "min": values, "nearest zero": np.abs(values)}[side]

@@ -37,7 +37,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
     for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
         spreads[name] = _spread(values[well])
         if name in sides:
-            best[name] = _best(variants, name, values[well], sides)
+            best[name] = _best(variants, values[well], sides[name])
     mean, _ = variants.means(speed)
     return {
         "rows": results.rows,
@@ -106,15 +106,15 @@ def _spread(values: np.ndarray) -> dict[str, float]:
     return {word: float(getattr(values, word)()) for word in ("mean", "std", "min", "max")} if len(values) else {}
 
 
-def _best(variants: Variants, metric: str, values: np.ndarray, sides: Mapping[str, str]) -> dict[str, Any] | None:
-    """The variant with the best mean over its repeats of a metric (runs,)."""
+def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
+    """The variant with the best mean over its repeats of a metric (runs,) with a better side."""
     mean, std = variants.means(values)
-    score = cost(metric, mean, sides)
+    score = cost(side, mean)
     if not np.isfinite(score).any():
         return None
     at = int(np.nanargmin(score))
     return {
-        "side": sides[metric],
+        "side": side,
         "variant": int(variants.number[at]),
         "mean": float(mean[at]),
         "std": float(std[at]),
