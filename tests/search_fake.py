@@ -62,7 +62,7 @@ class FakeSimulator:
                 file.write(f"{n}\n")
         time.sleep(self.delay)
         frequency = values["frequency"]
-        speed, roll, cost = walk(frequency, values["spine.amplitude"], values["spine.phase"])
+        speed, roll, cost = walk(frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0))
         fell = frequency > FALLS
         speed = speed + values.get("start.x", 0.0)
         metrics = {"speed": speed, "roll_std": roll, "cost_of_transport": cost, "fell": fell.astype(float)}

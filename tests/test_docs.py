@@ -122,11 +122,16 @@ def test_a_command_is_valid(line: str, tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if page != FILES and blocks(page, "yaml")], ids=lambda page: page.stem
 )
-def test_a_sweep_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
+def test_a_spec_file_is_valid(page: Path, beside: Callable[[Path], None]) -> None:
+    """One of a search has an objective."""
+    from nermo_mjx.search import Search
     from nermo_mjx.sweep import Sweep
 
     beside(page)
     for text in blocks(page, "yaml"):
         if text.startswith(("apiVersion", "kind")):
             continue  # for Kubernetes
-        assert Sweep.from_text(text).variants > 1
+        if "\nobjective:" in text:
+            assert Search.from_text(text).names
+        else:
+            assert Sweep.from_text(text).variants > 1

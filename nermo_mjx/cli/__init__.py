@@ -13,6 +13,7 @@ EPILOG = """\b
 First steps:
   nermo-mjx walk --video walk.mp4
   nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+  nermo-mjx search sweeps/search_speed.yaml --out runs/fast
   nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned
   nermo-mjx experiment all --quick --out runs/look
 """

@@ -185,11 +185,9 @@ class Batches:
         """Where a batch's rows are kept."""
         return self.results / f"chunk-{batch:05d}.parquet"
 
-    def gradients(self, table: pa.Table, points: int) -> np.ndarray | None:
-        """What a batch's table has of gradients: (points, 1 + m, p), None if it has none."""
+    def gradients(self, table: pa.Table, points: int) -> np.ndarray:
+        """The gradients of a batch's first points, from its table: (points, 1 + m, p)."""
         columns = [[GRADIENT.format(metric, name) for name in self.search.names] for metric in self._differentiated]
-        if columns[0][0] not in table.schema.names:
-            return None
         rows = slice(0, points * self.search.repeats, self.search.repeats)
         return np.stack([np.stack([table.column(name).to_numpy()[rows] for name in line], -1) for line in columns], 1)
 
@@ -198,12 +196,14 @@ class Batches:
         return ("quality", *(each.metric for each in self.search.aim.measures))
 
     def _with_gradients(self, table: pa.Table, gradients: np.ndarray | None) -> pa.Table:
-        if gradients is None:
+        """The table with columns of gradients, NaN where none was asked for, if the method asks for some at all."""
+        if self.search.method != "cma_mega":
             return table
         for i, metric in enumerate(self._differentiated):
             for j, name in enumerate(self.search.names):
                 values = np.full(table.num_rows, np.nan)
-                values[: len(gradients) * self.search.repeats] = np.repeat(gradients[:, i, j], self.search.repeats)
+                if gradients is not None:
+                    values[: len(gradients) * self.search.repeats] = np.repeat(gradients[:, i, j], self.search.repeats)
                 meaning = f"d {metric} / d share of the bounds of {name}"
                 about = {"unit": "1", "role": "gradient", "description": meaning}
                 field = pa.field(GRADIENT.format(metric, name), pa.float64(), metadata=about)

@@ -17,7 +17,7 @@ from nermo_mjx.search.spec import Search
 #: First standard deviation of CMA-ME, as a share of the bounds; of CMA-MEGA, of the gradients' coefficients, and the
 #: length of its steps along them.
 SIGMA: Final = 0.15
-COEFFICIENT_SIGMA: Final = 0.05
+COEFFICIENT_SIGMA: Final = 0.2
 LEARNING_RATE: Final = 0.05
 EMITTERS: Final = 4
 #: What an emitter is told that a point was worth which is not in the atlas.

@@ -36,8 +36,9 @@ class WalkGradients:
     def __init__(self, search: Search) -> None:
         """Nothing is compiled before the first call."""
         self._search = search
-        low = {axis.name: min(axis.numbers[:2]) for axis in search.sweep.axes}.get("frequency")
-        self._rollout = Rollout(search.setup, search.run, slowest=low)
+        lowest = {each.name: float(each.tried(grid=False).min()) for each in search.sweep.axes}
+        lowest |= {each.name: float(each.at(np.zeros(1))[0]) for each in search.sweep.draws}
+        self._rollout = Rollout(search.setup, search.run, slowest=lowest.get("frequency"))
         self._function = jax.jit(jax.vmap(self._jacobian), compiler_options=compiler_options())
 
     @staticmethod
@@ -48,7 +49,9 @@ class WalkGradients:
     def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
         """See `Gradients`."""
         runs = len(next(iter(values.values())))
-        given = {name: np.asarray(column, float) for name, column in values.items() if name not in self._search.names}
+        # What is the same in all runs is no argument: the length of a run in cycles has to be known.
+        known = {*self._search.names, *self._search.sweep.constants}
+        given = {name: np.asarray(column, float) for name, column in values.items() if name not in known}
         points = np.repeat(shares, runs // len(shares), axis=0)
         limit = cpu_batch_limit() or runs
         parts = []
@@ -62,7 +65,7 @@ class WalkGradients:
 
     def _outputs(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, " k"]:
         aim, axes = self._search.aim, self._search.sweep.axes
-        values: dict[str, Any] = dict(others)
+        values: dict[str, Any] = dict(self._search.sweep.constants) | dict(others)
         metrics = self._rollout(values | {axis.name: _at(axis, at) for axis, at in zip(axes, shares, strict=True)})
         return jnp.stack([-aim.objective.value(metrics), *(metrics[each.metric] for each in aim.measures)])
 

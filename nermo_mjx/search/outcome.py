@@ -10,9 +10,10 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.rollout.derivative import cost as gradient_cost
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.search.batches import Batches
+from nermo_mjx.search.batches import GRADIENT, Batches
 from nermo_mjx.search.scoring import Scores, cells_of, elites_of, scores_of
 from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.reading import dump
@@ -70,12 +71,16 @@ class Evaluations:
 
     @property
     def simulated_seconds(self) -> float:
-        """Of all runs [s]."""
+        """Of all runs, those with gradients at their cost in forward runs besides [s]."""
         search = self.search
         names = [name for name in search.setup.timing if name in self.results.schema.names]
         values = {name: search.sweep.constants[name] for name in search.setup.timing if name in search.sweep.constants}
         rate = search.setup.cycle_rate(values | dict(self.results.columns(names)))
-        return float(np.sum(np.broadcast_to(search.run.seconds(rate)[1], self.results.rows)))
+        seconds = np.broadcast_to(search.run.seconds(rate)[1], self.results.rows)
+        slope, times = GRADIENT.format("quality", search.names[0]), np.ones(self.results.rows)
+        if slope in self.results.schema.names:
+            times += np.isfinite(self.results.column(slope)) * gradient_cost(len(search.names), "forward")
+        return float(np.sum(seconds * times))
 
     def front(self) -> np.ndarray:
         """Allowed points that no other one beats, in order of the first objective (k,)."""

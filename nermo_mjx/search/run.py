@@ -211,7 +211,10 @@ class Going:
                 table = batches.write(batch, rows, first, found, self._stamp, slopes)
                 self.run += len(asked.shares)
             self.evaluations += len(asked.shares)
-            self.seconds += float(np.sum(_seconds(search, rows)))
+            seconds = _seconds(search, rows)
+            self.seconds += float(np.sum(seconds))
+            differentiated = seconds[: asked.gradients * search.repeats]
+            self.seconds += WalkGradients.cost_of(search) * float(np.sum(differentiated))
             scores = _scores(batches, table, asked)
             self._lead.take(scores)
             optimizer.tell(scores)

@@ -54,7 +54,7 @@ class CmaMeFields(Fields):
 
 class CmaMegaFields(Fields):
     what: ClassVar = "an option of 'cma_mega'"
-    sigma: Positive = optional("first standard deviation of the gradients' coefficients, by default 0.05")
+    sigma: Positive = optional("first standard deviation of the gradients' coefficients, by default 0.2")
     learning_rate: Positive = optional("of the step along the gradients, by default 0.05")
     emitters: Annotated[int, Whole(1, 1000)] = optional("searches side by side, by default 4")
 

@@ -33,7 +33,7 @@ class SimulatedProblem:
             ParameterError: the tuning's recording cannot be compared with its walk.
         """
         self.tuning, self.names, self.reference = tuning, tuning.names, reference
-        self.simulator = simulator or Simulator(tuning.setup, tuning.method.engine)
+        self.simulator: Any = simulator or Simulator(tuning.setup, tuning.method.engine)
         self.gradient_cost = 1.0 + tuning.method.neighbours(len(self.names))
         slowest = {each.name: each.low for each in tuning.tuned}
         timing = {name: value for name, value in (tuning.constants | slowest).items() if name in tuning.setup.timing}
@@ -89,7 +89,7 @@ class SimulatedProblem:
         values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
         values |= {name: points[:, i] for i, name in enumerate(self.names)}
         how: dict[str, Any] = {"record": True} if self.reference is not None else {}
-        result: Any = self.simulator.run(values, self.tuning.run, **how)
+        result = self.simulator.run(values, self.tuning.run, **how)
         metrics = {name: np.asarray(column, float) for name, column in result.metrics.items()}
         if self.reference is not None:
             error = [float(self.reference.error(jnp.asarray(qpos))) for qpos in result.trace.qpos]

@@ -1,0 +1,193 @@
+"""Parts of a search: coordinates, scores, gradients, what is kept, and the command that a user meets."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from search_fake import ATLAS, BEST, FRONT, SPEED, WALK, FakeSimulator
+
+from nermo_mjx.cli import main
+from nermo_mjx.recording import Recording
+from nermo_mjx.search import Search, run_search
+from nermo_mjx.search.cost import cost_of
+from nermo_mjx.search.gradients import WalkGradients
+from nermo_mjx.search.optimizers import make_optimizer
+from nermo_mjx.search.scoring import Scores, ranked_cost
+from nermo_mjx.search.space import Space
+from nermo_mjx.specs.reading import SpecError
+
+MEGA = ATLAS | {"method": {"cma_mega": {"emitters": 2}}, "budget": 100}
+
+
+def space_of(vary):
+    return Space(Search.from_dict({**SPEED, "vary": vary}))
+
+
+def test_coordinates_are_reflected_at_bounds_and_turn_with_angles():
+    """Every coordinate is a share of the bounds; the slope is that of the shares, by differences."""
+    space = space_of({"frequency": {"uniform": [0.4, 1.0]}, "spine.phase": {"uniform": [-math.pi, math.pi]}})
+    given = np.array([[1.1, 1.1], [-0.2, -0.2], [2.3, 2.3], [0.4, 0.4]])
+    np.testing.assert_allclose(space.shares(given), [[0.9, 0.1], [0.2, 0.8], [0.3, 0.3], [0.4, 0.4]], atol=1e-12)
+    h = 1e-6
+    slope = (space.shares(given + h) - space.shares(given - h)) / (2 * h)
+    np.testing.assert_allclose(slope, space.slope(given), atol=1e-6)
+
+
+def test_a_phase_between_narrow_bounds_does_not_turn():
+    space = space_of({"spine.phase": {"uniform": [-1.0, 1.0]}, "frequency": {"loguniform": [0.4, 1.0]}})
+    assert not space.periodic.any()
+    assert space.first[1] == pytest.approx(math.log(0.67 / 0.4) / math.log(1.0 / 0.4))
+
+
+def test_falls_come_after_broken_constraints_and_these_by_how_much():
+    cost = np.array([[-3.0], [-9.0], [-8.0], [np.nan], [-1.0]])
+    violation = np.array([0.0, 2.0, 0.5, np.nan, 0.0])
+    scores = Scores(cost, np.empty((5, 0)), violation, np.isfinite(violation))
+    assert np.argsort(ranked_cost(scores, worst=-1.0)).tolist() == [0, 4, 2, 1, 3]
+
+
+@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
+def test_points_stay_within_the_bounds_whatever_happens(spec):
+    """Also where every run falls, or all points are alike."""
+    search = Search.from_dict(spec)
+    for answer in ("falls", "alike"):
+        optimizer = make_optimizer(search, 12)
+        for _ in range(8):
+            shares = optimizer.ask().shares
+            assert ((shares >= 0) & (shares <= 1)).all()
+            n, m, k = len(shares), len(search.aim.measures), 2 if search.aim.pareto else 1
+            lost = answer == "falls"
+            filler = np.full((n, k), np.nan if lost else 1.0), np.full((n, m), np.nan if lost else 0.05)
+            optimizer.tell(Scores(*filler, np.full(n, np.nan if lost else 0.0), np.full(n, not lost)))
+
+
+def gradients(values, shares):
+    """d (-cost of transport, speed, roll) / d shares of `walk`, by hand."""
+    (f, a, p), n = (values[name] for name in WALK["vary"]), len(values["frequency"])
+    shape = 1.2 - 2.0 * (a - BEST[0]) ** 2 - 0.1 * (1 - np.cos(p - BEST[1]))
+    zero = np.zeros(n)
+    rows = [
+        [-2 * (f - 0.6), -np.ones(n), zero],
+        [0.1 * shape, -0.4 * f * (a - BEST[0]), -0.01 * f * np.sin(p - BEST[1])],
+        [np.full(n, 0.03), 0.2 * a, zero],
+    ]
+    spans = np.array([1.1, 0.4, 2 * 3.14159])
+    return np.moveaxis(np.array(rows), -1, 0) * spans
+
+
+def test_an_atlas_along_gradients_fills_more_than_its_first_batch(tmp_path):
+    """Gradients stand in the table; a search that goes on reads them there, and asks for none again."""
+    result = run_search(MEGA, tmp_path / "out", simulator=FakeSimulator(), gradients=gradients)
+    table = result.table
+    column = table.column("gradient.speed.frequency").to_numpy()
+    asked = np.isfinite(column)
+    assert asked.sum() == 12  # two emitters, six times: 16 points, then 2 and 14 in turn until a hundred
+    amplitude, phase = (table.column(name).to_numpy() for name in ("spine.amplitude", "spine.phase"))
+    expected = 0.11 * (1.2 - 2.0 * (amplitude - BEST[0]) ** 2 - 0.1 * (1 - np.cos(phase - BEST[1])))
+    np.testing.assert_allclose(column[asked], expected[asked], rtol=1e-9)
+    rows = [row for row in table.to_pylist() if row["batch"] == 0 and row["status"] == "ok"]
+    first = {(row["speed"] // 0.02, row["roll_std"] // (0.1 / 6)) for row in rows}
+    assert result.best["filled"] > len(first)
+    runs = table.num_rows + 12 * 4  # a gradient costs a run and three tangents
+    assert result.best["simulated_seconds"] == pytest.approx(2.0 * runs)
+    again = run_search(MEGA, tmp_path / "out", simulator=FakeSimulator(), gradients=None)
+    assert again.evaluations_run == 0
+    assert again.best == result.best
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_gradients_are_those_of_the_walk():
+    """By MJX, against central differences of MJX's own walk over shares of the bounds."""
+    spec = {
+        "spine": "stride_extension", "run": {"duration": 0.3, "warmup": 0.1}, "set": {"frequency": 0.8},
+        "vary": {"spine.amplitude": {"uniform": [0.0, 0.4]}, "spine.phase": {"uniform": [-1.0, 1.0]}},
+        "objective": {"maximize": "speed"}, "atlas": {"roll_std": [0.0, 0.2, 4]}, "method": "cma_mega",
+    }  # fmt: skip
+    walk = WalkGradients(Search.from_dict(spec))
+    share, h = np.array([0.5, 0.5]), 2e-3
+    slope = walk({"frequency": np.array([0.8])}, share[None])[0]
+    points = share + h * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    found = np.array([np.asarray(walk._outputs(point, {})) for point in points])
+    np.testing.assert_allclose(slope, ((found[::2] - found[1::2]) / (2 * h)).T, rtol=0.1, atol=2e-3)
+
+
+def test_what_a_search_costs_is_counted_by_hand():
+    """120 evaluations of two seconds in batches of 12, at what the fake takes for them."""
+    cost = cost_of(Search.from_dict(SPEED), "c", simulator=FakeSimulator(delay=0.01))
+    assert (cost.batch, cost.batches, cost.evaluations, cost.runs) == (12, 10, 120, 120)
+    assert cost.simulated_seconds == pytest.approx(240.0)
+    assert 0.2 < cost.wall_seconds < 20.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"objective": {"maximize": "sped"}}, "is the text 'sped': allowed are speed.*did you mean 'speed'"),
+        ({"objective": None}, "objective"),
+        ({"method": "nsga2"}, "is nsga2, which is not for one objective: allowed are cma, sobol"),
+        ({"pareto": [{"maximize": "speed"}, {"minimize": "slip"}]}, "stands beside 'objective'"),
+        ({"atlas": {"sped": [0, 1, 5]}}, "is not a metric that can be aimed at.*did you mean 'speed'"),
+        ({"atlas": {"speed": [0, 1, 2.5]}}, "has 2.5 cells: expected a whole number"),
+        ({"atlas": {"speed": [0, 1, 2000], "roll_std": [0, 1, 2000]}}, "has more than 1,000,000 cells"),
+        ({"subject_to": {"roll_std": {"max": 0.1, "min": 0.2}}}, "allows 0.2 to 0.1: the lower one comes first"),
+        ({"budget": {"simulated_seconds": 0}}, "expected a finite number above 0"),
+        ({"batch": 2}, "is 2: expected a whole number from 4"),
+        ({"keep": {"elites": 3}}, "is for an atlas"),
+        ({"sample": "grid"}, "is not a field of a search: how points are chosen is the method's"),
+        ({"vary": {}}, "is missing or empty: expected bounds"),
+        ({"set": {"frequency": 0.5}}, "is under 'vary' and also fixed under 'set'"),
+    ],
+)
+def test_wrong_files_get_their_sentence(change, message):
+    data = {key: value for key, value in (SPEED | change).items() if value is not None}
+    with pytest.raises(SpecError, match=message):
+        Search.from_dict(data)
+
+
+@pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS, MEGA], ids=["cma", "nsga2", "cma_me", "cma_mega"])
+def test_a_search_reads_back_as_itself(spec):
+    search = Search.from_dict(spec | {"subject_to": {"slip": {"max": 0.1}}, "randomize": {"repeats": 2}})
+    assert Search.from_text(search.to_yaml()) == search
+
+
+@pytest.mark.compiles
+@pytest.mark.draws
+def test_the_command_searches_keeps_and_draws(tmp_path):
+    """A search of two runs of a fifth of a second each, on MuJoCo C, as a user gives it; status and plot know it."""
+    path, out = tmp_path / "search.yaml", tmp_path / "out"
+    spec = {
+        "run": {"duration": 0.2}, "vary": {"frequency": {"uniform": [0.6, 0.9]}, "stride": {"uniform": [0.5, 1.0]}},
+        "objective": {"maximize": "speed"}, "budget": 8, "batch": 4, "keep": {"best": 1},
+    }  # fmt: skip
+    path.write_text(Search.from_dict(spec).to_yaml())
+
+    def call(*arguments):
+        ran = CliRunner().invoke(main, [str(each) for each in arguments])
+        assert ran.exit_code == 0, ran.output
+        return ran.stdout
+
+    told = json.loads(call("search", path, "--out", out, "--engine", "c", "--json"))
+    assert set(told["best"]) >= {"parameters", "objective", "metrics"}
+    (file,) = told["recordings"]
+    recording = Recording.load(file)
+    assert file.endswith(f"recordings/row-{told['best']['row']:06d}.npz")
+    assert recording.metadata["metrics"]["speed"] == told["best"]["metrics"]["speed"]
+    assert recording.metadata["parameters"]["stride"] == pytest.approx(told["best"]["parameters"]["stride"], rel=1e-6)
+    assert (out / "plots/convergence.png").exists()
+    state = json.loads(call("status", out, "--json"))
+    assert (state["kind"], state["rows_done"], state["complete"], state["engine"]) == ("search", 8, True, "c")
+    files = json.loads(call("plot", out, "--out", tmp_path / "plots", "--json"))["files"]
+    assert (tmp_path / "plots/convergence.svg").read_bytes() == (out / "plots/convergence.svg").read_bytes()
+    assert len(files) >= 2
+    call("plot", out, "--x", "frequency", "--y", "speed", "--out", tmp_path / "chosen")
+    assert "batches of 4" in call("search", path, "--out", out, "--engine", "c", "--dry-run")
+
+
+@pytest.mark.draws
+@pytest.mark.parametrize(("spec", "names"), [(FRONT, ("front", "hypervolume")), (ATLAS, ("atlas", "coverage"))])
+def test_fronts_and_atlases_are_drawn(spec, names, tmp_path):
+    result = run_search(spec | {"plots": True, "budget": 40}, tmp_path / "out", simulator=FakeSimulator())
+    assert {f"{name}.{form}" for name in names for form in ("png", "svg")} <= {path.name for path in result.plots}
