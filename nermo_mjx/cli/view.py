@@ -54,7 +54,9 @@ def command(
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
     if not path.exists():
-        raise WrongUse(f"{path} does not exist: expected a recording FILE.npz, or the directory of a sweep or a search.")
+        raise WrongUse(
+            f"{path} does not exist: allowed is a recording FILE.npz, or the directory of a sweep or search."
+        )
     notes: list[str] = []
     with stdout_reserved():
         if path.is_dir():
