@@ -29,6 +29,8 @@ KINDS: Final = ("sweep", "search")
 MOST_RECORDINGS: Final = 50
 #: Different values of a column up to which each is sent as it is, with all its digits.
 _LISTED: Final = 256
+#: Different numbers up to which each is a step of an axis, also where they are none of a grid.
+_FEW: Final = 12
 _LEVELS: Final = 32
 
 
@@ -80,7 +82,7 @@ def explore(
         "notes": notes,
         "total": runs.total,
         "rows": table.plain(runs.rows, "uint32"),
-        "fields": [_field(column, table) for column in runs.columns.values()],
+        "fields": [_field(column, runs.grid, table) for column in runs.columns.values()],
         "start": start_of(runs),
         "atlas": runs.atlas,
         "palette": _palette(),
@@ -141,7 +143,7 @@ def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[di
     return clips, models.headers, parts
 
 
-def _field(column: Column, packer: Packer) -> dict[str, Any]:
+def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
     """The header of a column, and its values packed."""
     unit = shown(column.name, column.unit, [1.0])
     about: dict[str, Any] = {
@@ -149,6 +151,7 @@ def _field(column: Column, packer: Packer) -> dict[str, Any]:
         "factor": float(unit.values[0]), "better": column.better, "log": column.log,
     }  # fmt: skip
     known = column.distinct
+    about["stepped"] = len(known) <= (MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW)
     if column.is_text:
         codes = np.searchsorted(known.astype(str), column.values.astype(str))
         return about | {"texts": known.tolist(), "values": packer.plain(codes, "uint16")}
