@@ -67,8 +67,8 @@ def parameter_table() -> str:
 
 def metric_table() -> str:
     """Every metric of a run, as Markdown."""
-    rows = ["| name | unit | meaning |", "|---|---|---|"]
-    rows += [f"| `{name}` | {metric.unit} | {metric.doc} |" for name, metric in METRICS.items()]
+    rows = ["| name | unit | better | meaning |", "|---|---|---|---|"]
+    rows += [f"| `{name}` | {metric.unit} | {metric.better or ''} | {metric.doc} |" for name, metric in METRICS.items()]
     return "\n".join(rows) + "\n"
 
 

@@ -1,7 +1,8 @@
 """Batched digital twin of Nermo, the tendon-driven robotic mouse with a compliant spine, on MuJoCo and MJX.
 
 The public surface: `load_robot` and `RobotConfig`; `Setup`, `Run` and `Simulator` (a batch from named parameters to
-named metrics); `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`;
+named metrics); `Rollout` (the same walk as a differentiable function); `METRICS`, `all_metrics` and
+`all_parameters`; `metric` for one's own;
 `control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
 `leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep` and
 `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and `run_experiments`;
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from nermo_mjx.physics import make_engine
     from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, RobotConfig, Sensors, ServoAngles, load_robot
     from nermo_mjx.robot.quantity import parameter_tree, quantity
-    from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
+    from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_metrics, all_parameters, metric
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
     from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
@@ -43,7 +44,9 @@ _HOMES = {
         "LIMBS", "SERVOS", "ParameterError", "Robot", "RobotConfig", "Sensors", "ServoAngles", "load_robot",
     ),
     "nermo_mjx.robot.quantity": ("parameter_tree", "quantity"),
-    "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
+    "nermo_mjx.rollout": (
+        "METRICS", "Run", "RunResult", "Setup", "Simulator", "all_metrics", "all_parameters", "metric",
+    ),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
     "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
@@ -55,10 +58,10 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Controller", "ControllerLike", "Page", "ParameterError", "Recording", "Robot",
     "RobotConfig", "Rollout", "Run", "RunResult", "Sensors", "ServoAngles", "ServoTable", "Setup", "Simulator",
-    "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters", "compiler_options",
-    "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "parameter_tree",
-    "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment", "run_experiments",
-    "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
+    "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_metrics", "all_parameters",
+    "compiler_options", "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "metric",
+    "parameter_tree", "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment",
+    "run_experiments", "run_landscape", "run_sweep", "run_tuning", "servo_table", "show",
 ]  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import io
 import json
 import os
 import tempfile
@@ -38,7 +39,8 @@ class Recording:
         ctrl: commanded servo angles [rad].
         sensors: named sensor readings, each with the time axis first; units as in `robot.interface.Sensors`.
         model_hash: `model_hash` of the model that ran; "" if unknown.
-        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`.
+        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`, and `units` of metrics of
+            one's own.
     """
 
     time: Float[np.ndarray, " T"]
@@ -80,12 +82,18 @@ class Recording:
             RecordingError: the file cannot be written.
         """
         path = Path(path)
+        with whole_file(path, "the recording") as file:
+            file.write(self.content())
+        return path
+
+    def content(self) -> bytes:
+        """What `save` writes."""
         header = {"format": _MARK, "layout": LAYOUT, "model_hash": self.model_hash, "metadata": dict(self.metadata)}
         arrays = {"header": np.array(json.dumps(header)), "time": self.time, "qpos": self.qpos, "qvel": self.qvel}
         arrays |= {"ctrl": self.ctrl} | {f"sensor.{name}": values for name, values in self.sensors.items()}
-        with whole_file(path, "the recording") as file:
-            np.savez_compressed(file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()})
-        return path
+        file = io.BytesIO()
+        np.savez_compressed(file, allow_pickle=False, **{key: np.asarray(v) for key, v in arrays.items()})
+        return file.getvalue()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Recording:

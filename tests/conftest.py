@@ -73,7 +73,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 #: Modules that make simulators by this name.
 MAKERS = (
-    "rollout", "sweep.replay", "sweep.simulating",
+    "rollout", "sweep.keeping", "sweep.replay", "sweep.simulating",
     "experiments.straight_line", "experiments.turning", "experiments.maze",
 )  # fmt: skip
 

@@ -285,10 +285,10 @@ def test_an_error_of_the_writer_ends_the_sweep(tmp_path, monkeypatch, reference,
     """While the next chunk but one is not begun yet, or at the end; what was computed by then is kept."""
     write, simulator = Store.write_chunk, FakeSimulator()
 
-    def fails(store, chunk, table):
+    def fails(store, chunk, *tables):
         if chunk == broken:
             raise DirectoryError("no room")
-        write(store, chunk, table)
+        write(store, chunk, *tables)
 
     with monkeypatch.context() as patch:
         patch.setattr(Store, "write_chunk", fails)

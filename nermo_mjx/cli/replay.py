@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,7 +49,7 @@ def command(
     files = [path for path in (record, video) if path is not None]
     with stdout_reserved():
         from nermo_mjx.runs.files import make_writable
-        from nermo_mjx.sweep.replay import find_row, replay_row
+        from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
         found = find_row(out, row)
         wanted = Plan(found.sweep.setup, found.sweep.run, found.values, found.parameters)
@@ -59,7 +58,7 @@ def command(
         check_video(wanted.setup, video, camera)
         with Progress("replay", quiet=quiet, compiles=True) as progress:
             replay = replay_row(found, engine, progress.share)
-        report = _report(found, replay)
+        report = report_of(found, replay)
         if files:
             if not len(replay.history.time):
                 raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
@@ -73,42 +72,10 @@ def command(
         _print(found, wanted, replay, report, files)
 
 
-def _report(found: SweepRow, replay: Replay) -> dict[str, Any]:
-    """The fields of `walk --json`, and the row's own."""
-    line = found.line
-    return {
-        "directory": str(found.out),
-        "row": found.row,
-        "variant": int(line.variant[0]),
-        "repeat": int(line.repeat[0]),
-        "seed": int(line.seed[0]),
-        "comparison": None if replay.comparison is None else dataclasses.asdict(replay.comparison),
-        "compared": _compared(found, replay),
-        **replay.about,
-    }
-
-
-def _compared(found: SweepRow, replay: Replay) -> str:
-    """How the replay stands to the table, in a sentence."""
-    comparison = replay.comparison
-    if comparison is None and found.outdated:
-        return "Not compared: the row in the table was made by another sweep.yaml, or with other defaults."
-    if comparison is None:
-        return "Not compared: the sweep has not run this row yet."
-    if comparison.equal:
-        return f"All metrics equal the table's (engine {comparison.engine}), to the last bit."
-    known = math.isfinite(comparison.relative_difference)
-    return (
-        f"The metrics differ from the table's (engine {comparison.engine}), most of all {comparison.metric}: "
-        f"{comparison.replayed:.6g} instead of {comparison.stored:.6g}"
-        + (f", a share of {comparison.relative_difference:.2g}." if known else ".")
-    )
-
-
 def _print(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:
     values = "".join(f", {name} {value:.4g}" for name, value in found.values.items())
     click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
-    print_walk(report, wanted.theory, [])
+    print_walk(report, wanted, [])
     for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
         if report["metrics"][flag]:
             click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.end:.2f} s.")

@@ -78,7 +78,8 @@ def command(
                 progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
             )  # fmt: skip
     if as_json:
-        about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots}
+        about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots,
+                 "recordings": result.recordings}  # fmt: skip
         print_json({**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary})
     elif not quiet:
         _print_summary(result)
@@ -104,6 +105,8 @@ def _print_summary(result: SweepResult) -> None:
     click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
     if result.plots:
         click.echo(f"plots   {result.out / 'plots'}")
+    if result.recordings:
+        click.echo(f"kept    {len(result.recordings)} recordings in {result.recordings[0].parent}")
 
 
 def _list_parameters(spec: Path | None, as_json: bool) -> None:

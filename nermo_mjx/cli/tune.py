@@ -94,7 +94,7 @@ class _Display:
         parts = [f"best {progress.best:.4g}"]
         for name in self._tuning.objective.metrics[:_NAMED]:
             if name in progress.metrics:
-                parts.append(_number_and_unit(name, progress.metrics[name]))
+                parts.append(_number_and_unit(self._tuning, name, progress.metrics[name]))
         return ", ".join(parts)
 
 
@@ -164,19 +164,15 @@ def _digits(value: float) -> str:
     return f"{value + 0.0:.4g}" if math.isfinite(value) else "-"
 
 
-def _number_and_unit(metric: str, value: float) -> str:
-    from nermo_mjx.plotting.shown import shown
-    from nermo_mjx.tune.objective import OBJECTIVE_METRICS
-
-    quantity = shown(metric, OBJECTIVE_METRICS[metric].unit, value)
-    return f"{metric} {float(quantity.values):.4g} {quantity.unit}".rstrip()
+def _number_and_unit(tuning: Tuning, metric: str, value: float) -> str:
+    (number,), unit = _shown(tuning, metric, (value,))
+    return f"{metric} {number:.4g} {unit}".rstrip()
 
 
 def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
     """Values of a parameter or metric as figures show them, and the unit."""
     from nermo_mjx.plotting.shown import shown
-    from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 
-    about = tuning.parameters.get(name) or OBJECTIVE_METRICS[name]
+    about = tuning.parameters.get(name) or tuning.objective_metrics[name]
     quantity = shown(name, about.unit, values)
     return quantity.values.tolist(), quantity.unit

@@ -25,12 +25,14 @@ Examples:
   nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
   nermo-mjx walk --set contact.friction=0.6 --json
   nermo-mjx walk --controller bound.py:Bound --set reach=0.04
+  nermo-mjx walk --metrics my_metrics.py
 """
 
 
 @click.command("walk", epilog=EPILOG)
 @options.gait
 @click.option("--controller", metavar="FILE.py:NAME", help="Another controller than the published one.")
+@click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Metrics of one's own; repeatable.")
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
 @options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)
 @options.number("--duration", "Length in seconds, instead of --cycles.", options.POSITIVE)
@@ -60,7 +62,7 @@ def command(
     if as_json:
         print_json(report)
     elif not quiet:
-        print_walk(report, wanted.theory, [path for path in (record, video) if path is not None])
+        print_walk(report, wanted, [path for path in (record, video) if path is not None])
 
 
 def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult:

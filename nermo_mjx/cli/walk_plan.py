@@ -21,7 +21,7 @@ PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
     "turn_rate": ("pilot.turn_rate", ("pilot", "open_loop")),
     "offset_compensation": ("spine.offset_compensation", None),
 }
-SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "controller")
+SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "controller", "metrics")
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nermo_mjx.cli.output import print_table
+
+if TYPE_CHECKING:
+    from nermo_mjx.cli.walk_plan import Plan
 
 ANGLES = ("roll", "pitch", "yaw")
 #: Other lines of the table: metric, how it is called, its unit, and the factor from SI.
@@ -22,19 +25,21 @@ LINES = (
 )
 
 
-def print_walk(report: dict[str, Any], theory: float, files: list[Path]) -> None:
-    """Print a report of `walk`; `theory` is the speed of feet that neither slip nor lag [m/s]."""
+def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
+    """Print a report of what `walk` had planned."""
     from nermo_mjx.rollout.metrics import Ending
 
     metrics, setup = report["metrics"], report["setup"]
     how = setup["controller"] or f"{setup['gait']} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
     what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
     rows = [["speed", _shown(metrics.get("speed"), 1e3), "mm/s"]]
-    if math.isfinite(theory):
+    if math.isfinite(theory := plan.theory):
         rows.append(["speed in theory", _shown(theory, 1e3), "mm/s"])
     for name, title, unit, factor in LINES:
         if name in metrics:
             rows.append([title, _shown(metrics[name], factor), unit])
+    for own in plan.setup.own_metrics:
+        rows.append([own.name, f"{metrics[own.name]:.4g}", own.unit])
     print_table(f"Nermo walked: {what}", [("", "left"), ("", "right"), ("", "left")], rows)
     degrees = math.degrees(1.0)
     parts = ("mean", "std", "min", "max")

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib
-import importlib.util
-import sys
-from pathlib import Path
-from types import FunctionType, ModuleType
+from types import FunctionType
 from typing import Any, Final
 
 from nermo_mjx.control.protocol import REQUIRED
-from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
 from nermo_mjx.robot.quantity import ParameterError
 
 FORM: Final = "FILE.py:NAME or MODULE:NAME"
@@ -29,12 +25,11 @@ def load_controller(where: str) -> Any:
         ParameterError: there is no such file, module or name, it cannot be imported, or it is no controller.
     """
     source, name = _parts(where)
-    module = _imported(where, *_content(where, source))
+    module = module_of(f"controller is {where!r}", source, FORM)
     found = getattr(module, name, None)
     if found is None:
-        near = nearest(name, [each for each in vars(module) if not each.startswith("_")])
-        hint = f"; did you mean {near!r}?" if near else "."
-        raise ParameterError(f"controller is {where!r}: {source} has no {name!r}{hint}")
+        public = [each for each in vars(module) if not each.startswith("_")]
+        raise no_such_name(f"controller is {where!r}", source, name, public)
     controller = _made(where, found) if isinstance(found, (type, FunctionType)) else found
     check_form(controller)
     return controller
@@ -47,7 +42,7 @@ def controller_digest(where: str) -> str:
         ParameterError: see `load_controller`.
     """
     source, name = _parts(where)
-    _, content = _content(where, source)
+    _, content = content_of_source(f"controller is {where!r}", source, FORM)
     return hashlib.sha256(f"{name}\0".encode() + content).hexdigest()[:16]
 
 
@@ -71,44 +66,6 @@ def _parts(where: str) -> tuple[str, str]:
     if not colon or not source or not name.isidentifier():
         raise ParameterError(f"controller is {where!r}: expected {FORM}.")
     return source, name
-
-
-def _content(where: str, source: str) -> tuple[str, bytes]:
-    """The file of a module, and what is in it."""
-    path = Path(source) if source.endswith(".py") else _file_of(where, source)
-    try:
-        return str(path.resolve()), path.read_bytes()
-    except OSError as error:
-        raise ParameterError(f"controller is {where!r}: {path} cannot be read ({error.strerror}).") from None
-
-
-def _file_of(where: str, module: str) -> Path:
-    try:
-        spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError):
-        spec = None
-    if spec is None or spec.origin is None:
-        raise ParameterError(f"controller is {where!r}: there is no module {module!r} here; expected {FORM}.")
-    return Path(spec.origin)
-
-
-@functools.lru_cache(maxsize=32)
-def _imported(where: str, path: str, content: bytes) -> ModuleType:
-    """The module; a file is run once for each content."""
-    source, _ = _parts(where)
-    try:
-        if not source.endswith(".py"):
-            return importlib.import_module(source)
-        name = f"nermo_mjx_controller_{hashlib.sha256(path.encode() + content).hexdigest()[:16]}"
-        module = ModuleType(name)
-        module.__file__ = path
-        sys.modules[name] = module  # dataclasses look their module up
-        exec(compile(content, path, "exec"), module.__dict__)
-        return module
-    except Exception as error:
-        raise ParameterError(
-            f"controller is {where!r}: it cannot be imported ({type(error).__name__}: {error})."
-        ) from None
 
 
 @functools.lru_cache(maxsize=32)

@@ -24,12 +24,14 @@ class ShownValues:
         name, unit: what the axis is called; the unit is empty for a pure number.
         values: (n,), in that unit.
         log: whether the axis is logarithmic.
+        side: which values of a metric are better, `max`, `min` or `nearest zero`; empty where none are.
     """
 
     name: str
     unit: str
     values: np.ndarray
     log: bool = False
+    side: str = ""
 
     @property
     def label(self) -> str:
@@ -41,7 +43,7 @@ class ShownValues:
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
 
-def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False) -> ShownValues:
+def shown(name: str, unit: str, values: ArrayLike, *, log: bool = False, side: str = "") -> ShownValues:
     """A column in SI units as a `ShownValues`."""
     unit, factor = _SHOWN_UNITS.get(unit, ("" if unit == "1" else unit, 1.0))
-    return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log)
+    return ShownValues(name, unit, np.asarray(values, dtype=float) * factor, log, side)

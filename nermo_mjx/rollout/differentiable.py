@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -19,10 +19,11 @@ from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
+from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup, with_controller
+from nermo_mjx.rollout.setup import Run, Setup, with_own
 from nermo_mjx.rollout.start import StartPose
 
 
@@ -60,6 +61,7 @@ class Rollout:
         *,
         slowest: float | None = None,
         controller: ControllerLike | str | None = None,
+        metrics: Sequence[OwnMetric | str] | str = (),
     ) -> None:
         """
         Args:
@@ -69,11 +71,13 @@ class Rollout:
                 frequency is traced: the number of ticks is fixed when a program is made. Of another controller, the
                 lowest rate of gait cycles.
             controller: instead of the setup's, see `Setup.controller`.
+            metrics: beside the setup's, see `Setup.metrics`.
 
         Raises:
-            ParameterError: a run that ends by distance, or with one length for each world; or what is no controller.
+            ParameterError: a run that ends by distance, or with one length for each world; what is no controller, or a
+                metric that cannot be computed.
         """
-        self.setup, self.length = with_controller(setup, controller), run or Run()
+        self.setup, self.length = with_own(setup, controller, metrics), run or Run()
         if self.length.distance is not None:
             raise ParameterError("run.distance is given: a differentiable run ends by cycles or duration.")
         lengths = (self.length.cycles, self.length.warmup_cycles, self.length.duration, self.length.warmup)
@@ -83,7 +87,8 @@ class Rollout:
         self.robot = self.setup.load()
         self.controller = self.setup.make_controller()
         check_controller(self.robot, self.controller)
-        self.engine = MjxEngine(self.robot, ClosedLoop(self.robot, self.controller))
+        check_metrics(self.robot.config, self.setup.own_metrics)
+        self.engine = MjxEngine(self.robot, ClosedLoop(self.robot, self.controller, self.setup.own_metrics))
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
 
@@ -95,7 +100,7 @@ class Rollout:
         *,
         policy: Any = None,
     ) -> dict[str, Float[Array, ""]]:
-        """The metrics of one world, as named in `METRICS`.
+        """The metrics of one world, as named in `all_metrics(setup)`.
 
         Args:
             values: parameter name -> number or array of shape (); what is not named has the setup's default.
@@ -135,7 +140,9 @@ class Rollout:
         mass = jnp.asarray(params.model.mass.front + params.model.mass.rear, float)
         # A traced frequency below `slowest` does not get through its run: no number is better than a wrong one.
         complete = loop.window.end <= (ticks - 1 + 1e-3) * self.controller.dt
-        measured = metrics.result(carry.loop.metrics, mass, params.model.ground.gravity)
+        measured = measures.result(
+            carry.loop.metrics, mass, params.model.ground.gravity, self.setup.own_metrics
+        )
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
 
     def _parameters(self, values: Mapping[str, ArrayLike], policy: Any) -> WorldParameters:

@@ -14,6 +14,7 @@ from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.control.state import canonical, with_dtypes_of
 from nermo_mjx.robot import ParameterError, Robot, ServoAngles
 from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.parameters import Start, Window
 
 
@@ -49,10 +50,11 @@ class LoopState:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Implements `physics.engine.Loop` for a robot and a controller."""
+    """Implements `physics.engine.Loop` for a robot and a controller, with metrics of one's own beside the others."""
 
     robot: Robot
     controller: ControllerLike
+    own: tuple[OwnMetric, ...] = ()
 
     @property
     def steps_per_tick(self) -> int:
@@ -65,7 +67,7 @@ class ClosedLoop:
         control = canonical(self.controller.init(params.control, sensors, params.start.phase))
         servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.n_servos)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
-        return LoopState(first, now, control, metrics.init(sensors), servo.astype(now.dtype))
+        return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype))
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -81,7 +83,7 @@ class ClosedLoop:
             stance = controller.stance(state.control)
         measured = metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
-            stance, self.robot.terrain.height(position[0], position[1]),
+            stance, self.robot.terrain.height(position[0], position[1]), self.own,
         )  # fmt: skip
         # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
         last = jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)

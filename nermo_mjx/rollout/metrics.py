@@ -24,9 +24,11 @@ from jaxtyping import Array, Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot import LIMBS, Sensors
-from nermo_mjx.rollout import path_metrics
+from nermo_mjx.rollout import path_metrics, reduction
 from nermo_mjx.rollout.attitude import attitude, uprightness
+from nermo_mjx.rollout.catalogue import ANGLES, METRICS, PAIRS
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
+from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.rollout.path_metrics import root
 
@@ -43,9 +45,6 @@ FALLEN_HEIGHT: Final = 0.025
 #: Faster than this, the numbers are no longer those of a robot [m/s].
 DIVERGED_SPEED: Final = 50.0
 GRAVITY: Final = 9.81
-ANGLES: Final = ("roll", "pitch", "yaw")
-#: Pairs of feet, and their places in `LIMBS`.
-PAIRS: Final = {"front": slice(0, 2), "rear": slice(2, 4)}
 
 
 class Ending(enum.Enum):
@@ -67,48 +66,6 @@ def endings(fell: np.ndarray, diverged: np.ndarray, unsolved: np.ndarray) -> np.
     return np.select(list(flags.values()), [ending.name for ending in flags], Ending.ok.name)
 
 
-@dataclasses.dataclass(frozen=True)
-class Metric:
-    """Unit and meaning of a metric."""
-
-    unit: str
-    doc: str
-
-
-METRICS: Final[dict[str, Metric]] = {
-    "speed": Metric("m/s", "distance over duration"),
-    "distance": Metric("m", "way along the pilot's path, or along the smoothed heading, while measured"),
-    "duration": Metric("s", "time measured"),
-    "lateral_drift": Metric("m", "displacement along x, left of the straight pilot's line, while measured"),
-    **{
-        f"{angle}_{statistic}": Metric("rad", f"{statistic} of the torso's {angle}")
-        for angle in ANGLES
-        for statistic in ("mean", "std", "min", "max")
-    },
-    "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one"),
-    "cross_track_rms": Metric("m", "root mean square of the distance from the pilot's path; NaN without a path"),
-    "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path"),
-    "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
-    "slip": Metric("m/s", "mean horizontal speed of loaded feet"),
-    **{f"slip_{limb}": Metric("m/s", f"the same of the {limb.replace('_', ' ')} foot") for limb in LIMBS},
-    **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},
-    **{f"loaded_{pair}": Metric("1", f"share of time with a {pair} foot loaded, mean of the pair") for pair in PAIRS},
-    **{
-        f"swing_loaded_{pair}": Metric("1", f"share of its commanded swing with a {pair} foot loaded, mean of the pair")
-        for pair in PAIRS
-    },
-    **{f"load_{limb}": Metric("N", f"mean force on the {limb.replace('_', ' ')} foot") for limb in LIMBS},
-    "front_load_share": Metric("1", "share of the front feet in the load of all feet"),
-    "tail_time": Metric("1", "share of time with the tail loaded"),
-    "tail_load_share": Metric("1", "share of the tail in the load of feet and tail"),
-    "servo_work": Metric("J", "positive mechanical work of all servos while measured"),
-    "cost_of_transport": Metric("1", "servo work over weight and distance; NaN below 1 mm"),
-    "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground"),
-    "diverged": Metric("1", "1 if the simulation lost its numbers"),
-    "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
-}  # fmt: skip
-
-
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class MetricState:
@@ -127,6 +84,7 @@ class MetricState:
         load: force on each foot over time (4,), and on the tail [N s].
         tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
+        own: accumulators of metrics of one's own; None without any.
         on_path: whether the pilot has a path.
         lost: whether the readings mean nothing any more, also after the run's end.
         failure_time: end of the tick in which the run failed [s]; 0 until then.
@@ -154,6 +112,7 @@ class MetricState:
     load: Float[Array, " 5"]
     tail_loaded: Float[Array, ""]
     path: path_metrics.PathState
+    own: reduction.OwnState | None
     on_path: Bool[Array, ""]
     lost: Bool[Array, ""]
     failure_time: Float[Array, ""]
@@ -163,8 +122,8 @@ class MetricState:
     finished: Bool[Array, ""]
 
 
-def init(sensors: Sensors) -> MetricState:
-    """Accumulators before the first tick, from the readings at rest."""
+def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
+    """Accumulators before the first tick, from the readings at rest, with those of metrics of one's own."""
     position, angles = sensors.position, attitude(sensors.orientation)
     zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
     readings = jnp.append(angles, zero)
@@ -173,7 +132,8 @@ def init(sensors: Sensors) -> MetricState:
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
         origin=position, end=position, loaded=four, slid=four, swing=four, swing_loaded=four,
-        load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position), on_path=no,
+        load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
+        own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
 
@@ -188,6 +148,7 @@ def update(
     path: PathPoint | None = None,
     stance: Bool[Array, " 4"] | None = None,
     ground: Any = 0.0,
+    own: tuple[OwnMetric, ...] = (),
 ) -> MetricState:
     """Add one control tick.
 
@@ -201,6 +162,7 @@ def update(
         path: point of the pilot's path beside the torso, where it follows one.
         stance: feet that were commanded to stand during the tick; all of them where nothing is commanded.
         ground: height of the ground beneath the torso [m].
+        own: metrics of one's own, the same as for `init`.
     """
     # What the accelerometer loses the velocities have lost a step later; without it nobody needs to compute it.
     told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
@@ -266,6 +228,9 @@ def update(
         path=path_metrics.update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
+        own=None if state.own is None else reduction.update(
+            own, state.own, sensors, part, share, ~lost & (time > 0.0)
+        ),
         on_path=jnp.asarray(path is not None),
         lost=lost,
         failure_time=jnp.where(judged & (fallen | lost), time, state.failure_time),
@@ -307,8 +272,10 @@ def _share(part: Array, whole: Array) -> Array:
     return jnp.where(some, part / jnp.where(some, whole, 1.0), jnp.nan)
 
 
-def result(state: MetricState, mass: Float[Array, ""], gravity: Any = GRAVITY) -> dict[str, Float[Array, ""]]:
-    """The metrics of one world, named as in `METRICS`. What was never measured is NaN.
+def result(
+    state: MetricState, mass: Float[Array, ""], gravity: Any = GRAVITY, own: tuple[OwnMetric, ...] = ()
+) -> dict[str, Float[Array, ""]]:
+    """The metrics of one world, named as in `METRICS`, and those of one's own. What was never measured is NaN.
 
     Derivatives are finite, also beside metrics that are NaN.
 
@@ -316,6 +283,7 @@ def result(state: MetricState, mass: Float[Array, ""], gravity: Any = GRAVITY) -
         state: accumulators at the end.
         mass: of the robot [kg].
         gravity: that makes it a weight [m/s^2].
+        own: metrics of one's own, the same as for `init`.
     """
     begun = state.begun
     time, moved = jnp.where(begun, state.time, 1.0), begun & (state.way > SHORTEST_WAY)
@@ -360,4 +328,5 @@ def result(state: MetricState, mass: Float[Array, ""], gravity: Any = GRAVITY) -
         "diverged": state.diverged.astype(time.dtype),
         "failure_time": jnp.where(state.fell | state.diverged, state.failure_time, jnp.nan),
     }
-    return {name: metrics[name] for name in METRICS}
+    found = {name: metrics[name] for name in METRICS}
+    return found if state.own is None else found | reduction.result(own, state.own, begun, time)

@@ -10,6 +10,7 @@ import numpy as np
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot.quantity import ParameterError, values_of
 from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.saving import Series
 from nermo_mjx.rollout.setup import Run, Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.runs.text import plain
@@ -38,7 +39,7 @@ class RunResult:
     """What a batch of n worlds gave.
 
     Attributes:
-        metrics: name -> (n,), as described in `METRICS`.
+        metrics: name -> (n,), as `all_metrics` describes them.
         status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
         setup, length: what ran, and how long.
         worlds: all parameters, leaves with a leading world axis.
@@ -49,6 +50,7 @@ class RunResult:
         compile_seconds: the part of it that JAX spent on making programs: tracing, and compiling or reading from its
             cache; 0 where all of them had run before.
         trace: the recording, if one was asked for.
+        series: time series of the signals that were saved, if any were.
     """
 
     metrics: dict[str, np.ndarray]
@@ -62,6 +64,7 @@ class RunResult:
     wall_seconds: float = 0.0
     compile_seconds: float = 0.0
     trace: History | None = None
+    series: Series | None = None
 
     @property
     def parameters(self) -> dict[str, np.ndarray]:
@@ -86,7 +89,8 @@ class RunResult:
         return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
 
     def about(self, world: int = 0) -> dict[str, Any]:
-        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`."""
+        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and `units` of
+        metrics of one's own, which no other place knows."""
         measured = {name: float(column[world]) for name, column in self.metrics.items()}
         flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
         run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
@@ -98,6 +102,7 @@ class RunResult:
             "run": run,
             "engine": self.engine,
             "versions": versions(),
+            **({"units": {each.name: each.unit for each in self.setup.own_metrics}} if self.setup.metrics else {}),
         }
 
     def to_pandas(self) -> Any:

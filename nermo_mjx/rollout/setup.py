@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import jax
@@ -23,8 +23,16 @@ from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
+from nermo_mjx.rollout.catalogue import METRICS, Metric
+from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
 from nermo_mjx.rollout.parameters import WorldParameters
 
+#: Columns of tables that a metric's name may not be.
+TAKEN: Final = frozenset((
+    "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
+    "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
+    "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
+))  # fmt: skip
 #: Choices that only the published controller knows.
 PUBLISHED: Final = ("gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory")
 
@@ -51,6 +59,8 @@ class Setup:
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME` or `MODULE:NAME`. What
             is chosen above from `gait` on is the published controller's, and goes with no other; with a `Controller` of
             other parts go gait, steering and profile.
+        metrics: metrics of one's own beside `METRICS`: made by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
+            `MODULE` or `MODULE:NAME`; one, or several in a list.
 
     Raises:
         ParameterError: an unknown name, or choices that do not fit together; the message says what is allowed.
@@ -72,6 +82,7 @@ class Setup:
     command: Command | None = None
     trajectory: str = "cubic"
     controller: ControllerLike | str | None = None
+    metrics: tuple[OwnMetric | str, ...] = ()
 
     def __post_init__(self) -> None:
         config = RobotConfig(
@@ -81,6 +92,9 @@ class Setup:
         object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         mode_names(self.spine)
+        given: Any = self.metrics
+        object.__setattr__(self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given))
+        self._check_metrics()
         # No robot is built for a check.
         controller = self._without_robot
         check_form(controller)
@@ -102,8 +116,16 @@ class Setup:
         """The choices that apply, as JSON knows them; an object stands there by its type's name."""
         given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
                  if self._applies(field.name)}  # fmt: skip
+        named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
+        given |= {"metrics": named} if named else {}
         return {name: value if value is None or isinstance(value, (str, float, tuple)) else type(value).__name__
                 for name, value in given.items()}  # fmt: skip
+
+    @functools.cached_property
+    def own_metrics(self) -> tuple[OwnMetric, ...]:
+        """The metrics of one's own; a file is read once, as that of a controller."""
+        loaded = (load_metrics(each) if isinstance(each, str) else (each,) for each in self.metrics)
+        return tuple(metric for several in loaded for metric in several)
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
@@ -126,6 +148,20 @@ class Setup:
             command=self.command, trajectory=self.trajectory, routing=self.routing,
         )  # fmt: skip
 
+    def _check_metrics(self) -> None:
+        """Refuse what is no metric, and names that are taken."""
+        for each in self.metrics:
+            if not isinstance(each, (str, OwnMetric)):
+                raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
+        seen: dict[str, str] = {}
+        for own in self.own_metrics:
+            if own.name in METRICS or own.name in TAKEN:
+                whose = "a metric that every run has" if own.name in METRICS else "a column that every table has"
+                raise ParameterError(f"metrics has {own.place}, but {own.name} is {whose}: give it another name.")
+            if own.name in seen:
+                raise ParameterError(f"metrics has {own.place} and {seen[own.name]}: give one of them another name.")
+            seen[own.name] = own.place
+
     def _applies(self, name: str) -> bool:
         """Whether a choice means something to the controller."""
         if self.controller is None or name not in PUBLISHED:
@@ -144,6 +180,9 @@ class Setup:
         for name, _ in quantities(controller.parameters):
             if name in taken:
                 raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
+        for own in self.own_metrics:
+            if own.name in taken or own.name in dict(quantities(controller.parameters)):
+                raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
 
     def defaults(self) -> dict[str, float]:
         """Value of every parameter before a user names any."""
@@ -218,10 +257,24 @@ class Setup:
             return np.asarray(self._without_robot.cycle_rate(control), float)
 
 
-def with_controller(setup: Setup | None, controller: ControllerLike | str | None) -> Setup:
-    """The setup, or the default one, with a controller instead of its own if one is given."""
+def with_own(
+    setup: Setup | None, controller: ControllerLike | str | None = None, metrics: Sequence[OwnMetric | str] | str = ()
+) -> Setup:
+    """The setup, or the default one, with a controller instead of its own if one is given, and with more metrics."""
     setup = setup or Setup()
-    return setup if controller is None else dataclasses.replace(setup, controller=controller)
+    setup = setup if controller is None else dataclasses.replace(setup, controller=controller)
+    more = (metrics,) if isinstance(metrics, (str, OwnMetric)) else tuple(metrics)
+    return dataclasses.replace(setup, metrics=(*setup.metrics, *more)) if more else setup
+
+
+def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
+    """Every metric that a run of `setup` gives, in the order of the columns: those of every run, and one's own.
+
+    >>> all_metrics()["cost_of_transport"].better
+    'low'
+    """
+    own = () if setup is None else setup.own_metrics
+    return METRICS | {each.name: each for each in own}
 
 
 def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:

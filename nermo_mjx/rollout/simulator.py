@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -16,12 +17,14 @@ from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.rollout import metrics
+from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
+from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.result import History, RunResult
-from nermo_mjx.rollout.setup import Run, Setup, with_controller
+from nermo_mjx.rollout.saving import Keeper, Saving
+from nermo_mjx.rollout.setup import Run, Setup, with_own
 from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.
@@ -68,6 +71,7 @@ class Simulator:
         threads: int | None = None,
         *,
         controller: ControllerLike | str | None = None,
+        metrics: Sequence[OwnMetric | str] | str = (),
     ) -> None:
         """
         Args:
@@ -76,21 +80,23 @@ class Simulator:
             devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
             threads: processors that share a batch in `c`; None for `$NERMO_MJX_THREADS`, or else all.
             controller: instead of the setup's, see `Setup.controller`.
+            metrics: beside the setup's, see `Setup.metrics`.
 
         Raises:
-            ParameterError: an unknown engine, one that cannot run here, not as many devices, no thread, or what is no
-                controller.
+            ParameterError: an unknown engine, one that cannot run here, not as many devices, no thread, what is no
+                controller, or a metric that cannot be computed.
         """
-        self.setup = with_controller(setup, controller)
-        self.robot = self.setup.load()
+        self.setup = with_own(setup, controller, metrics)
+        self.robot, own = self.setup.load(), self.setup.own_metrics
         self.controller = self.setup.make_controller()
         check_controller(self.robot, self.controller)
-        self.loop = ClosedLoop(self.robot, self.controller)
+        check_metrics(self.robot.config, own)
+        self.loop = ClosedLoop(self.robot, self.controller, own)
         self.engine = make_engine(engine, self.robot, self.loop, devices, threads)
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
-        self._results = Lanes(metrics.result)
+        self._results = Lanes(functools.partial(measures.result, own=own))
 
     def parameters(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.
@@ -128,7 +134,7 @@ class Simulator:
     def __call__(
         self, values: Mapping[str, Any] | None = None, run: Run | None = None, *, policy: Any = None
     ) -> dict[str, np.ndarray]:
-        """The metrics of a batch, as named in `METRICS`: what `run` gives, without the rest."""
+        """The metrics of a batch, as named in `all_metrics(setup)`: what `run` gives, without the rest."""
         return self.run(values or {}, run, policy=policy).metrics
 
     def run(
@@ -139,6 +145,7 @@ class Simulator:
         progress: Callable[[float], None] | None = None,
         notify: Callable[[str], None] | None = None,
         policy: Any = None,
+        save: Saving | None = None,
     ) -> RunResult:
         """Simulate one batch.
 
@@ -154,13 +161,15 @@ class Simulator:
             notify: called with a sentence before a program is compiled that this simulator has not run yet.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`. A leaf
                 with one axis more than there has one entry a world. Named values come into it.
+            save: signals whose time series are kept; the result's `series`.
 
         Raises:
-            ParameterError: see `parameters`.
+            ParameterError: see `parameters`, and `Keeper`.
         """
         began = time.perf_counter()
         with _compile_time() as compile_time:
-            result = self._run(self.prepare(values, run, policy), record, progress, notify)
+            keeper = None if save is None else Keeper(save, self.robot, self.controller.dt)
+            result = self._run(self.prepare(values, run, policy), record, progress, notify, keeper)
         wall = time.perf_counter() - began
         return dataclasses.replace(result, wall_seconds=wall, compile_seconds=sum(compile_time))
 
@@ -170,18 +179,24 @@ class Simulator:
         record: bool,
         progress: Callable[[float], None] | None,
         notify: Callable[[str], None] | None,
+        keeper: Keeper | None,
     ) -> RunResult:
-        program = (len(batch.qpos), tuple(batch.fields), record)
+        traced = record or keeper is not None
+        program = (len(batch.qpos), tuple(batch.fields), traced)
         if notify and program not in self._compiled:
             notify(f"compiling the {self.engine.name} program, once per machine")
         self._compiled.add(program)
         session = self.engine.open(batch.params, batch.qpos, batch.fields)
         # Whole blocks only: a recorded block of another length would be another program.
-        ticks = -(-batch.ticks // BLOCK) * BLOCK if record else batch.ticks
+        ticks = -(-batch.ticks // BLOCK) * BLOCK if traced else batch.ticks
         traces: list[Trace] = []
         for done, size in _blocks(ticks):
-            if record:
-                traces.append(session.record(size))
+            if traced:
+                trace = session.record(size)
+                if record:
+                    traces.append(trace)
+                if keeper is not None:
+                    keeper.add(trace)
             else:
                 session.advance(size)
             over = (done + size) * self.controller.dt > np.asarray(batch.params.window.end) + 1e-6
@@ -200,7 +215,7 @@ class Simulator:
         unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(
             metrics=table,
-            status=metrics.endings(table["fell"], table["diverged"], unsolved),
+            status=measures.endings(table["fell"], table["diverged"], unsolved),
             setup=self.setup,
             length=batch.length,
             worlds=batch.worlds,
@@ -208,7 +223,14 @@ class Simulator:
             engine=self.engine.name,
             steps=ticks * self.loop.steps_per_tick,
             trace=self._history(traces, batch.ticks) if record else None,
+            series=None if keeper is None else keeper.series(self._ends(batch, table)),
         )
+
+    def _ends(self, batch: Batch, table: Mapping[str, np.ndarray]) -> np.ndarray:
+        """When each world's run ended (n,) [s]: at its distance or at its length, or before its numbers were lost."""
+        begin, end = np.asarray(batch.params.window.begin, float), np.asarray(batch.params.window.end, float)
+        whole = np.where(table["fell"] > 0, end, begin + table["duration"])
+        return np.where(table["diverged"] > 0, table["failure_time"] - self.controller.dt, whole)
 
     def _history(self, traces: list[Trace], ticks: int) -> History:
         qpos, qvel, ctrl, sensordata = (
@@ -249,7 +271,7 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     return numbers
 
 
-def _finished(state: metrics.MetricState) -> np.ndarray:
+def _finished(state: measures.MetricState) -> np.ndarray:
     """Worlds (n,) that have walked their distance, or can walk no more."""
     return np.logical_or.reduce([np.asarray(flag) for flag in (state.finished, state.fell, state.diverged)])
 

@@ -1,4 +1,5 @@
-"""Controllers in spec files: which one a file names, and the copy of it that a directory keeps."""
+"""Code of one's own in spec files, a controller and metrics: what a file names, and the copies that a directory keeps.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +12,14 @@ from typing import Any, Final
 
 from nermo_mjx.control.loading import controller_digest
 from nermo_mjx.robot.quantity import ParameterError, quantities
-from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.setup import with_controller
+from nermo_mjx.rollout import Setup, all_metrics
+from nermo_mjx.rollout.own_metrics import FORM, check_metrics, metrics_digest, parts_of
 from nermo_mjx.specs.reading import Document, describe
-from nermo_mjx.specs.values import NAMES
+from nermo_mjx.specs.values import MEASURED, NAMES
 
-#: The copy of a controller's file in a directory.
+#: The copies of the files of a controller and of metrics in a directory.
 KEPT: Final = "controller.py"
+KEPT_METRICS: Final = "metrics.py"
 
 
 def named_controller(doc: Document) -> str | None:
@@ -28,36 +30,64 @@ def named_controller(doc: Document) -> str | None:
     if not isinstance(given, str):
         doc.fail(("controller",), f"is {describe(given)}: expected FILE.py:NAME or MODULE:NAME.")
     source, colon, name = given.rpartition(":")
-    if not source.endswith(".py"):
-        return given
-    path = (Path(doc.source).parent / source if doc.lines else Path(source)).expanduser().resolve()
-    return f"{path}{colon}{name}"
+    return f"{_beside(doc, source)}{colon}{name}" if source.endswith(".py") else given
+
+
+def named_metrics(doc: Document) -> tuple[str, ...]:
+    """What stands under `metrics`; the path of a file counts from the folder of the document's."""
+    given = doc.data.get("metrics")
+    listed = [] if given is None else [given] if isinstance(given, str) else given
+    if not isinstance(listed, list) or not all(isinstance(each, str) for each in listed):
+        doc.fail(("metrics",), f"is {describe(given)}: expected {FORM}, or a list of such.")
+    found = []
+    for each in listed:
+        try:
+            source, name = parts_of(each)
+        except ParameterError as error:
+            doc.fail(("metrics",), str(error).removeprefix("metrics "))
+        path = str(_beside(doc, source)) if source.endswith(".py") else source
+        found.append(f"{path}:{name}" if name else path)
+    return tuple(found)
+
+
+def _beside(doc: Document, source: str) -> Path:
+    """A file that a document names, from the folder of the document's own."""
+    return (Path(doc.source).parent / source if doc.lines else Path(source)).expanduser().resolve()
 
 
 @contextlib.contextmanager
 def parameters_of(doc: Document) -> Iterator[None]:
-    """While it is read, a document may name the parameters of its controller, and no others."""
-    where = named_controller(doc)
-    if where is None:
+    """While it is read, a document may name the parameters of its controller, and no others, and its own metrics."""
+    where, measured = named_controller(doc), named_metrics(doc)
+    if where is None and not measured:
         yield
         return
     try:
-        world = with_controller(None, where).world({})
+        own = Setup(controller=where, metrics=measured)
+        if measured:
+            check_metrics(own.load().config, own.own_metrics)
     except ParameterError as error:
-        doc.fail(("controller",), str(error).removeprefix("controller "))
-    token = NAMES.set(dict(quantities(world)))
+        field, _, message = str(error).partition(" ")
+        doc.fail((field,), message)
+    names = NAMES.set(dict(quantities(own.world({}))) if where is not None else NAMES.get())
+    metrics = MEASURED.set(all_metrics(own))
     try:
         yield
     finally:
-        NAMES.reset(token)
+        NAMES.reset(names)
+        MEASURED.reset(metrics)
 
 
 def controller_identity(setup: Setup) -> dict[str, str]:
-    """What of a setup's controller decides the results: its name and its file's content; nothing for the published."""
-    if setup.controller is None:
-        return {}
-    where = written_controller(setup)
-    return {"controller": f"{where.rpartition(':')[2]} {controller_digest(where)}"}
+    """What of a setup's own code decides the results: names and content of the files of its controller and metrics."""
+    identity = {}
+    if setup.controller is not None:
+        where = written_controller(setup)
+        identity["controller"] = f"{where.rpartition(':')[2]} {controller_digest(where)}"
+    if setup.metrics:
+        names = ", ".join(each.name for each in setup.own_metrics)
+        identity["metrics"] = f"{names} {' '.join(map(metrics_digest, written_metrics(setup)))}"
+    return identity
 
 
 def written_controller(setup: Setup, folder: Path | None = None) -> str:
@@ -69,27 +99,50 @@ def written_controller(setup: Setup, folder: Path | None = None) -> str:
     if not isinstance(setup.controller, str):
         kind = type(setup.controller).__name__
         raise ParameterError(f"controller is a {kind}: name it as FILE.py:NAME or MODULE:NAME, as a file can.")
-    source, colon, name = setup.controller.rpartition(":")
-    return f"{Path(source).name}{colon}{name}" if Path(source).parent == folder else setup.controller
+    return _written(setup.controller, folder)
+
+
+def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
+    """A setup's own metrics as they stand in a file of a folder.
+
+    Raises:
+        ParameterError: one was given as an object, which no file can name.
+    """
+    for each in setup.metrics:
+        if not isinstance(each, str):
+            raise ParameterError(f"metrics has {each.place}: name it as FILE.py:NAME or MODULE:NAME, as a file can.")
+    return [_written(str(each), folder) for each in setup.metrics]
+
+
+def _written(where: str, folder: Path | None) -> str:
+    source, name = parts_of(where)
+    path = Path(source).name if Path(source).parent == folder else source
+    return f"{path}:{name}" if name else path
 
 
 def keep_controller(setup: Setup, folder: Path, write: Callable[[str, bytes], Any]) -> Setup:
-    """The setup with the file of its controller in a directory, so that it can be moved.
+    """The setup with the files of its controller and its metrics in a directory, so that it can be moved.
 
     Args:
-        setup: with any controller.
+        setup: with any controller and metrics.
         folder: the directory, resolved.
         write: puts content under a name there.
     """
-    if not isinstance(setup.controller, str) or not setup.controller.rpartition(":")[0].endswith(".py"):
-        return setup
-    source, colon, name = setup.controller.rpartition(":")
-    if Path(source).parent == folder:
-        return setup
+    if isinstance(setup.controller, str):
+        setup = dataclasses.replace(setup, controller=_kept(setup.controller, KEPT, folder, write))
+    metrics = tuple(_kept(each, KEPT_METRICS, folder, write) for each in written_metrics(setup))
+    return dataclasses.replace(setup, metrics=metrics) if metrics else setup
+
+
+def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
+    """What names code of one's own, with its file in a directory under the name that such files have there."""
+    source, name = parts_of(where)
+    if not source.endswith(".py") or Path(source).parent == folder:
+        return where
     content = Path(source).read_bytes()
-    own = folder / KEPT
+    own = folder / called
     if own.exists() and own.read_bytes() != content:
-        own = folder / f"controller-{hashlib.sha256(content).hexdigest()[:8]}.py"
+        own = folder / f"{own.stem}-{hashlib.sha256(content).hexdigest()[:8]}.py"
     if not own.exists():
         write(own.name, content)
-    return dataclasses.replace(setup, controller=f"{own}{colon}{name}")
+    return f"{own}:{name}" if name else str(own)

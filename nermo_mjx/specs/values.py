@@ -13,6 +13,7 @@ from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
+from nermo_mjx.rollout.catalogue import METRICS, Metric
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
@@ -21,6 +22,8 @@ from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
 #: Those that the file that is read may name: another controller has others.
 NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=PARAMETERS)
+#: The metrics that the runs of the file that is read give: with metrics of one's own there are more.
+MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 

@@ -22,8 +22,8 @@ from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import resolve_scene
-from nermo_mjx.rollout import Run, Setup, all_parameters
-from nermo_mjx.specs.controllers import named_controller, written_controller
+from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
+from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, check_value, number_of
@@ -141,6 +141,8 @@ class WalkFields(SetupFields):
     pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
     run: RunFields = optional("how long a run lasts")
     set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
+    metrics: str | list[str] = optional("metrics of one's own: FILE.py, from this file's folder, FILE.py:NAME, MODULE "
+                                        "or MODULE:NAME, or a list of such")  # fmt: skip
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -186,6 +188,11 @@ class WalkSpec:
         """Every parameter that this setup has, by name."""
         return all_parameters(self.setup)
 
+    @property
+    def metrics(self) -> dict[str, Metric]:
+        """Every metric that a run of this setup gives, by name."""
+        return all_metrics(self.setup)
+
     def walk_fields(self, folder: Path | None = None) -> dict[str, Any]:
         """Setup, pilot, run and fixed parameters, as they stand in a file.
 
@@ -201,7 +208,7 @@ class WalkSpec:
         names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
         data["run"] = {name: float(getattr(self.run, name)) for name in names}
         data["set"] = dict(self.fixed)
-        return data
+        return data | ({"metrics": written_metrics(self.setup, folder)} if self.setup.metrics else {})
 
 
 def check_sources(
@@ -248,6 +255,7 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
         choices["waypoints"] = tuple(map(tuple, options.points))
     if fields.controller is not None:
         choices["controller"] = named_controller(doc)
+    choices["metrics"] = named_metrics(doc)
     try:
         setup = Setup(**choices)
     except ParameterError as error:

@@ -17,6 +17,7 @@ from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import batch_size, batch_values, listed, rows_digest
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.series import series_table
 from nermo_mjx.sweep.simulating import BatchSimulator, Simulated
 from nermo_mjx.sweep.store import ChunkNote, Store
 from nermo_mjx.sweep.table import chunk_table
@@ -159,7 +160,8 @@ class Work:
         table = chunk_table(
             self.store.sweep, self.rows.take(index), index, metrics, result.status[: len(index)], stamp.id, about
         )
-        self.store.write_chunk(k, table)
+        series = None if result.series is None else series_table(self.store.sweep, index, result.series)
+        self.store.write_chunk(k, table, series)
         self._finish(k, ChunkNote(stamp.engine, result.steps, result.seconds))
 
     def _forget(self) -> None:

@@ -30,7 +30,7 @@ from nermo_mjx.plotting.style import (
     horizontal_grid,
     set_scales,
 )
-from nermo_mjx.sweep.summary import OBJECTIVES, cost
+from nermo_mjx.sweep.sides import cost
 
 
 def heat_maps(
@@ -60,7 +60,7 @@ def heat_maps(
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
         colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", INK
     figure, axes = _panels(len(panels), 2.5 if len(panels) > 1 else 4.4)
-    prices = [cost(z.name, grid) for grid in marked]
+    prices = [cost(z.side, grid) for grid in marked]
     lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
     best = math.nan
     for ax, (name, _), grid, candidates, price in zip(axes, panels, grids, marked, prices, strict=False):
@@ -81,7 +81,7 @@ def heat_maps(
     bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
-    word = _best(z.name) if gain is None else "best"
+    word = _best(z) if gain is None else "best"
     ring = f"; ring: {word} of its panel" if len(panels) > 1 else ""
     return around(figure, title, f"{note}star: {word}, {z.shown(best) if gain is None else _signed(best)}{ring}")
 
@@ -93,9 +93,9 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
     ax.fill_between(xs, mean - std, mean + std, color=BAND, alpha=0.6, lw=0)
     ax.plot(xs, mean, "-o", color=LINE, ms=4, mec="white", mew=0.6)
     if np.isfinite(mean).any():
-        at = int(np.nanargmin(cost(z.name, mean)))
+        at = int(np.nanargmin(cost(z.side, mean)))
         ax.scatter(xs[at], mean[at], s=170, marker="*", fc=BEST, ec="white", zorder=5, clip_on=False)
-        note += f"star: {_best(z.name)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
+        note += f"star: {_best(z)}, {z.shown(mean[at])} at {x.shown(xs[at])}"
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
@@ -122,7 +122,7 @@ def pair_scatters(
 ) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
     figure, axes = _panels(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
-    scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.name, z.values), kind="stable")
+    scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.side, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
                    rasterized=len(z.values) > 2000)  # fmt: skip
@@ -131,7 +131,7 @@ def pair_scatters(
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
     _colour_bar(figure, axes, scale, z.label)
-    best = f"star: {_best(z.name)}, {z.shown(float(z.values[order[-1]]))}"
+    best = f"star: {_best(z)}, {z.shown(float(z.values[order[-1]]))}"
     return around(figure, title, note + best if star else note.removesuffix("; "))
 
 
@@ -146,9 +146,9 @@ def _panels(count: int, size: float) -> tuple[Figure, list[Axes]]:
     return figure, axes[:count]
 
 
-def _best(metric: str) -> str:
+def _best(metric: ShownValues) -> str:
     """What the mark of a metric's best value is called."""
-    return "best" if metric in OBJECTIVES else "highest"
+    return "best" if metric.side else "highest"
 
 
 def _columns(count: int) -> int:

@@ -18,7 +18,8 @@ from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.figures import heat_maps, line, pair_scatters, scatters
 from nermo_mjx.sweep.points import metric_of, quantities, quantity, repeats_remark, thinned, titled
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.summary import LEADING, cost, spine_ratio
+from nermo_mjx.sweep.sides import cost
+from nermo_mjx.sweep.summary import LEADING, spine_ratio
 from nermo_mjx.sweep.survey import survey_figures
 from nermo_mjx.sweep.table import columns_of
 
@@ -77,8 +78,8 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
 def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> Iterator[tuple[str, Figure]]:
     """The metric against each parameter, and over the pairs of those that matter most."""
     good = np.isfinite(z.values)
-    drawn = [ShownValues(x.name, x.unit, x.values[good], x.log) for x in drawn if len(np.unique(x.values[good])) > 1]
-    z = ShownValues(z.name, z.unit, z.values[good])
+    drawn = [dataclasses.replace(x, values=x.values[good]) for x in drawn if len(np.unique(x.values[good])) > 1]
+    z = dataclasses.replace(z, values=z.values[good])
     if not drawn:
         return
     still = np.ptp(z.values) == 0
@@ -88,7 +89,7 @@ def _scatter_figures(drawn: list[ShownValues], z: ShownValues, remark: str) -> I
     titles = [f"rank correlation {influence[i]:+.2f}" for i in order[:MOST_PANELS]]
     note = f"{len(z.values):,} runs; line: running mean"
     if len(z.values) > MOST_POINTS:
-        best = np.argmin(cost(z.name, z.values))  # a star
+        best = np.argmin(cost(z.side, z.values))  # a star
         thin = thinned(np.arange(len(z.values)), MOST_POINTS, [int(best)])
         first = [dataclasses.replace(x, values=x.values[thin]) for x in first]
         z, note = dataclasses.replace(z, values=z.values[thin]), f"{MOST_POINTS:,} of {note}"

@@ -9,6 +9,7 @@ import numpy as np
 
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.sides import sides_in
 from nermo_mjx.sweep.summary import Variants
 from nermo_mjx.sweep.table import columns_of, meta
 
@@ -70,7 +71,8 @@ def points_of(results: Results, metrics: Sequence[str]) -> Points:
 def quantity(results: Results, name: str, values: np.ndarray | Sequence[float]) -> ShownValues:
     """Values of a column as shown."""
     about = meta(results.schema.field(name))
-    return shown(name, about["unit"], values, log=about.get("scale") == "log")
+    side = sides_in(results.schema).get(name, "")
+    return shown(name, about["unit"], values, log=about.get("scale") == "log", side=side)
 
 
 def quantities(results: Results, names: Sequence[str]) -> list[ShownValues]:

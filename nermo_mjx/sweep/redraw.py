@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -9,7 +10,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.files import Figures
-from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import did_you_mean
@@ -18,8 +18,9 @@ from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map
 from nermo_mjx.sweep.points import metric_of, points_of, quantities, repeats_remark, thinned
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.sides import cost, sides_in
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.survey import trade_off_figure
 from nermo_mjx.sweep.table import columns_of
 
@@ -108,7 +109,8 @@ def _check_column(results: Results, name: str | None, option: str) -> None:
 
 def _figure(results: Results, x: str, y: str, color: str | None, remark: str) -> tuple[str, Figure]:
     metrics, varied = columns_of(results, "metric"), columns_of(results, "varied")
-    if color is None and x in OBJECTIVES and y in OBJECTIVES and x != y:
+    sides = sides_in(results.schema)
+    if color is None and x in sides and y in sides and x != y:
         points = points_of(results, [x, y])
         return f"{x}-against-{y}", trade_off_figure(points, x, y, points.differing, remark)
     if color is None and not {x, y} & set(metrics):
@@ -125,10 +127,10 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
     places = np.flatnonzero(good)
     note = f"{len(places):,} runs"
     if len(places) > MOST_POINTS:
-        best = places[np.argmin(cost(drawn[-1].name, drawn[-1].values[places]))]
+        best = places[np.argmin(cost(drawn[-1].side, drawn[-1].values[places]))]
         places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
     note = remark + note
-    across, up, *by = (ShownValues(each.name, each.unit, each.values[places], each.log) for each in drawn)
+    across, up, *by = (dataclasses.replace(each, values=each.values[places]) for each in drawn)
     title = title[:1].upper() + title[1:]
     if by:
         return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)

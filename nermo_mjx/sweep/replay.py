@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.physics import ENGINES
 from nermo_mjx.recording import Recording, recording_of
-from nermo_mjx.rollout import METRICS, History, Simulator
+from nermo_mjx.rollout import History, Simulator
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
@@ -91,7 +91,7 @@ class Replay:
 
     Attributes:
         engine: which engine ran.
-        metrics: as described in `METRICS`.
+        metrics: name -> value, as `all_metrics` describes them.
         status: `ok`, `fell` or `diverged`.
         history: of this one world (n = 1), until the run ends or its numbers are lost; every sample is finite, and
             there may be none.
@@ -150,21 +150,28 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     )  # fmt: skip
 
 
-def replay_row(found: SweepRow, engine: str | None = None, progress: Callable[[float], None] | None = None) -> Replay:
+def replay_row(
+    found: SweepRow,
+    engine: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    simulator: Simulator | None = None,
+) -> Replay:
     """Run a row again, as the sweep runs it: its parameters, its start, its length, recorded.
 
     Args:
         found: the row.
         engine: `auto`, `c` or `mjx`; by default the one that the directory was begun with, if there is such a one.
         progress: called with the share done, in [0, 1].
+        simulator: that of the row's setup and engine, where there is one already.
 
     Raises:
         ParameterError: an unknown engine.
     """
-    simulator = Simulator(found.sweep.setup, engine or (found.engine if found.engine in ENGINES else "auto"))
+    if simulator is None:
+        simulator = Simulator(found.sweep.setup, engine or engine_for(found))
     values = {name: np.array([value]) for name, value in (found.sweep.constants | found.values).items()}
     result = simulator.run(values, found.sweep.run, record=True, progress=progress)
-    metrics = {name: float(result.metrics[name][0]) for name in METRICS}
+    metrics = {name: float(values[0]) for name, values in result.metrics.items()}
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
     whole = found.begin + metrics["duration"]
@@ -179,6 +186,43 @@ def replay_row(found: SweepRow, engine: str | None = None, progress: Callable[[f
         about=result.about(),
         model=simulator.robot.model,
         comparison=None if found.stored is None else compare(found.stored, metrics, str(found.engine)),
+    )
+
+
+def engine_for(found: SweepRow) -> str:
+    """The engine that the row, or else its directory, was begun with; `auto` where that is none of today's."""
+    return found.engine if found.engine in ENGINES else "auto"
+
+
+def report_of(found: SweepRow, replay: Replay) -> dict[str, Any]:
+    """What a replay gave: the fields of `walk --json`, the row's own, and how it compares with the table."""
+    line = found.line
+    return {
+        "directory": str(found.out),
+        "row": found.row,
+        "variant": int(line.variant[0]),
+        "repeat": int(line.repeat[0]),
+        "seed": int(line.seed[0]),
+        "comparison": None if replay.comparison is None else dataclasses.asdict(replay.comparison),
+        "compared": compared(found, replay),
+        **replay.about,
+    }
+
+
+def compared(found: SweepRow, replay: Replay) -> str:
+    """How the replay stands to the table, in a sentence."""
+    comparison = replay.comparison
+    if comparison is None and found.outdated:
+        return "Not compared: the row in the table was made by another sweep.yaml, or with other defaults."
+    if comparison is None:
+        return "Not compared: the sweep has not run this row yet."
+    if comparison.equal:
+        return f"All metrics equal the table's (engine {comparison.engine}), to the last bit."
+    known = math.isfinite(comparison.relative_difference)
+    return (
+        f"The metrics differ from the table's (engine {comparison.engine}), most of all {comparison.metric}: "
+        f"{comparison.replayed:.6g} instead of {comparison.stored:.6g}"
+        + (f", a share of {comparison.relative_difference:.2g}." if known else ".")
     )
 
 

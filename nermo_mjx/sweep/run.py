@@ -20,10 +20,12 @@ from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
+from nermo_mjx.sweep.keeping import record_rows
 from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.series import check_room, chunk_with_series
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
@@ -46,6 +48,7 @@ class SweepResult:
         out: its directory.
         summary: content of summary.json; empty while chunks of other shards are missing.
         plots: files of the figures.
+        recordings: files of the rows that are kept.
         complete: whether the directory holds every row of the sweep.
         chunks_run: chunks that this call had simulated.
         rows_done, rows: finished rows and all rows of the sweep.
@@ -55,6 +58,7 @@ class SweepResult:
     out: Path
     summary: dict[str, Any]
     plots: list[Path]
+    recordings: list[Path]
     complete: bool
     chunks_run: int
     rows_done: int
@@ -118,7 +122,7 @@ def run_sweep(
     rows, workers = Sample(sweep), LocalWorkers() if workers is None else workers
     seconds = simulated_seconds(sweep, rows)
     parts = workers.parts * (1 if shard is None else shard[1])
-    size = chunk or sweep.chunk or chunk_rows_here(engine, len(rows), parts)
+    size = chunk_with_series(sweep, seconds, chunk or sweep.chunk, lambda: chunk_rows_here(engine, len(rows), parts))
     with Store(out, dataclasses.replace(sweep, chunk=size), shard) as store, _interruptible(store) as interruption:
 
         def report(share: SweepProgress) -> None:
@@ -130,12 +134,18 @@ def run_sweep(
         first, step = shard or (0, 1)
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
-        simulates = BatchSimulator(sweep.setup, sweep.run, _engine(engine, simulator, work), simulator, notify)
+        check_room(sweep, store.out, seconds, [layout[k] for k in (work.mine & ~work.done).nonzero()[0]])
+        simulates = BatchSimulator(sweep.setup, sweep.run, _engine(engine, simulator, work), simulator, notify,
+                                   sweep.save)  # fmt: skip
         _finish(work, simulates, workers, accept_new_code, warn)
         complete = bool(work.done.all())
-        summary, plots = _sum_up(work) if complete else ({}, [])
+        results = Results([store.chunk_path(k) for k in range(len(layout))]) if complete else None
+        summary, plots = ({}, []) if results is None else _sum_up(work, results)
+        kept = [] if results is None or sweep.keep is None else record_rows(
+            store, results, sweep.keep, simulates.used, interruption.check, warn
+        )
         return SweepResult(
-            out=store.out, summary=summary, plots=plots, complete=complete, chunks_run=work.chunks_run,
+            out=store.out, summary=summary, plots=plots, recordings=kept, complete=complete, chunks_run=work.chunks_run,
             rows_done=work.rows_of(work.done.nonzero()[0]), rows=len(rows), missing=work.missing(),
         )  # fmt: skip
 
@@ -174,10 +184,9 @@ def _finish(
     raise DirectoryError(f"{work.store.out} loses what is written to it: chunks are damaged again and again.")
 
 
-def _sum_up(work: Work) -> tuple[dict[str, Any], list[Path]]:
+def _sum_up(work: Work, results: Results) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     store = work.store
-    results = Results([store.chunk_path(k) for k in range(len(work.layout))])
     summary = {**summarize(results), **work.effort()}
     store.directory.write("summary.json", to_json(summary))
     if not store.sweep.plots:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Saving, Series, Setup, Simulator
 from nermo_mjx.runs.code import CodeStamp, stamp
 
 
@@ -27,6 +27,7 @@ class SimulatorLike(Protocol):
         *,
         progress: Callable[[float], None] | None = None,
         notify: Callable[[str], None] | None = None,
+        save: Saving | None = None,
     ) -> Any: ...
 
 
@@ -39,12 +40,14 @@ class Simulated:
         status: (worlds,) of `ok`, `fell`, `diverged`.
         steps: physics steps of all worlds.
         seconds: the time they took [s].
+        series: time series of all worlds, if the sweep saves any.
     """
 
     metrics: dict[str, np.ndarray]
     status: np.ndarray
     steps: float
     seconds: float
+    series: Series | None = None
 
 
 class BatchSimulator:
@@ -57,6 +60,7 @@ class BatchSimulator:
         engine: str,
         simulator: SimulatorLike | None = None,
         notify: Callable[[str], None] | None = None,
+        save: Saving | None = None,
     ) -> None:
         """
         Args:
@@ -64,9 +68,16 @@ class BatchSimulator:
             engine: name of the engine, never "auto".
             simulator: stands in for `Simulator(setup, engine)`.
             notify: called with a sentence when it compiles.
+            save: which time series are kept.
         """
+        self.save = save
         self.setup, self.run, self.engine, self.notify = setup, run, engine, notify
         self._simulator = simulator
+
+    @property
+    def used(self) -> SimulatorLike | None:
+        """What has simulated here, if anything has."""
+        return self._simulator
 
     def __getstate__(self) -> dict[str, Any]:
         """For another machine, where nobody is told that it compiles."""
@@ -85,7 +96,11 @@ class BatchSimulator:
         self.warm()
         assert self._simulator is not None
         began = time.perf_counter()
-        result = self._simulator.run(values, self.run, progress=progress, notify=self.notify)
+        saved: dict[str, Any] = {} if self.save is None else {"save": self.save}
+        result = self._simulator.run(values, self.run, progress=progress, notify=self.notify, **saved)
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
-        return Simulated(metrics, status, result.steps * len(status), round(time.perf_counter() - began, 3))
+        seconds = round(time.perf_counter() - began, 3)
+        return Simulated(
+            metrics, status, result.steps * len(status), seconds, None if self.save is None else result.series
+        )

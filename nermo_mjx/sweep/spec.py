@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot import identified
-from nermo_mjx.rollout import all_parameters
+from nermo_mjx.rollout import Saving, all_parameters
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Fields, OneOf, optional, read
@@ -23,6 +23,7 @@ from nermo_mjx.specs.values import ByParameter, Choice, Whole, by_parameter, ref
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.axes import Axis, AxisForm, Draw, DrawForm, read_axis, read_draw
+from nermo_mjx.sweep.beside import Keep, KeepFields, SaveFields, check_keep, read_saving
 
 LARGEST_SWEEP = 10_000_000
 
@@ -70,6 +71,8 @@ class SweepFile(WalkFields):
     seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")
+    save: SaveFields = optional("time series of some sensors beside the table")
+    keep: KeepFields = optional("rows that are recorded when the table is complete")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,6 +88,8 @@ class Sweep(WalkSpec):
         seed: makes samples and draws repeatable.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
+        save: which time series are kept beside the table, if any are.
+        keep: which rows are recorded when the table is complete, if any are.
     """
 
     axes: tuple[Axis, ...]
@@ -96,6 +101,8 @@ class Sweep(WalkSpec):
     seed: int = 0
     chunk: int | None = None
     plots: bool = True
+    save: Saving | None = None
+    keep: Keep | None = None
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Sweep:
@@ -137,6 +144,10 @@ class Sweep(WalkSpec):
         if self.chunk is not None:
             data["chunk"] = self.chunk
         data["plots"] = self.plots
+        if self.save is not None:
+            data["save"] = {"sensors": list(self.save.sensors), "rate": float(self.save.rate)}
+        if self.keep is not None:
+            data["keep"] = dataclasses.asdict(self.keep)
         return data
 
     def to_yaml(self, folder: Path | None = None) -> str:
@@ -145,7 +156,7 @@ class Sweep(WalkSpec):
 
     def decisive(self) -> dict[str, Any]:
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
-        data = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots")}
+        data = {key: value for key, value in self.resolved().items() if key not in ("chunk", "plots", "keep")}
         return data | controller_identity(self.setup)
 
     def digest(self) -> str:
@@ -177,6 +188,8 @@ def _read(doc: Document) -> Sweep:
         seed=file.seed,
         chunk=file.chunk,
         plots=file.plots,
+        save=read_saving(doc, file.save, walk["setup"]),
+        keep=None if file.keep is None else Keep(**file.keep.model_dump()),
     )
     _check_together(doc, sweep)
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *_start_draws(sweep)))
@@ -190,6 +203,7 @@ def _check_together(doc: Document, sweep: Sweep) -> None:
         doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
     if not sweep.axes and sweep.sampler != "grid":
         doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
+    check_keep(doc, sweep.keep, sweep.metrics)
     rows = sweep.variants * sweep.repeats
     if rows > LARGEST_SWEEP:
         doc.fail(("vary",), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler such "

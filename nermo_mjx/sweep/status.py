@@ -13,6 +13,7 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.store import RECORDINGS
 
 
 def status(out: Path) -> Status:
@@ -30,6 +31,8 @@ def status(out: Path) -> Status:
             continue
         done += about.num_rows
         engines.append((about.metadata or {}).get(b"engine", b"").decode())
+    if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
+        notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
     complete = done == rows and (out / "summary.json").exists()
     # The figures need no simulation; the others are told apart by the table's columns.
     go_on = ["plot", str(out)] if complete else ["sweep", str(out / "sweep.yaml"), "--out", str(out)]

@@ -1,11 +1,13 @@
 """A sweep's directory: chunks of the result table, what they belong to, and who may write them.
 
 DIR/sweep.yaml                    the resolved sweep
-DIR/controller.py                 a copy of the file of another controller, if the sweep names one
+DIR/controller.py, DIR/metrics.py copies of the files of another controller, and of metrics, if the sweep names them
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
+DIR/series/chunk-00000.parquet    time series of the same rows, if the sweep saves any; a chunk is both files
+DIR/recordings/row-000123.npz     rows that are kept (`keeping.py`)
 DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it; each shard has a file of its own
-DIR/results.aside/                chunks that were damaged, or that other defaults made, when they are run again
+DIR/results.aside/, series.aside/ chunks that were damaged, or that other defaults made, when they are run again
 DIR/summary.json, DIR/plots/      made from the table when it is complete
 """
 
@@ -17,7 +19,7 @@ import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -32,6 +34,8 @@ from nermo_mjx.sweep.layout import rows_digest
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.spec import Sweep
 
+#: Folder of the rows that are kept.
+RECORDINGS: Final = "recordings"
 #: Fields that a sentence names where two sweeps differ.
 _NAMED = 3
 
@@ -76,7 +80,8 @@ class Store:
             with clear_errors(self.out):
                 self.results.mkdir(exist_ok=True)
                 self._claim()
-                for folder in (self.results, self.plots) if self.shard is None else ():
+                made = self.results, self.plots, self.out / "series", self.out / RECORDINGS
+                for folder in made if self.shard is None else ():
                     remove_leftovers(folder)
             stack.pop_all()
         return self
@@ -130,15 +135,31 @@ class Store:
             return ChunkState(None, "was made by another sweep, or with other defaults")
         if about[b"rows"].decode() != rows_digest(rows):
             return ChunkState(None, "holds other rows")
+        if self.sweep.save is not None and not self._has_series(chunk, digests):
+            return ChunkState(None, "has no time series, or damaged ones")
         return ChunkState(ChunkNote(about[b"engine"].decode(), float(about[b"steps"]), float(about[b"wall_seconds"])))
 
-    def write_chunk(self, chunk: int, table: pa.Table) -> None:
-        """Store a chunk whole: whoever looks sees all of it or nothing of it. What is in its place is kept aside."""
-        content, name = parquet_bytes(table), f"results/{_name(chunk)}"
-        with clear_errors(self.out):  # first its digest: a chunk without one is an earlier release's
-            append_line(self.out / self._manifest, f"{_digest(content)}  {name}")
-        self.directory.move_aside(name, "results.aside")
-        self.directory.write(name, content)
+    def write_chunk(self, chunk: int, table: pa.Table, series: pa.Table | None = None) -> None:
+        """Store a chunk whole: whoever looks sees all of it or nothing of it. What is in its place is kept aside.
+
+        Its time series are there before it, so that a chunk that is there has them.
+        """
+        for folder, part in (("series", series), ("results", table)):
+            if part is None:
+                continue
+            content, name = parquet_bytes(part), f"{folder}/{_name(chunk)}"
+            with clear_errors(self.out):  # first its digest: a chunk without one is an earlier release's
+                append_line(self.out / self._manifest, f"{_digest(content)}  {name}")
+            self.directory.move_aside(name, f"{folder}.aside")
+            self.directory.write(name, content)
+
+    def _has_series(self, chunk: int, digests: Mapping[str, str]) -> bool:
+        """Whether a chunk's time series are there, undamaged."""
+        name = f"series/{_name(chunk)}"
+        try:
+            return digests.get(_digest((self.out / name).read_bytes())) == name
+        except OSError:
+            return False
 
     def take_code(self, stamp: CodeStamp, *, accept: bool) -> None:
         """See `RunDirectory.take_code`."""

@@ -12,27 +12,11 @@ import pyarrow as pa
 from scipy import stats
 
 from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.sides import cost, sides_in
 from nermo_mjx.sweep.table import columns_of
 
-#: Metrics with a better side, and which one it is.
-OBJECTIVES = {
-    "speed": "max",
-    "cost_of_transport": "min",
-    "servo_work": "min",
-    "slip": "min",
-    "roll_std": "min",
-    "pitch_std": "min",
-    "yaw_std": "min",
-    "lateral_drift": "nearest zero",
-}
 #: The metric whose dependence on each parameter is summed up.
 LEADING = "speed"
-
-
-def cost(metric: str, values: np.ndarray) -> np.ndarray:
-    """Values of a metric so that less is better; of one without a better side, less where it is higher."""
-    side = OBJECTIVES.get(metric, "max")
-    return {"max": -values, "min": values, "nearest zero": np.abs(values)}[side]
 
 
 def summarize(table: pa.Table | Results) -> dict[str, Any]:
@@ -47,11 +31,11 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         correlations[name] = _correlation(values[well], speed)
         if name in varied:
             variants.values[name] = values[well][variants.first]
-    spreads, best = {}, {}
+    spreads, best, sides = {}, {}, sides_in(results.schema)
     for name, values in results.columns([name for name in metrics if name not in ("fell", "diverged")]):
         spreads[name] = _spread(values[well])
-        if name in OBJECTIVES:
-            best[name] = _best(variants, name, values[well])
+        if name in sides:
+            best[name] = _best(variants, values[well], sides[name])
     mean, _ = variants.means(speed)
     return {
         "rows": results.rows,
@@ -59,7 +43,7 @@ def summarize(table: pa.Table | Results) -> dict[str, Any]:
         "repeats": results.rows // variants.all,
         "status": results.statuses,
         "metrics": spreads,
-        "best": {name: best[name] for name in OBJECTIVES if name in best},
+        "best": {name: best[name] for name in sides if name in best},
         "marginal_means": {name: _marginal(variants.values[name], mean) for name in varied} if results.is_grid else {},
         "rank_correlations": correlations,
         "spine_gain": _spine_gain(variants.values, mean) if results.is_grid else [],
@@ -120,15 +104,15 @@ def _spread(values: np.ndarray) -> dict[str, float]:
     return {word: float(getattr(values, word)()) for word in ("mean", "std", "min", "max")} if len(values) else {}
 
 
-def _best(variants: Variants, metric: str, values: np.ndarray) -> dict[str, Any] | None:
-    """The variant with the best mean over its repeats of a metric (runs,)."""
+def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
+    """The variant with the best mean over its repeats of a metric (runs,) with a better side."""
     mean, std = variants.means(values)
-    score = cost(metric, mean)
+    score = cost(side, mean)
     if not np.isfinite(score).any():
         return None
     at = int(np.nanargmin(score))
     return {
-        "side": OBJECTIVES[metric],
+        "side": side,
         "variant": int(variants.number[at]),
         "mean": float(mean[at]),
         "std": float(std[at]),

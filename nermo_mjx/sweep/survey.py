@@ -14,7 +14,8 @@ from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.sweep.parallel import BEST_LINES, MOST_AXES, MOST_LINES, chosen_lines, parallel
 from nermo_mjx.sweep.points import Points, points_of, thinned, titled
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.summary import LEADING, OBJECTIVES, cost
+from nermo_mjx.sweep.sides import cost
+from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.trade_off import front, named_points, trade_off
 
 #: What a faster walk is weighed against.
@@ -38,8 +39,8 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
 
 def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, ...], remark: str) -> Figure:
     """Two metrics with a better side against each other; the named points have their parameters below."""
-    x, y, sides = points.metrics[first], points.metrics[second], (OBJECTIVES[first], OBJECTIVES[second])
-    best = front(cost(first, x.values), cost(second, y.values))
+    x, y = points.metrics[first], points.metrics[second]
+    best = front(cost(x.side, x.values), cost(y.side, y.values))
     named = best[named_points(x.values[best], y.values[best])]
     told = points.of(names[:_MOST_TOLD], named)
     lines = [
@@ -58,12 +59,12 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
     best = np.array([place[int(row)] for row in best], int)
     lines = [(place[row], text) for row, text in lines]
-    return trade_off(x, y, best, sides, lines, f"{titled(first)} against {second}", note)
+    return trade_off(x, y, best, (x.side, y.side), lines, f"{titled(first)} against {second}", note)
 
 
 def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) -> Figure:
     values = points.metrics[metric]
-    price = cost(metric, values.values)
+    price = cost(values.side, values.values)
     drawn, left_out = chosen_lines(price), 0
     parameters = points.of(names, drawn)
     z = dataclasses.replace(values, values=values.values[drawn])
@@ -78,7 +79,7 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
     if left_out:
         note += f"; {left_out} parameters that matter less are not shown"
     at = ", ".join(f"{each.name} {each.shown(each.values[-1])}" for each in parameters)
-    word = "best" if metric in OBJECTIVES else "highest"
+    word = "best" if values.side else "highest"
     note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
     return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.rollout import METRICS
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.spec import Sweep
 
@@ -71,8 +70,10 @@ def chunk_table(
     for name, values in rows.values.items():
         role, scale = "varied" if name in varied else "randomized", "log" if forms[name].startswith("log") else "linear"
         columns.add(name, values, role, parameters[name].unit, parameters[name].doc, scale=scale)
-    for name in sorted(metrics, key=list(METRICS).index):
-        columns.add(name, metrics[name], "metric", METRICS[name].unit, METRICS[name].doc)
+    for name, metric in sweep.metrics.items():
+        if name in metrics:
+            side = {"better": metric.better} if metric.better else {}
+            columns.add(name, metrics[name], "metric", metric.unit, metric.doc, **side)
     columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
     columns.add("code", np.full(len(index), code), "code", "1", "which code made the row, as run.json names it")
     return columns.table({"sweep": sweep.digest(), "sampler": sweep.sampler, **about})

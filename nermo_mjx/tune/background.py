@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.rollout import METRICS
 from nermo_mjx.runs import stamp
 from nermo_mjx.runs.files import content_of, parquet_table
 from nermo_mjx.sweep.simulating import SimulatorLike
@@ -79,7 +78,8 @@ def simulate(
         table.add(name, column, "varied" if name in grid else "fixed", parameters[name].unit, parameters[name].doc)
     table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
     for name in tuning.objective.metrics:
-        table.add(name, np.asarray(result.metrics[name]), "metric", METRICS[name].unit, METRICS[name].doc)
+        metric = tuning.metrics[name]
+        table.add(name, np.asarray(result.metrics[name]), "metric", metric.unit, metric.doc)
     table.add("status", status, "status", "1", "ok, or what became of the run")
     made_by = stamp(tuning.setup.load().fingerprint, result.engine)
     about = {"landscape": key(tuning, others), "engine": result.engine, "code": json.dumps(made_by.fields())}

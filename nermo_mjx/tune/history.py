@@ -16,10 +16,8 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.rollout import METRICS
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 from nermo_mjx.sweep.table import Columns
-from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.tuner import Iterate
 
@@ -91,7 +89,7 @@ class Log:
 
 def empty_log(tuning: Tuning, metrics: tuple[str, ...]) -> Log:
     """A history without iterations, for a problem that gives these metrics."""
-    known = sorted(metrics, key=[*METRICS, *OBJECTIVE_METRICS].index)
+    known = sorted(metrics, key=[*(tuning.metrics | tuning.objective_metrics)].index)
     return Log(tuple(known), np.empty((0, tuning.starts, len(columns(tuning, known)))))
 
 
@@ -115,7 +113,7 @@ def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[H
         if estimator.name == "mixture":
             yield HistoryColumn(f"first_order.{name}", "weight", "1", f"share of the first order in gradient.{name}")
     for name in metrics:
-        about = METRICS.get(name) or OBJECTIVE_METRICS[name]
+        about = (tuning.metrics | tuning.objective_metrics)[name]
         yield HistoryColumn(name, "metric", about.unit, about.doc)
     yield HistoryColumn("ok", "status", "1", "whether the robot walked to the end")
     yield HistoryColumn("discarded", "status", "1", "worlds of the start that are not in the gradient")

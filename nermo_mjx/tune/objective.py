@@ -15,13 +15,23 @@ from nermo_mjx.rollout import METRICS, Metric
 TRAJECTORY_ERROR: Final = "trajectory_error"
 #: Metrics that say how a run went and not how well it walked: they are flags, or follow from the run's length.
 _NO_AIM: Final = ("distance", "duration", "fell", "diverged", "failure_time")
-#: What a term may name.
-OBJECTIVE_METRICS: Final[dict[str, Metric]] = {
-    **{name: about for name, about in METRICS.items() if name not in _NO_AIM},
-    TRAJECTORY_ERROR: Metric("1", "mean squared difference from the recording, over its variance"),
-}
+TRAJECTORY_METRIC: Final = Metric("1", "mean squared difference from the recording, over its variance", "low")
 #: What a term may do with its metric.
 AIMS: Final = ("maximize", "minimize", "hold")
+
+
+def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metric]:
+    """What a term may name, of the metrics that a run gives.
+
+    >>> "speed" in objective_metrics(), "fell" in objective_metrics()
+    (True, False)
+    """
+    aims = {name: about for name, about in metrics.items() if name not in _NO_AIM}
+    return aims | {TRAJECTORY_ERROR: TRAJECTORY_METRIC}
+
+
+#: What a term may name where no metric is one's own.
+OBJECTIVE_METRICS: Final = objective_metrics()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,7 +40,7 @@ class Term:
 
     Attributes:
         aim: `maximize`: -weight m / scale; `minimize`: weight m / scale; `hold`: weight ((m - at) / scale)^2.
-        metric: m, a key of `OBJECTIVE_METRICS`.
+        metric: m, a key of `objective_metrics`.
         weight: how much the term counts.
         scale: what counts as one, in the metric's unit; makes terms of different units comparable.
         at: value that is held, in the metric's unit.

@@ -11,11 +11,10 @@ from typing import Annotated, Any, ClassVar, Final
 from pydantic import ConfigDict, Field
 
 from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.rollout import METRICS
-from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
+from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe
-from nermo_mjx.specs.values import Choice, Finite, Numbers, Positive, Whole, check_value
-from nermo_mjx.tune.objective import AIMS, OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term
+from nermo_mjx.specs.values import MEASURED, Choice, Finite, Numbers, Positive, Whole, check_value
+from nermo_mjx.tune.objective import AIMS, OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term, objective_metrics
 from nermo_mjx.tune.optimizer import LEARNING_RATE, Optimizer, optimizers
 from nermo_mjx.tune.sampling import COMMON, Estimator
 
@@ -57,7 +56,19 @@ class TunedFields(Fields):
     periodic: bool = Field(False, description="whether it may run over a bound and come back at the other")
 
 
-_Metric = Annotated[str, Choice(tuple(OBJECTIVE_METRICS))]
+class _Metrics(Choice):
+    """A metric that a term may name: one of every run's, or of one's own."""
+
+    def check(self, value: Any) -> str:
+        return Choice(tuple(objective_metrics(MEASURED.get()))).check(value)
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        return {"anyOf": [super().schema(own), {"type": "string"}]}
+
+
+_Metric = Annotated[str, _Metrics(tuple(OBJECTIVE_METRICS))]
+#: Schema of a term of a file without metrics of one's own.
+KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 
 class TermFields(Fields):
@@ -159,7 +170,7 @@ def read_tuned(
 
 def _read_parameter(doc: Document, name: str, given: TunedFields, about: Quantity) -> Tuned:
     path: FieldPath = ("tune", name)
-    if name in METRICS:
+    if name in MEASURED.get():
         doc.fail(path, "cannot be tuned: in the history its name is a metric's.", name)
     low, high = _read_bounds(doc, name, given, about)
     if given.start is None:

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
-from nermo_mjx.rollout import all_parameters
+from nermo_mjx.rollout import Metric, all_parameters
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Refused, optional, read
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
@@ -24,7 +24,7 @@ from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.tune import sections
 from nermo_mjx.tune.bounds import Bounds
-from nermo_mjx.tune.objective import Objective
+from nermo_mjx.tune.objective import Objective, objective_metrics
 from nermo_mjx.tune.optimizer import Optimizer
 from nermo_mjx.tune.sampling import Estimator
 from nermo_mjx.tune.sections import Tuned
@@ -40,7 +40,10 @@ FREE: Final = ("iterations", "plots", "video")
 class TuningFile(WalkFields):
     """A file for `nermo-mjx tune` and `nermo-mjx landscape`."""
 
-    model_config = ConfigDict(json_schema_extra={"required": ["tune", "objective"]})
+    model_config = ConfigDict(
+        json_schema_extra={"required": ["tune", "objective"], "if": {"required": ["metrics"]},
+                           "else": {"properties": {"objective": {"items": sections.KNOWN_METRICS}}}}
+    )  # fmt: skip
     what: ClassVar = "a field of a tuning"
     sources: ClassVar = "'tune' or 'set'"
     tune: Annotated[dict[str, sections.TunedFields | None], ByParameter()] = Field({}, description="tuned parameters")
@@ -110,6 +113,11 @@ class Tuning(WalkSpec):
     def names(self) -> tuple[str, ...]:
         """Names of the p tuned parameters; numbers of a point come in this order."""
         return tuple(each.name for each in self.tuned)
+
+    @property
+    def objective_metrics(self) -> dict[str, Metric]:
+        """What a term may name, by name."""
+        return objective_metrics(self.metrics)
 
     @property
     def bounds(self) -> Bounds:

@@ -11,7 +11,6 @@ import numpy as np
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.rollout import Run
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.view import check_video, recording_of
 from nermo_mjx.view.side_by_side import Pane, render_side_by_side
@@ -78,7 +77,8 @@ def _span(tuning: Tuning, values: Mapping[str, np.ndarray]) -> tuple[float, floa
 def _caption(tuning: Tuning, point: Mapping[str, Any]) -> list[str]:
     """What the objective reads, and below it the parameters, as figures show them."""
     known = tuning.parameters
-    metrics = [_text(name, OBJECTIVE_METRICS[name].unit, point["metrics"][name]) for name in tuning.objective.metrics]
+    known_metrics = tuning.objective_metrics
+    metrics = [_text(name, known_metrics[name].unit, point["metrics"][name]) for name in tuning.objective.metrics]
     parameters = [_text(name, known[name].unit, value) for name, value in point["parameters"].items()]
     return [", ".join(metrics), ", ".join(parameters)]
 

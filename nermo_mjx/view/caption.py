@@ -38,7 +38,7 @@ def title_of(recording: Recording) -> str:
 def headline_of(recording: Recording) -> list[list[str]]:
     """A few metrics as (label, value with unit), and the status if something went wrong."""
     metrics = _part(recording, "metrics")
-    units = _units()
+    units = _units(recording)
     known = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
     rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in known]
     status = metrics.get("status", "ok")
@@ -50,7 +50,7 @@ def details_of(recording: Recording) -> list[dict[str, Any]]:
     tables = []
     for key, title in (("labels", "Case"), ("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"),
                        ("run", "Run"), ("versions", "Versions")):  # fmt: skip
-        units = _units() if key in ("metrics", "parameters") else {}
+        units = _units(recording) if key in ("metrics", "parameters") else {}
         rows = [[name, _shown(value, units.get(name, ""))] for name, value in _part(recording, key).items()]
         rows = [row for row in rows if row[1] not in ("–", "")]
         if rows:
@@ -63,14 +63,14 @@ def _part(recording: Recording, key: str) -> dict[str, Any]:
     return dict(value) if isinstance(value, dict) else {}
 
 
-def _units() -> dict[str, str]:
-    """Units of metrics and parameters by name."""
+def _units(recording: Recording) -> dict[str, str]:
+    """Units of metrics and parameters by name, those of the recording's own metrics, too."""
     from nermo_mjx.robot.quantity import quantities
     from nermo_mjx.rollout import METRICS  # starts JAX
     from nermo_mjx.rollout.parameters import WorldParameters
 
     units = {name: about.unit for name, about in quantities(WorldParameters)}
-    return units | {name: metric.unit for name, metric in METRICS.items()}
+    return units | {name: metric.unit for name, metric in METRICS.items()} | _part(recording, "units")
 
 
 def _number(value: Any) -> float | None:

@@ -16,13 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.rollout import METRICS
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, content_of, parquet_table
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, Plan
-from nermo_mjx.tune.objective import OBJECTIVE_METRICS
 from nermo_mjx.tune.optimizer import Optimizer
 from nermo_mjx.tune.sampling import Estimator
 from nermo_mjx.tune.spec import Tuning, changes
@@ -154,7 +152,7 @@ def _table(
         slope = np.where(ok, found[f"gradient.{name}"], np.nan)
         table.add(f"gradient.{name}", slope, "gradient", unit, f"exact d objective / d {name}")
     for name in (name.removeprefix("metric.") for name in found if name.startswith("metric.")):
-        metric = OBJECTIVE_METRICS.get(name) or METRICS[name]
+        metric = (tuning.metrics | tuning.objective_metrics)[name]
         table.add(name, found[f"metric.{name}"], "metric", metric.unit, metric.doc)
     table.add("ok", ok, "status", "1", "whether the robot walked to the end, with a finite gradient")
     made_by = "which code made the row, by its name in run.json; empty: not known"

@@ -1,0 +1,201 @@
+"""Metrics of one's own: pure functions of the sensors, how they are declared, named, loaded and tried out."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.robot import ParameterError, Robot, RobotConfig, Sensors, load_robot
+from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
+from nermo_mjx.rollout.catalogue import Metric
+from nermo_mjx.runtime import start_jax
+
+#: What a function's values may be reduced to, and how a message explains it.
+REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last", "integral")
+SIDES: Final = ("high", "low")
+#: How a text names metrics; without a name, it is all that the file or module has.
+FORM: Final = "FILE.py, FILE.py:NAME, MODULE or MODULE:NAME"
+#: What a function meets that is no function of tracers.
+_NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
+                        jax.errors.TracerBoolConversionError, jax.errors.TracerIntegerConversionError)  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class OwnMetric(Metric):
+    """A metric of one's own; `metric` makes it, and called it is the function.
+
+    Attributes:
+        name: of the function, and of the column.
+        function: from `Sensors` of one moment to a number; pure JAX.
+        reduce: one of `REDUCTIONS`.
+    """
+
+    name: str = ""
+    function: Callable[[Sensors], Any] = lambda sensors: 0.0
+    reduce: str = "mean"
+
+    def __call__(self, sensors: Sensors) -> Any:
+        return self.function(sensors)
+
+    @property
+    def place(self) -> str:
+        """Where the function is, for messages: `yaw_shake (my_metrics.py:4)`."""
+        code = getattr(self.function, "__code__", None)
+        return self.name if code is None else f"{self.name} ({Path(code.co_filename).name}:{code.co_firstlineno})"
+
+
+def metric(
+    *, unit: str, better: str | None = None, reduce: str = "mean"
+) -> Callable[[Callable[[Sensors], Any]], OwnMetric]:
+    """Make a metric of a pure function of the sensors, for simulators, rollouts, sweeps, tunings and searches.
+
+    >>> @metric(unit="rad/s", better="low", reduce="rms")
+    ... def yaw_shake(sensors):
+    ...     "Turning of the torso about its own axis."
+    ...     return sensors.gyro[2]
+    >>> yaw_shake.name, yaw_shake.doc
+    ('yaw_shake', 'Turning of the torso about its own axis')
+
+    The function gets `Sensors` of one world at one moment, in SI units, once a physics step while the run is measured,
+    and gives one number. It is compiled: `jax.numpy` instead of NumPy, `jnp.where` instead of `if`. Its name is the
+    column's, and the first line of its docstring the column's description.
+
+    Args:
+        unit: of the reduced number; "1" where it has none.
+        better: `high`, `low`, or None where neither is.
+        reduce: `mean`, `rms` (root mean square), `std`, `min`, `max`, `peak` (largest magnitude), `range` (between the
+            extremes), `last` (where measuring ends), or `integral` (over the measured seconds).
+
+    Raises:
+        ParameterError: no unit, or an unknown side or reduction.
+    """
+
+    def made(function: Callable[[Sensors], Any]) -> OwnMetric:
+        name = getattr(function, "__name__", type(function).__name__)
+        if not callable(function) or not name.isidentifier():
+            raise ParameterError(f"metrics has {name}: expected a function with a name, which the column gets.")
+        found = OwnMetric(unit, _first_line(function) or f"{reduce} of {name}", better, name, function, reduce)
+        if not isinstance(unit, str) or not unit:
+            raise ParameterError(f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'.")
+        for field, value, allowed in (("better", better, (None, *SIDES)), ("reduce", reduce, REDUCTIONS)):
+            if value not in allowed:
+                near = nearest(str(value), [each for each in allowed if each])
+                hint = f"; did you mean {near!r}?" if near else "."
+                listed = ", ".join(map(str, allowed))
+                raise ParameterError(f"metrics has {found.place} with {field}={value!r}: allowed is {listed}{hint}")
+        return found
+
+    return made
+
+
+def load_metrics(where: str) -> tuple[OwnMetric, ...]:
+    """The metrics that a text names, in the order of their file; the same ones as long as the file stays the same.
+
+    Args:
+        where: `FILE.py`, `FILE.py:NAME`, `MODULE` or `MODULE:NAME`.
+
+    Raises:
+        ParameterError: there is no such file, module or name, it cannot be imported, or has no metric.
+    """
+    source, name = parts_of(where)
+    module = module_of(f"metrics has {where!r}", source, FORM)
+    found = {key: each for key, each in vars(module).items() if isinstance(each, OwnMetric)}
+    if name in vars(module) and name not in found:
+        raise ParameterError(f"metrics has {where!r}: {name} is no metric; write @metric(unit=...) above its function.")
+    if name and name not in found:
+        raise no_such_name(f"metrics has {where!r}", source, name, list(found))
+    if not found:
+        raise ParameterError(f"metrics has {where!r}: it has no metric; write @metric(unit=...) above a function.")
+    return tuple(each for key, each in found.items() if name in ("", key))
+
+
+def metrics_digest(where: str) -> str:
+    """A hash of the names of metrics and of the file that defines them; not of what that file imports.
+
+    Raises:
+        ParameterError: see `load_metrics`.
+    """
+    source, _ = parts_of(where)
+    _, content = content_of_source(f"metrics has {where!r}", source, FORM)
+    names = "\0".join(each.name for each in load_metrics(where))
+    return hashlib.sha256(f"{names}\0".encode() + content).hexdigest()[:16]
+
+
+def parts_of(where: str) -> tuple[str, str]:
+    """The file or module of a text that names metrics, and the name; "" without one.
+
+    Raises:
+        ParameterError: it is no such text.
+    """
+    source, colon, name = where.rpartition(":") if not where.endswith(".py") else (where, "", "")
+    source, name = (source, name) if colon else (where, "")
+    if not source or (colon and not name.isidentifier()):
+        raise ParameterError(f"metrics has {where!r}: expected {FORM}.")
+    return source, name
+
+
+def _first_line(function: Any) -> str:
+    return (getattr(function, "__doc__", None) or "").strip().partition("\n")[0].rstrip(".")
+
+
+@functools.lru_cache(maxsize=32)
+def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
+    """Refuse functions that cannot be compiled, or do not give one finite number, before anything is simulated.
+
+    They are tried with the readings of the robot put down at rest: no forces, no velocities.
+
+    Args:
+        config: of the robot.
+        metrics: all of them.
+
+    Raises:
+        ParameterError: with function, file and what is wrong.
+    """
+    start_jax()
+    robot = load_robot(**{field.name: getattr(config, field.name) for field in dataclasses.fields(config)})
+    with jax.ensure_compile_time_eval():
+        reading = np.asarray(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
+    for each in metrics:
+        value = _tried(robot, each, reading)
+        if not np.isfinite(value):
+            raise ParameterError(
+                f"metrics has {each.place}, which gives {float(value):g} for a robot at rest, where forces and "
+                "velocities are 0: guard it, as by jnp.where."
+            )
+
+
+def _tried(robot: Robot, each: OwnMetric, reading: np.ndarray) -> np.ndarray:
+    """What a function gives for a reading, compiled."""
+    sensors = robot.sensors(jnp.asarray(reading))
+    try:
+        given = jax.jit(each.function)(sensors)
+    except _NOT_JITTABLE:
+        raise ParameterError(
+            f"metrics has {each.place}, which cannot be compiled: it branches on readings, or makes NumPy's numbers of "
+            "them; use jax.numpy, and jnp.where instead of if."
+        ) from None
+    except Exception as error:
+        hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
+        if isinstance(error, AttributeError) and isinstance(error.obj, Sensors):
+            known = [field.name for field in dataclasses.fields(Sensors)]
+            near = nearest(str(error.name), known)
+            hint = f"; did you mean {near!r}?" if near else ""
+            hint += f" Sensors are {', '.join(known)}"
+        raise ParameterError(f"metrics has {each.place}, which fails: {type(error).__name__}: {wrong}{hint}.") from None
+    if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
+        raise ParameterError(f"metrics has {each.place}, which gives {_described(given)}: expected one number.")
+    return np.asarray(given, float)
+
+
+def _described(given: Any) -> str:
+    shape = getattr(given, "shape", None)
+    return f"an array of shape {shape}" if shape else "a complex number" if shape == () else type(given).__name__

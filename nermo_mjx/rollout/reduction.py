@@ -1,0 +1,115 @@
+"""What metrics of one's own are reduced to, as the run goes: a pair `init`, `update` over one world, and `result`.
+
+A function sees one reading after the other, one a physics step, and no series of them is kept. Like other readings, a
+value stands for the step before it, and a tick counts by its measured part. Between two readings a value goes straight,
+so that extremes and the last value are continuous in both ends of the measured time, like all metrics.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from nermo_mjx.robot import Sensors
+from nermo_mjx.rollout.measuring import MeasuredPart
+from nermo_mjx.rollout.own_metrics import OwnMetric
+from nermo_mjx.rollout.path_metrics import root
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class OwnState:
+    """Accumulators of k metrics in one world, (k,) each.
+
+    Attributes:
+        value: at the last reading.
+        mean, square: Welford's running mean, and the integral of the squared deviations.
+        low, high: extremes.
+        final: value where measuring has come to.
+    """
+
+    value: Float[Array, " k"]
+    mean: Float[Array, " k"]
+    square: Float[Array, " k"]
+    low: Float[Array, " k"]
+    high: Float[Array, " k"]
+    final: Float[Array, " k"]
+
+
+def init(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> OwnState:
+    """Accumulators before the first tick, from the readings at rest."""
+    value = _values(metrics, sensors)
+    zero = jnp.zeros_like(value)
+    return OwnState(value, zero, zero, zero + jnp.inf, zero - jnp.inf, value)
+
+
+def update(
+    metrics: tuple[OwnMetric, ...],
+    state: OwnState,
+    sensors: Sensors,
+    part: MeasuredPart,
+    share: Float[Array, ""],
+    meant: Bool[Array, ""],
+) -> OwnState:
+    """Add one control tick.
+
+    Args:
+        metrics: k of them.
+        state: accumulators so far.
+        sensors: readings of the tick's physics steps, leading axis (steps,).
+        part: of the tick that is measured.
+        share: of this part in all that is measured so far.
+        meant: whether the readings are those of a tick; no derivative comes from others.
+    """
+    sensors = jax.tree.map(lambda leaf: jnp.where(meant, leaf, jax.lax.stop_gradient(leaf)), sensors)
+    values = jax.vmap(functools.partial(_values, metrics))(sensors)
+    mean = values.mean(axis=0)
+    deviation, spread = mean - state.mean, ((values - mean) ** 2).mean(axis=0)
+    after = state.mean + share * deviation
+    square = state.square + part.weight * (deviation * (mean - after) + spread)
+
+    way = jnp.concatenate([state.value[None], values])
+    places = jnp.arange(len(way)) / (len(way) - 1)
+    between = jax.vmap(lambda column, at: jnp.interp(at, places, column), in_axes=(1, None), out_axes=1)
+    ends = between(way, jnp.stack([jnp.maximum(part.begin, 0.0), part.end]))
+    inner = ((places > part.begin) & (places < part.end))[:, None]
+    low = jnp.minimum(jnp.where(inner, way, jnp.inf).min(axis=0), ends.min(axis=0))
+    high = jnp.maximum(jnp.where(inner, way, -jnp.inf).max(axis=0), ends.max(axis=0))
+    measured = OwnState(values[-1], after, square, jnp.minimum(state.low, low), jnp.maximum(state.high, high), ends[1])
+    passed = dataclasses.replace(state, value=values[-1])
+    return jax.tree.map(lambda new, old: jnp.where(part.inside, new, old), measured, passed)
+
+
+def result(
+    metrics: tuple[OwnMetric, ...], state: OwnState, begun: Bool[Array, ""], time: Float[Array, ""]
+) -> dict[str, Float[Array, ""]]:
+    """The metrics of one world by name; NaN where nothing was measured.
+
+    Args:
+        metrics: k of them.
+        state: accumulators at the end.
+        begun: whether anything was measured.
+        time: measured, or what is no zero where nothing was [s].
+    """
+    variance = state.square / time
+    reduced = {
+        "mean": state.mean,
+        "rms": root(state.mean**2 + variance),
+        "std": root(variance),
+        "min": state.low,
+        "max": state.high,
+        "peak": jnp.maximum(state.high, -state.low),
+        "range": state.high - state.low,
+        "last": state.final,
+        "integral": state.mean * time,
+    }
+    return {each.name: jnp.where(begun, reduced[each.reduce][i], jnp.nan) for i, each in enumerate(metrics)}
+
+
+def _values(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> Float[Array, " k"]:
+    """What the functions give for one reading."""
+    return jnp.stack([jnp.asarray(each.function(sensors)).astype(jnp.zeros(()).dtype) for each in metrics])

@@ -1,0 +1,227 @@
+"""Time series of chosen signals, kept beside the metrics while a batch runs: what there is to choose, and the keeping.
+
+A signal is one number over time, a column. Names choose signals: one signal, a sensor of the model with all its
+components (`front_left_foot_velocity`), or a group of sensors (`foot_force`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Final
+
+import jax
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+
+from nermo_mjx.physics import Trace
+from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, Sensors
+from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.rollout.attitude import attitude
+
+_XYZ: Final = ("x", "y", "z")
+_WXYZ: Final = ("w", *_XYZ)
+#: Group of sensors: what its signals are called, their unit, and what they are.
+_SENSORS: Final = {
+    "position": (tuple(f"position_{axis}" for axis in _XYZ), "m", "place of the IMU in the world"),
+    "orientation": (tuple(f"orientation_{axis}" for axis in _WXYZ), "1", "quaternion of the IMU"),
+    "linear_velocity": (tuple(f"linear_velocity_{axis}" for axis in _XYZ), "m/s", "of the IMU in the world"),
+    "gyro": (tuple(f"gyro_{axis}" for axis in _XYZ), "rad/s", "angular velocity in the IMU's frame"),
+    "accelerometer": (tuple(f"accelerometer_{axis}" for axis in _XYZ), "m/s^2", "in the IMU's frame"),
+    "servo_angle": (tuple(f"{servo}_servo_angle" for servo in SERVOS), "rad", "angle of the servo"),
+    "servo_velocity": (tuple(f"{servo}_servo_velocity" for servo in SERVOS), "rad/s", "velocity of the servo"),
+    "servo_torque": (tuple(f"{servo}_servo_torque" for servo in SERVOS), "N m", "torque of the servo"),
+    "knee_angle": (tuple(f"{limb}_knee_angle" for limb in LIMBS), "rad", "angle of the knee, 0 stretched"),
+    "foot_force": (tuple(f"{limb}_foot_force" for limb in LIMBS), "N", "normal contact force of the foot"),
+    "foot_position": (
+        tuple(f"{limb}_foot_position_{axis}" for limb in LIMBS for axis in _XYZ), "m", "of the foot in the world",
+    ),
+    "foot_velocity": (
+        tuple(f"{limb}_foot_velocity_{axis}" for limb in LIMBS for axis in _XYZ), "m/s", "of the foot in the world",
+    ),
+    "tail_force": (("tail_force",), "N", "normal contact force of the tail"),
+    "attitude": (("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
+    "speed": (("speed",), "m/s", "horizontal speed of the IMU"),
+}  # fmt: skip
+#: What the root's free joint is called in positions and velocities, with units.
+_ROOT: Final = {
+    "qpos": [*((f"_{axis}", "m") for axis in _XYZ), *((f"_q{axis}", "1") for axis in _WXYZ)],
+    "qvel": [*((f"_{axis}", "m/s") for axis in _XYZ), *((f"_w{axis}", "rad/s") for axis in _XYZ)],
+}
+_STATE: Final = {"qpos": ("rad", "generalised position"), "qvel": ("rad/s", "generalised velocity")}
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """One number over time.
+
+    Attributes:
+        name: of the column.
+        unit, doc: as in a table.
+        source: `qpos`, `qvel`, `ctrl`, or a group of sensors; `place`: which of its numbers, counted flat.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    source: str
+    place: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What chooses it: its own name, its sensor's, its group's."""
+        sensor = self.name.rpartition("_")[0] if self.source in ("foot_position", "foot_velocity") else self.name
+        return self.name, sensor, self.source
+
+
+@dataclasses.dataclass(frozen=True)
+class Saving:
+    """Which signals of a run are kept, and how often.
+
+    Attributes:
+        sensors: names of signals, sensors or groups.
+        rate: samples a simulated second [Hz].
+    """
+
+    sensors: tuple[str, ...]
+    rate: float = 50.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Series:
+    """Time series of a batch of n worlds.
+
+    Attributes:
+        time: of the samples, since the start [s].
+        values: name of a signal -> (n, samples), float32.
+        count: samples of each world (n,): until its run ends, or its numbers are lost.
+    """
+
+    time: Float[np.ndarray, " samples"]
+    values: dict[str, Float[np.ndarray, "n samples"]]
+    count: Int[np.ndarray, " n"]
+
+    def first(self, worlds: int) -> Series:
+        """Those of the first worlds."""
+        values = {name: each[:worlds] for name, each in self.values.items()}
+        return Series(self.time, values, self.count[:worlds])
+
+
+def all_signals(robot: Robot) -> tuple[Signal, ...]:
+    """Every signal that this robot has.
+
+    >>> from nermo_mjx import load_robot
+    >>> [each.name for each in all_signals(load_robot()) if each.source == "gyro"]
+    ['gyro_x', 'gyro_y', 'gyro_z']
+    """
+    model, found = robot.physical, []
+    for kind, (unit, doc) in _STATE.items():
+        place = 0
+        for i in range(model.njnt):
+            joint = model.joint(i).name
+            free = model.jnt_type[i] == mujoco.mjtJoint.mjJNT_FREE
+            for part, each in _ROOT[kind] if free else [("", unit)]:
+                found.append(Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place))
+                place += 1
+    found += [Signal(f"{servo}_ctrl", "rad", "angle that the servo aims at", "ctrl", i)
+              for i, servo in enumerate(SERVOS[: robot.n_servos])]  # fmt: skip
+    for group, (names, unit, doc) in _SENSORS.items():
+        count = robot.n_servos if group.startswith("servo_") else len(names)
+        found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names[:count])]
+    return tuple(found)
+
+
+def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
+    """The signals that the names choose, each once, in the order of the names.
+
+    Raises:
+        ParameterError: an unknown name, with the nearest.
+    """
+    every, chosen = all_signals(robot), dict[str, Signal]()
+    for name in saving.sensors:
+        found = [each for each in every if name in each.names]
+        if not found:
+            groups = dict.fromkeys(each.source for each in every)
+            near = nearest(name, dict.fromkeys(known for each in every for known in each.names))
+            hint = f"; did you mean {near!r}?" if near else "."
+            raise ParameterError(
+                f"sensors has {name!r}: allowed are {', '.join(groups)}, or one sensor of a group, such as gyro_z or "
+                f"front_left_foot_force{hint}"
+            )
+        chosen |= {each.name: each for each in found}
+    return tuple(chosen.values())
+
+
+def ticks_between(saving: Saving, dt: float) -> int:
+    """Control ticks from one sample to the next.
+
+    Args:
+        saving: with its rate.
+        dt: length of a control tick [s].
+
+    Raises:
+        ParameterError: the control rate is no whole multiple of the rate.
+    """
+    control = 1.0 / dt
+    ticks = max(1, round(control / saving.rate)) if saving.rate > 0 else 1
+    if not abs(control / ticks - saving.rate) <= 1e-3 * saving.rate:
+        raise ParameterError(
+            f"rate is {saving.rate:g}: allowed is the control rate, {control:g} Hz, or that divided by a whole number; "
+            f"the nearest is {control / ticks:.6g}."
+        )
+    return ticks
+
+
+class Keeper:
+    """Keeps the chosen signals of a batch, block after block; nothing else of a block is held."""
+
+    def __init__(self, saving: Saving, robot: Robot, dt: float) -> None:
+        """
+        Args:
+            saving: what to keep.
+            robot: whose signals they are.
+            dt: length of a control tick [s].
+
+        Raises:
+            ParameterError: see `chosen_signals` and `ticks_between`.
+        """
+        self.signals, self._every = chosen_signals(robot, saving), ticks_between(saving, dt)
+        self._robot, self._dt, self._ticks = robot, dt, 0
+        self._parts: list[list[np.ndarray]] = []
+
+    def add(self, trace: Trace) -> None:
+        """Keep the samples of the next block of ticks."""
+        ticks = trace.qpos.shape[1]
+        first = (-self._ticks - 1) % self._every
+        self._ticks += ticks
+        kept = Trace(*(getattr(trace, field.name)[:, first :: self._every] for field in dataclasses.fields(Trace)))
+        sensors = self._robot.sensors(np.asarray(kept.sensordata))
+        read = functools.cache(lambda source: _read(source, kept, sensors))
+        self._parts.append([read(each.source)[..., each.place].astype(np.float32) for each in self.signals])
+
+    def series(self, ends: Float[np.ndarray, " n"]) -> Series:
+        """What was kept, of worlds that ended then [s]."""
+        columns = (np.concatenate(parts, axis=1) for parts in zip(*self._parts, strict=True))
+        values = dict(zip((each.name for each in self.signals), columns, strict=True))
+        step = self._every * self._dt
+        samples = self._ticks // self._every
+        count = np.clip(np.floor(np.nan_to_num(ends) / step + 1e-3), 0, samples).astype(int)
+        time = np.round(np.arange(1, samples + 1) * step, 9)
+        longest = int(count.max(initial=0))
+        return Series(time[:longest], {name: each[:, :longest] for name, each in values.items()}, count)
+
+
+def _read(source: str, trace: Trace, sensors: Sensors) -> np.ndarray:
+    """The numbers of a source (n, samples, ...), flat in the end."""
+    if source in ("qpos", "qvel", "ctrl"):
+        return np.asarray(getattr(trace, source))
+    if source == "speed":
+        return np.hypot(sensors.linear_velocity[..., 0], sensors.linear_velocity[..., 1])[..., None]
+    if source == "attitude":
+        return np.asarray(_attitude(sensors.orientation))
+    values = np.asarray(getattr(sensors, source))
+    return values.reshape(*trace.qpos.shape[:2], -1)
+
+
+_attitude = jax.jit(attitude)
