@@ -16,7 +16,7 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.sweep.points import thinned
-from nermo_mjx.sweep.summary import OBJECTIVES
+from nermo_mjx.sweep.sides import OBJECTIVES
 from nermo_mjx.view.clip import COMPACT, Models, clip_of
 from nermo_mjx.view.document import Page, document, text
 from nermo_mjx.view.explore.commands import commands_of
