@@ -106,7 +106,10 @@ def start_of(runs: Runs) -> dict[str, Any]:
         x, y = [*measures, runs.leading][:2]
         return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1}
     if runs.grid and len(gridded) > 1:
-        return {"x": gridded[0].name, "y": gridded[1].name, "colour": runs.leading, "cells": True}
+        # A number across, and structures above each other.
+        steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
+        x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
+        return {"x": x, "y": y, "colour": runs.leading, "cells": True}
     usual = [*OBJECTIVES]  # in the order in which they are asked for
     directed = sorted(
         (each.name for each in metrics if each.better and each.name != runs.leading),

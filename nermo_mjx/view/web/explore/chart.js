@@ -45,7 +45,7 @@ export class Chart {
     const { x, y, colour, cells, fit, logs } = this.view;
     this.passing = this.filters.places;
     const fitted = fit && this.passing.length ? this.passing : null;
-    this.colouring = new Colouring(this.table.field(colour), this.palette, fitted);
+    this.colouring = new Colouring(this.table.field(colour), this.palette, logs.has(colour), fitted);
     const axis = (name) =>
       new Axis(this.table.field(name), {
         cells, log: logs.has(name), measure: this.table.measures.get(name), places: fitted,

@@ -5,6 +5,8 @@ import { read } from "viewer/data.js";
 /** Beyond these shares of the values colours do not go on where wild ones would take most of them. */
 const TAIL = 0.005;
 const MOST_OF = 0.6;
+/** A scale is logarithmic where the greatest values are so many times the middle one. */
+const SKEW = 12;
 
 export class Table {
   constructor(header, parts) {
@@ -39,6 +41,12 @@ export class Field {
     [this.low, this.high] = [this.sorted[0] ?? 0, this.sorted.at(-1) ?? 1];
     this.differs = this.known ? this.known.length > 1 : this.low < this.high;
     this.positive = !this.isText && this.low > 0;
+  }
+
+  /** Whether a logarithmic scale suits it better: it was spread so, or a few values are many times the others. */
+  get wantsLog() {
+    const at = (share) => this.sorted[Math.round(share * (this.sorted.length - 1))];
+    return this.positive && (this.log || at(0.98) > SKEW * at(0.5));
   }
 
   /** Name and unit. */
