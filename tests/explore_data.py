@@ -89,6 +89,7 @@ def many(out: Path, rows: int) -> Path:
         "frequency": (random.uniform(0.4, 1.2, rows), {"role": "varied", "unit": "Hz", "scale": "linear"}),
         "spine.phase": (random.uniform(-np.pi, np.pi, rows), {"role": "varied", "unit": "rad", "scale": "linear"}),
         "speed": (random.normal(0.1, 0.02, rows), {"role": "metric", "unit": "m/s"}),
+        "radius": (np.exp(random.normal(0, 3, rows)), {"role": "metric", "unit": "m"}),
         **numbers,
         "status": (np.where(random.random(rows) < 0.05, "fell", "ok"), {"role": "status", "unit": "1"}),
     }  # fmt: skip

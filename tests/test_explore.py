@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -63,6 +64,20 @@ def test_a_grid_begins_with_cells_and_a_sample_with_points(swept: Path, tmp_path
     assert start_of(runs_of(swept)) == grid
     start = start_of(runs_of(many(tmp_path / "many", 50)))
     assert start == {"x": "frequency", "y": "speed", "colour": "speed", "cells": False}
+
+
+def test_a_grids_values_are_steps_and_a_samples_are_not(swept: Path, tmp_path: Path) -> None:
+    def steps(path: Path) -> dict[str, bool]:
+        found = re.search(r'id="header">(.*?)</script>', explore(path, recordings=0).html, re.DOTALL)
+        assert found is not None
+        return {field["name"]: field["stepped"] for field in json.loads(found[1])["fields"]}
+
+    grid = steps(swept)
+    assert grid["spine.phase"]
+    assert not grid["speed"], "28 different ones"
+    sample = steps(many(tmp_path / "many", 40))
+    assert sample["gait"]
+    assert not sample["frequency"], "40 of 40 rows"
 
 
 def test_of_too_many_rows_the_best_and_the_recorded_stay(tmp_path: Path) -> None:

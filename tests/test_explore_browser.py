@@ -311,6 +311,12 @@ def test_ten_thousand_rows_with_structures_answer_at_once(tab: Any, tmp_path: Pa
     frame = tab.evaluate("explorer.chart.frame")
     band = np.floor((across - frame["left"]) / frame["width"] * 3).astype(int)
     np.testing.assert_array_equal(np.array(sorted(NAMES))[band], gait)
+    choose(tab, x="radius", colour="speed")
+    log = "['x', 'colour'].map((id) => document.getElementById(`${id}-log`).getAttribute('aria-pressed'))"
+    assert tab.evaluate(log) == ["true", "false"], "three decades, and less than one"
+    places = np.array(tab.evaluate("explorer.chart.items.map((item) => item.x)"))
+    line = np.polyfit(np.log(table.column("radius").to_numpy()), places, 1)
+    assert np.abs(np.polyval(line, np.log(table.column("radius").to_numpy())) - places).max() < 0.5
     tab.evaluate("explorer.choose(0)")
     text = tab.evaluate("document.getElementById('row').innerText")
     assert f"{np.rad2deg(phase[0]):.4g}".replace("-", "−") in text

@@ -18,7 +18,7 @@ NEEDS: Final = {
     "process": "starts other processes, which import JAX anew or wait for each other",
     "cluster": "starts a Ray cluster",
     "draws": "draws figures, pictures or videos",
-    "browser": "opens pages in Chromium",
+    "browser": "opens pages in a browser",
     "slow": "compiles MJX, or takes several seconds",
     "long": "takes a minute or more for what other tests show almost alike: runs with -m long only",
 }

@@ -55,7 +55,7 @@ def command(
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
     if not path.exists():
         raise WrongUse(
-            f"{path} does not exist: expected a recording FILE.npz, or the directory of a sweep or a search."
+            f"{path} does not exist: allowed is a recording FILE.npz, or the directory of a sweep or search."
         )
     notes: list[str] = []
     with stdout_reserved():

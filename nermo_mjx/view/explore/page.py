@@ -29,6 +29,8 @@ KINDS: Final = ("sweep", "search")
 MOST_RECORDINGS: Final = 50
 #: Different values of a column up to which each is sent as it is, with all its digits.
 _LISTED: Final = 256
+#: Different numbers up to which each is a step of an axis, also where they are none of a grid.
+_FEW: Final = 12
 _LEVELS: Final = 32
 
 
@@ -80,7 +82,7 @@ def explore(
         "notes": notes,
         "total": runs.total,
         "rows": table.plain(runs.rows, "uint32"),
-        "fields": [_field(column, table) for column in runs.columns.values()],
+        "fields": [_field(column, runs.grid, table) for column in runs.columns.values()],
         "start": start_of(runs),
         "atlas": runs.atlas,
         "palette": _palette(),
@@ -104,7 +106,10 @@ def start_of(runs: Runs) -> dict[str, Any]:
         x, y = [*measures, runs.leading][:2]
         return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1}
     if runs.grid and len(gridded) > 1:
-        return {"x": gridded[0].name, "y": gridded[1].name, "colour": runs.leading, "cells": True}
+        # A number across, and structures above each other.
+        steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
+        x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
+        return {"x": x, "y": y, "colour": runs.leading, "cells": True}
     usual = [*OBJECTIVES]  # in the order in which they are asked for
     directed = sorted(
         (each.name for each in metrics if each.better and each.name != runs.leading),
@@ -141,7 +146,7 @@ def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[di
     return clips, models.headers, parts
 
 
-def _field(column: Column, packer: Packer) -> dict[str, Any]:
+def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
     """The header of a column, and its values packed."""
     unit = shown(column.name, column.unit, [1.0])
     about: dict[str, Any] = {
@@ -149,6 +154,7 @@ def _field(column: Column, packer: Packer) -> dict[str, Any]:
         "factor": float(unit.values[0]), "better": column.better, "log": column.log,
     }  # fmt: skip
     known = column.distinct
+    about["stepped"] = len(known) <= (MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW)
     if column.is_text:
         codes = np.searchsorted(known.astype(str), column.values.astype(str))
         return about | {"texts": known.tolist(), "values": packer.plain(codes, "uint16")}

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.sweep.points import thinned
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.sides import OBJECTIVES
+from nermo_mjx.sweep.sides import sides_in
 from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.table import meta
 
@@ -108,15 +108,16 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
     metrics = [name for name in shown if fields[name]["role"] == "metric"]
     atlas = json.loads(about[b"atlas"]) if b"atlas" in about else None
-    leading = _leading(metrics, fields, atlas)
+    sides = sides_in(table.schema)
+    leading = _leading(metrics, sides, atlas)
     number = table.column("row")
-    price = _column(leading, fields[leading], table.column(leading)).cost()
+    price = _column(leading, fields[leading], sides, table.column(leading)).cost()
     places = np.arange(len(number))
     if len(number) > most:
         best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
         places = np.union1d(thinned(places, most - len(best)), best)
         places = np.union1d(places, np.flatnonzero(np.isin(number, list(kept))))
-    columns = {name: _column(name, fields[name], table.column(name)[places]) for name in shown if name != "row"}
+    columns = {name: _column(name, fields[name], sides, table.column(name)[places]) for name in shown if name != "row"}
     for objective in [] if atlas is None else [atlas["objective"]]:
         side = "low" if objective["direction"] == "minimize" else "high"
         columns[leading] = dataclasses.replace(columns[leading], better=side)
@@ -153,18 +154,18 @@ def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
     return results, results.schema.metadata or {}
 
 
-def _leading(metrics: Sequence[str], fields: Mapping[str, Mapping[str, str]], atlas: Mapping[str, Any] | None) -> str:
+def _leading(metrics: Sequence[str], sides: Mapping[str, str], atlas: Mapping[str, Any] | None) -> str:
     if atlas is not None:
         return str(atlas["objective"]["metric"])
     if not metrics:
         raise DirectoryError("The table has no metric: no column's role is 'metric'.")
-    directed = [name for name in metrics if fields[name].get("better") or name in OBJECTIVES]
+    directed = [name for name in metrics if name in sides]
     return LEADING if LEADING in metrics else (directed or list(metrics))[0]
 
 
-def _column(name: str, about: Mapping[str, str], values: np.ndarray) -> Column:
+def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> Column:
     role = about["role"]
-    better = about.get("better") or (_SIDES[OBJECTIVES[name]] if role == "metric" and name in OBJECTIVES else "")
+    better = _SIDES[sides[name]] if role == "metric" and name in sides else ""
     if values.dtype.kind in "OUS" and any(isinstance(value, str) for value in values):
         values = np.array(["–" if value is None else str(value) for value in values], object)
     else:

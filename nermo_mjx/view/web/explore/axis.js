@@ -16,7 +16,8 @@ export class Axis {
    */
   constructor(field, { cells, measure, log, places }) {
     this.field = field;
-    this.log = Boolean(log && field.positive);
+    // The cells of an atlas are evenly wide.
+    this.log = Boolean(log && field.positive && !(cells && measure));
     this.steps = field.stepped && (cells || field.isText) && !measure ? field.known.length : 0;
     if (this.steps) {
       this.bins = this.steps;

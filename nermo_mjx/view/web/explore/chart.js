@@ -3,6 +3,7 @@
 import { Axis } from "viewer/explore/axis.js";
 import { cellsOf } from "viewer/explore/cells.js";
 import { Colouring } from "viewer/explore/colouring.js";
+import { clipped, ring, sheet, sprite } from "viewer/explore/drawing.js";
 
 const TOP = 12;
 const RIGHT = 16;
@@ -40,11 +41,11 @@ export class Chart {
   draw() {
     const { clientWidth: width, clientHeight: height } = this.points.parentElement;
     if (!this.view || !this.colours || !width || !height) return;
-    const paper = this.#paper(this.points, width, height);
+    const paper = sheet(this.points, width, height);
     const { x, y, colour, cells, fit, logs } = this.view;
     this.passing = this.filters.places;
     const fitted = fit && this.passing.length ? this.passing : null;
-    this.colouring = new Colouring(this.table.field(colour), this.palette, fitted);
+    this.colouring = new Colouring(this.table.field(colour), this.palette, logs.has(colour), fitted);
     const axis = (name) =>
       new Axis(this.table.field(name), {
         cells, log: logs.has(name), measure: this.table.measures.get(name), places: fitted,
@@ -65,15 +66,6 @@ export class Chart {
     if (this.current) this.current = this.itemOf(this.current.place) ?? null;
     this.mark();
     this.colouring.explain(document.getElementById("scale"));
-  }
-
-  #paper(canvas, width, height) {
-    const ratio = Math.min(devicePixelRatio, 2);
-    Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
-    // Drawn by the processor, as its pictures of points are: copying them from emulated graphics took half a second.
-    const paper = canvas.getContext("2d", { willReadFrequently: true });
-    paper.setTransform(ratio, 0, 0, ratio, 0, 0);
-    return paper;
   }
 
   #axes(paper, up, width, height) {
@@ -140,46 +132,13 @@ export class Chart {
       const bad = status && status.values[item.place] !== well;
       const level = this.colouring.level(values[item.place]);
       const key = `${level} ${bad}`;
-      if (!sprites.has(key)) sprites.set(key, this.#sprite(this.colouring.css(level), bad));
-      const sprite = sprites.get(key);
-      paper.drawImage(sprite.canvas, item.x - sprite.size / 2, item.y - sprite.size / 2, sprite.size, sprite.size);
+      if (!sprites.has(key)) sprites.set(key, sprite(this.colouring.css(level), this.colours.ink, this.radius, bad));
+      const { canvas, size } = sprites.get(key);
+      paper.drawImage(canvas, item.x - size / 2, item.y - size / 2, size, size);
     }
     paper.strokeStyle = this.colours.ink;
     paper.lineWidth = 1.4;
     for (const item of this.items) if (this.recorded.has(item.place)) ring(paper, item.x, item.y, this.radius + 2.5);
-  }
-
-  /** A point's picture: a disc, or a cross where a run did not go well. */
-  #sprite(colour, bad) {
-    const size = 2 * this.radius + 4;
-    const ratio = Math.min(devicePixelRatio, 2);
-    const canvas = Object.assign(document.createElement("canvas"), { width: Math.ceil(size * ratio), height: Math.ceil(size * ratio) });
-    const paper = canvas.getContext("2d", { willReadFrequently: true });
-    paper.scale(ratio, ratio);
-    const middle = size / 2;
-    if (bad) {
-      const r = 0.75 * this.radius;
-      paper.lineCap = "round";
-      for (const [stroke, width] of [[this.colours.ink, 3.2], [colour, 1.8]]) {
-        Object.assign(paper, { strokeStyle: stroke, lineWidth: width });
-        paper.beginPath();
-        paper.moveTo(middle - r, middle - r);
-        paper.lineTo(middle + r, middle + r);
-        paper.moveTo(middle + r, middle - r);
-        paper.lineTo(middle - r, middle + r);
-        paper.stroke();
-      }
-      return { canvas, size };
-    }
-    paper.fillStyle = colour;
-    paper.beginPath();
-    paper.arc(middle, middle, this.radius, 0, 2 * Math.PI);
-    paper.fill();
-    // An edge, so that neither end of the scale is lost on its ground.
-    paper.globalAlpha = 0.5;
-    Object.assign(paper, { strokeStyle: this.colours.ink, lineWidth: 0.7 });
-    paper.stroke();
-    return { canvas, size };
   }
 
   #cells(paper) {
@@ -229,7 +188,7 @@ export class Chart {
   /** Draws what is pointed at, what is chosen, and a rectangle that is being drawn. */
   mark(rectangle = null) {
     const { clientWidth: width, clientHeight: height } = this.marks.parentElement;
-    const paper = this.#paper(this.marks, width, height);
+    const paper = sheet(this.marks, width, height);
     const outline = (item, colour, size) => {
       for (const [stroke, wide] of [[this.colours.surface, size + 2.5], [colour, size]]) {
         Object.assign(paper, { strokeStyle: stroke, lineWidth: wide });
@@ -247,17 +206,4 @@ export class Chart {
     paper.globalAlpha = 1;
     paper.strokeRect(...rectangle);
   }
-}
-
-function ring(paper, x, y, radius) {
-  paper.beginPath();
-  paper.arc(x, y, radius, 0, 2 * Math.PI);
-  paper.stroke();
-}
-
-function clipped(paper, text, width) {
-  if (paper.measureText(text).width <= width) return text;
-  let length = text.length;
-  while (length > 1 && paper.measureText(`${text.slice(0, length)}…`).width > width) length--;
-  return `${text.slice(0, length)}…`;
 }

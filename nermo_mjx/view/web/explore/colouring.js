@@ -4,14 +4,14 @@ import { element } from "viewer/dialogs.js";
 import { extent } from "viewer/explore/table.js";
 
 export class Colouring {
-  /** `places`: runs whose values take all of the colours, or null for those of all runs. */
-  constructor(field, palette, places) {
+  /** `log`: wanted; `places`: runs whose values take all of the colours, or null for those of all runs. */
+  constructor(field, palette, log, places) {
     this.field = field;
     this.palette = palette;
     this.levels = field.isText ? palette.series : palette.scale;
     [this.low, this.high] = field.isText ? [0, 1] : places ? extent(field.values, places) : field.span;
     this.clips = !places;
-    this.log = field.log && this.low > 0;
+    this.log = log && field.positive;
   }
 
   /** Which of `levels` a value has; -1 if it has none. */

@@ -33,7 +33,7 @@ async function start() {
   const packed = document.querySelector('[data-part="table"]').textContent;
   const table = new Table(header, { table: await unpack(packed) });
   const recorded = new Set(Object.keys(header.recordings).map((row) => table.placeOf.get(Number(row))));
-  const view = { ...header.start, of: "best", fit: false, logs: new Set(table.differing().filter((field) => field.log).map((field) => field.name)) };
+  const view = { ...header.start, of: "best", fit: false, logs: new Set(table.differing().filter((field) => field.wantsLog).map((field) => field.name)) };
   const [title, ...figures] = [header.title, ...headOf(header, table)];
   find("title").textContent = title;
   find("figures").replaceChildren(...figures.map((text) => element("span", text)));
@@ -100,7 +100,7 @@ class Explorer {
         this.show();
       });
     }
-    for (const id of ["x", "y"]) {
+    for (const id of ["x", "y", "colour"]) {
       find(`${id}-log`).addEventListener("click", () => {
         if (!view.logs.delete(view[id])) view.logs.add(view[id]);
         this.show();
@@ -116,9 +116,9 @@ class Explorer {
   show() {
     const { view, table, filters } = this;
     const colour = table.field(view.colour);
-    const pressed = { cells: view.cells, fit: view.fit, "x-log": view.logs.has(view.x), "y-log": view.logs.has(view.y) };
+    const pressed = { cells: view.cells, fit: view.fit, "x-log": view.logs.has(view.x), "y-log": view.logs.has(view.y), "colour-log": view.logs.has(view.colour) };
     for (const [id, on] of Object.entries(pressed)) find(id).setAttribute("aria-pressed", String(on));
-    for (const id of ["x", "y"]) find(`${id}-log`).hidden = !table.field(view[id]).positive;
+    for (const id of ["x", "y", "colour"]) find(`${id}-log`).hidden = !table.field(view[id]).positive;
     find("of").hidden = !view.cells || colour.isText;
     find("of").replaceChildren(
       ...[["best", colour.best], ["mean", "mean of all"], ["worst", colour.better ? "worst" : "lowest"]].map(([name, label]) => new Option(name === "mean" ? label : `${label} run`, name)),
@@ -126,7 +126,7 @@ class Explorer {
     find("of").value = view.of;
     this.chart.show(view);
     const shown = filters.places.length;
-    find("count").textContent = `${shown.toLocaleString("en")} of ${table.count.toLocaleString("en")} runs shown`;
+    find("count").textContent = `${shown.toLocaleString("en")} of ${table.count.toLocaleString("en")} ${this.header.kind === "atlas" ? "cells" : "runs"} shown`;
     find("empty").hidden = shown > 0;
     find("marks").setAttribute("aria-label", `${view.cells ? "Cells" : "Runs"}: ${table.field(view.y).title} over ${table.field(view.x).title}, coloured by ${colour.title}. Arrow keys walk, Enter chooses.`);
     this.#fillRow();

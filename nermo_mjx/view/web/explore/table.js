@@ -2,11 +2,11 @@
 
 import { read } from "viewer/data.js";
 
-/** Values of a column at most that make it an axis of steps, one for each. */
-const STEPS = 64;
 /** Beyond these shares of the values colours do not go on where wild ones would take most of them. */
 const TAIL = 0.005;
 const MOST_OF = 0.6;
+/** A scale is logarithmic where the greatest values are so many times the middle one. */
+const SKEW = 12;
 
 export class Table {
   constructor(header, parts) {
@@ -29,7 +29,8 @@ export class Table {
 
 export class Field {
   constructor(about, parts) {
-    Object.assign(this, about);
+    // `stepped`: whether an axis has a step for each of its values.
+    Object.assign(this, about, { stepped: about.stepped || Boolean(about.texts) });
     this.isText = Boolean(about.texts);
     const values = read(parts, about.values);
     /** What each of the runs has: the place of its value in `known`, if those are listed. */
@@ -39,9 +40,13 @@ export class Field {
     this.sorted = Float64Array.from(this.values).filter(Number.isFinite).sort();
     [this.low, this.high] = [this.sorted[0] ?? 0, this.sorted.at(-1) ?? 1];
     this.differs = this.known ? this.known.length > 1 : this.low < this.high;
-    /** Whether an axis has a step for each of its values. */
-    this.stepped = this.isText || Boolean(this.known && this.known.length <= STEPS);
     this.positive = !this.isText && this.low > 0;
+  }
+
+  /** Whether a logarithmic scale suits it better: it was spread so, or a few values are many times the others. */
+  get wantsLog() {
+    const at = (share) => this.sorted[Math.round(share * (this.sorted.length - 1))];
+    return this.positive && (this.log || at(0.98) > SKEW * at(0.5));
   }
 
   /** Name and unit. */

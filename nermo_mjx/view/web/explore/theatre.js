@@ -25,7 +25,7 @@ export class Theatre {
     this.row = row;
     togglePanel("help", false);
     find("theatre-title").textContent = title;
-    find("theatre").hidden = false;
+    this.#cover(true);
     const text = document.querySelector(`[data-part="${part}"]`).textContent;
     const packed = read({ [part]: await unpack(text) }, clip);
     if (this.row !== row) return; // another one was asked for meanwhile
@@ -50,15 +50,22 @@ export class Theatre {
 
   async #loaded(frame) {
     const inside = frame.contentWindow;
-    inside.addEventListener("keydown", (event) => {
+    const close = (event) => {
       // The viewer's own panels close first.
-      if (event.key === "Escape" && !event.defaultPrevented) this.close();
-    });
+      if (event.key === "Escape" && !inside.document.querySelector(".panel:not([hidden])")) this.close();
+    };
+    inside.addEventListener("keydown", close, true);
     frame.focus();
     while (frame.isConnected && inside.document.documentElement.dataset.ready !== "yes") {
       await new Promise((done) => setTimeout(done, 30));
     }
     if (frame.isConnected && !matchMedia("(prefers-reduced-motion: reduce)").matches) inside.viewer.player.toggle(true);
+  }
+
+  /** Shows the theatre, and puts all else out of reach. */
+  #cover(on) {
+    find("theatre").hidden = !on;
+    for (const each of document.querySelectorAll("body > header, #chart, #row, #filters, body > footer")) each.inert = on;
   }
 
   #step(by) {
@@ -71,7 +78,7 @@ export class Theatre {
   close() {
     if (!this.isOpen) return;
     this.row = null;
-    find("theatre").hidden = true;
+    this.#cover(false);
     find("theatre-stage").replaceChildren();
     if (this.before?.isConnected) this.before.focus();
     else find("marks").focus();
