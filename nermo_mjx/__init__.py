@@ -3,11 +3,11 @@
 The public surface: `load_robot` and `RobotConfig`; `Setup`, `Run` and `Simulator` (a batch from named parameters to
 named metrics); `Rollout` (the same walk as a differentiable function); `METRICS` and `all_parameters`;
 `control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
-`leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep` and
-`read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and `run_experiments`;
-`servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a notebook); `compiler_options` for
-programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and importing changes
-nothing in the process: see `nermo_mjx.runtime`.
+`leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep`,
+`merge_sweeps` and `read_table`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`; `run_experiment` and
+`run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a notebook);
+`compiler_options` for programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and
+importing changes nothing in the process: see `nermo_mjx.runtime`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator, all_parameters
     from nermo_mjx.rollout.differentiable import Rollout
     from nermo_mjx.runtime import compiler_options
-    from nermo_mjx.sweep import Sweep, SweepResult, read_table, run_sweep
+    from nermo_mjx.sweep import Sweep, SweepResult, merge_sweeps, read_table, run_sweep
     from nermo_mjx.sweep.comparing import Comparison, compare
     from nermo_mjx.sweep.sensitivity import Sensitivity, sensitivity
     from nermo_mjx.tune import Tuning, TuningResult, read_history, run_landscape, run_tuning
@@ -48,7 +48,7 @@ _HOMES = {
     "nermo_mjx.rollout": ("METRICS", "Run", "RunResult", "Setup", "Simulator", "all_parameters"),
     "nermo_mjx.rollout.differentiable": ("Rollout",),
     "nermo_mjx.runtime": ("compiler_options",),
-    "nermo_mjx.sweep": ("Sweep", "SweepResult", "read_table", "run_sweep"),
+    "nermo_mjx.sweep": ("Sweep", "SweepResult", "merge_sweeps", "read_table", "run_sweep"),
     "nermo_mjx.sweep.comparing": ("Comparison", "compare"),
     "nermo_mjx.sweep.sensitivity": ("Sensitivity", "sensitivity"),
     "nermo_mjx.tune": ("Tuning", "TuningResult", "read_history", "run_landscape", "run_tuning"),
@@ -60,7 +60,7 @@ __all__ = [
     "LIMBS", "METRICS", "SERVOS", "Comparison", "Controller", "ControllerLike", "Page", "ParameterError", "Recording",
     "Robot", "RobotConfig", "Rollout", "Run", "RunResult", "Sensitivity", "Sensors", "ServoAngles", "ServoTable",
     "Setup", "Simulator", "Sweep", "SweepResult", "Tuning", "TuningResult", "__version__", "all_parameters", "compare",
-    "compiler_options", "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine",
+    "compiler_options", "control_parameters", "kinematics", "leg_servos", "load_robot", "make_engine", "merge_sweeps",
     "parameter_tree", "published_controller", "quantity", "read_history", "read_table", "render", "run_experiment",
     "run_experiments", "run_landscape", "run_sweep", "run_tuning", "sensitivity", "servo_table", "show",
 ]  # fmt: skip

@@ -16,7 +16,7 @@ from nermo_mjx.runs import OtherCode, code
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.sweep import DirectoryError, SpecError, Sweep, SweepInterrupted, read_table, run_sweep, sample
 from nermo_mjx.sweep.known import keys_of
-from nermo_mjx.sweep.merging import merge
+from nermo_mjx.sweep.merging import merge_sweeps
 from nermo_mjx.sweep.replay import find_row
 
 FREQUENCY, FRICTION = [0.5, 0.7, 0.9], {"contact.friction": [1.0, 1.2]}
@@ -257,7 +257,7 @@ def test_directories_merge_into_one(tmp_path):
     other = {"plots": False, "vary": {"gait": ["trt", "lat"], "frequency": [0.7, 0.9]}}
     run_sweep(other | {"set": {"contact.friction": 1.2}}, sources[1], simulator=FakeSimulator())
     before = {path: path.read_bytes() for source in sources for path in source.rglob("*") if path.is_file()}
-    result = merge(sources, tmp_path / "both")
+    result = merge_sweeps(sources, tmp_path / "both")
     assert result.complete
     assert result.chunks_run == 0
     kept = ["gait", "frequency", "contact.friction"]
@@ -290,18 +290,18 @@ def test_what_does_not_go_together_is_not_merged(tmp_path):
     run_sweep(changed(vary={"frequency": [0.5]}), tmp_path / "c", simulator=FakeSimulator())
     run_sweep(SMALL, tmp_path / "d", simulator=FakeSimulator(engine="other"))
     with pytest.raises(DirectoryError, match=r"a and .*b cannot be merged: gait is trt there and lat here\.$"):
-        merge([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
+        merge_sweeps([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
     with pytest.raises(DirectoryError, match=r"c cannot be merged: only one of them varies contact.friction, on which"):
-        merge([tmp_path / "a", tmp_path / "c"], tmp_path / "out")
+        merge_sweeps([tmp_path / "a", tmp_path / "c"], tmp_path / "out")
     for name, varied in (("e", {"frequency": [0.5]}), ("f", {"stride": [0.5, 0.6]})):
         run_sweep({"plots": False, "vary": varied}, tmp_path / name, simulator=FakeSimulator())
     with pytest.raises(DirectoryError, match="e cannot be merged: it neither varies nor sets stride, which"):
-        merge([tmp_path / "e", tmp_path / "f"], tmp_path / "out")
+        merge_sweeps([tmp_path / "e", tmp_path / "f"], tmp_path / "out")
     with pytest.raises(SpecError, match="two directories"):
-        merge([tmp_path / "a"], tmp_path / "out")
+        merge_sweeps([tmp_path / "a"], tmp_path / "out")
     with pytest.raises(OtherCode, match="engine fake, not other"):
-        merge([tmp_path / "a", tmp_path / "d"], tmp_path / "out")
-    assert merge([tmp_path / "a", tmp_path / "d"], tmp_path / "out", accept_new_code=True).complete
+        merge_sweeps([tmp_path / "a", tmp_path / "d"], tmp_path / "out")
+    assert merge_sweeps([tmp_path / "a", tmp_path / "d"], tmp_path / "out", accept_new_code=True).complete
 
 
 def test_the_command_merges_and_says_what_is_missing(tmp_path):

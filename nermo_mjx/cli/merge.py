@@ -30,9 +30,9 @@ def command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, as_json
     from the first of them.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.merging import merge
+        from nermo_mjx.sweep.merging import merge_sweeps
 
-        result = merge(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
+        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
     if as_json:
         print_json(result_fields(out, result))
     elif not quiet:

@@ -28,6 +28,9 @@ from nermo_mjx.rollout.parameters import WorldParameters
 #: Choices that only the published controller knows.
 PUBLISHED: Final = ("gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory")
 
+#: Choices that give parameters their defaults, and decide nothing else.
+PRESETTINGS: Final = ("gait", "steering", "profile")
+
 
 @dataclasses.dataclass(frozen=True)
 class Setup:
@@ -222,6 +225,11 @@ def with_controller(setup: Setup | None, controller: ControllerLike | str | None
     """The setup, or the default one, with a controller instead of its own if one is given."""
     setup = setup or Setup()
     return setup if controller is None else dataclasses.replace(setup, controller=controller)
+
+
+def without_presettings(setup: Setup) -> Setup:
+    """The setup with the first choices of `PRESETTINGS`: two setups of one such run the same programs."""
+    return dataclasses.replace(setup, **{name: getattr(Setup, name) for name in PRESETTINGS})
 
 
 def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:

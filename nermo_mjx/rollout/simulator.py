@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import threading
 import time
@@ -21,7 +22,7 @@ from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.result import History, RunResult
-from nermo_mjx.rollout.setup import Run, Setup, with_controller
+from nermo_mjx.rollout.setup import Run, Setup, with_controller, without_presettings
 from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.
@@ -91,6 +92,18 @@ class Simulator:
         self.start = StartPose(self.robot, self.controller)
         self._compiled: set[tuple[int, tuple[str, ...], bool]] = set()
         self._results = Lanes(metrics.result)
+
+    def with_setup(self, setup: Setup) -> Simulator:
+        """The same programs for a setup that differs in `PRESETTINGS` alone: nothing compiles again.
+
+        Raises:
+            ParameterError: it differs in more.
+        """
+        if without_presettings(setup) != without_presettings(self.setup):
+            raise ParameterError("setup differs in more than gait, steering and profile: it needs its own simulator.")
+        other = copy.copy(self)
+        other.setup = setup
+        return other
 
     def parameters(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Checked parameters of a batch: the setup's defaults, with the named values replaced.

@@ -3,6 +3,7 @@
 from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunks import SweepError
+from nermo_mjx.sweep.merging import merge_sweeps
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Rows, Sample, sample
@@ -13,5 +14,6 @@ from nermo_mjx.sweep.tally import SweepProgress
 
 __all__ = [
     "DirectoryError", "Results", "Rows", "Sample", "SpecError", "Sweep", "SweepError", "SweepInterrupted",
-    "SweepProgress", "SweepResult", "machine", "read_table", "run_sweep", "sample", "summarize", "versions",
+    "SweepProgress", "SweepResult", "machine", "merge_sweeps", "read_table", "run_sweep", "sample",
+    "summarize", "versions",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
 
 
-def merge(
+def merge_sweeps(
     sources: Sequence[str | os.PathLike[str]],
     out: str | os.PathLike[str],
     *,
@@ -28,6 +28,10 @@ def merge(
     warn: Callable[[str], None] | None = None,
 ) -> SweepResult:
     """Merge directories of sweeps into a new one; nothing is simulated, and they stay as they are.
+
+    >>> merge_sweeps(["runs/slow", "runs/slow"], "runs/slow")
+    Traceback (most recent call last):
+    nermo_mjx.specs.reading.SpecError: runs/slow is one of the directories that are merged: choose another one.
 
     Its sweep lists the variants of all of them as `rows`, with as many repeats as the one that has most. A row that is
     in several is taken from the first. Rows that none has are missing, and `sweep` runs them.
@@ -39,6 +43,7 @@ def merge(
         warn: called with a sentence where a chunk cannot be used.
 
     Raises:
+        SpecError: there are less than two, or the result would go into one of them.
         DirectoryError: they differ in more than their rows, or cannot be read.
         OtherCode: different code made them.
     """
@@ -46,7 +51,7 @@ def merge(
     if len(places) < 2:
         raise SpecError("merge takes two directories or more.")
     if Path(out).resolve() in [place.resolve() for place in places]:
-        raise SpecError(f"{out} is one of the directories that are merged: choose another one for the result.")
+        raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
     return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
 
 

@@ -120,7 +120,8 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
     handles, level = [], False
     for place, name in enumerate(groups.names):
         own = (groups.of == place) & np.isfinite(z.values)
-        style: dict[str, Any] = {"color": SERIES[place % len(SERIES)], "ls": _DASHES[place // len(SERIES) % len(_DASHES)]}
+        colour, dashes = place % len(SERIES), place // len(SERIES) % len(_DASHES)
+        style: dict[str, Any] = {"color": SERIES[colour], "ls": _DASHES[dashes]}
         handles.append(Line2D([], [], label=name, **style))
         there = own & np.isfinite(x.values)
         if not there.any():

@@ -5,13 +5,17 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout.setup import without_presettings
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.specs.walk import WalkSpec
+
+#: Simulators of structures that are kept warm: what varies fastest comes again for each of what varies slower.
+MOST_KEPT: Final = 4
 
 
 class SimulatorLike(Protocol):
@@ -95,7 +99,8 @@ class BatchSimulator:
 class SweepSimulator:
     """Simulates batches of a sweep's structures, each by a simulator of its own; a `nermo_mjx.runs.workers.Computer`.
 
-    Batches come structure by structure, so that one simulator is kept, and another made where the next one begins.
+    Structures that differ in gait, steering or profile share one. Batches come structure by structure, so that few
+    simulators are kept.
     """
 
     def __init__(
@@ -113,10 +118,11 @@ class SweepSimulator:
         self.walks, self.engine = tuple(walks), engine
         self._given, self._notify = simulator, notify
         self._current: tuple[int, BatchSimulator] | None = None
+        self._kept: dict[Setup, Simulator] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """For another machine; see `BatchSimulator`."""
-        return self.__dict__ | {"_notify": None, "_current": None}
+        return self.__dict__ | {"_notify": None, "_current": None, "_kept": {}}
 
     def warm(self) -> None:
         """Make the first structure's simulator; raises `ParameterError` where its engine cannot run."""
@@ -124,7 +130,8 @@ class SweepSimulator:
 
     def stamp(self, structure: int = 0) -> CodeStamp:
         """Of the code, a structure's model and the engine that simulate here."""
-        return self._new(structure).stamp()
+        walk = self.walks[structure]
+        return BatchSimulator(walk.setup, walk.run, self.engine).stamp()
 
     def __call__(
         self, task: tuple[int, Mapping[str, np.ndarray]], progress: Callable[[float], None] | None = None
@@ -133,12 +140,20 @@ class SweepSimulator:
         structure, values = task
         return self._of(structure)(values, progress)
 
-    def _new(self, structure: int) -> BatchSimulator:
-        walk = self.walks[structure]
-        return BatchSimulator(walk.setup, walk.run, self.engine, self._given, self._notify)
-
     def _of(self, structure: int) -> BatchSimulator:
         if self._current is None or self._current[0] != structure:
-            self._current = None  # its memory goes before the next one takes some
-            self._current = structure, self._new(structure)
+            self._current = None
+            walk = self.walks[structure]
+            simulator = self._given or self._simulator(walk.setup)
+            self._current = structure, BatchSimulator(walk.setup, walk.run, self.engine, simulator, self._notify)
         return self._current[1]
+
+    def _simulator(self, setup: Setup) -> Simulator:
+        """A simulator of a setup, with the programs of one that was made before where these are the same."""
+        programs = without_presettings(setup)
+        kept = self._kept.pop(programs, None)
+        while len(self._kept) >= MOST_KEPT:  # its memory goes before the next one takes some
+            del self._kept[next(iter(self._kept))]
+        simulator = Simulator(setup, self.engine) if kept is None else kept.with_setup(setup)
+        self._kept[programs] = simulator
+        return simulator

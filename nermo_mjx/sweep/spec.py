@@ -191,6 +191,11 @@ class Sweep(WalkSpec):
         draws = tuple(dataclasses.replace(draw, implied=draw.implied and seeds == "content") for draw in self.draws)
         return dataclasses.replace(self, seeds=seeds, draws=draws)
 
+    def partly_read(self) -> dict[str, list[Structure]]:
+        """The varied parameters that only some of the structures read, and which ones do."""
+        read = {name: [at for at in self.structures if unread(at.setup, name) is None] for name in self.varied}
+        return {name: places for name, places in read.items() if len(places) < len(self.structures)}
+
     def read_axes(self, structure: Structure) -> list[Axis]:
         """The axes whose parameters a structure reads."""
         return [axis for axis in self.axes if unread(structure.setup, axis.name) is None]

@@ -1,0 +1,186 @@
+"""Sweeps whose variants are given one by one: in the file, as CSV, or as a table of results."""
+
+from __future__ import annotations
+
+import shutil
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from sweep_fake import SPEC, FakeSimulator, speed
+
+from nermo_mjx.cli import main
+from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
+from nermo_mjx.sweep.replay import find_row
+
+LIST = [
+    {"gait": "trt", "spine": "none", "frequency": 0.8},
+    {"gait": "lat", "spine": "stride_extension", "frequency": 0.6, "spine.amplitude": 0.3},
+    {"gait": "trt", "spine": "stride_extension", "frequency": 1.1, "spine.amplitude": 0.2},
+    {"gait": "trt", "spine": "stride_extension", "frequency": 0.9},
+]
+CSV = """gait,spine,frequency,spine.amplitude
+trt,none,0.8,
+lat,stride_extension,0.6,0.3
+
+trt, stride_extension, 1.1, 0.2
+trt,stride_extension,0.9,
+"""
+EXPECTED = {
+    "gait": ["trt", "lat", "trt", "trt"],
+    "spine": ["none", *["stride_extension"] * 3],
+    "frequency": [0.8, 0.6, 1.1, 0.9],
+    "spine.amplitude": [None, 0.3, 0.2, 0.25],
+}
+
+
+@pytest.fixture
+def expected():
+    """With the default where a structure reads what a row leaves out."""
+    default = Sweep.from_dict({"spine": "stride_extension", "vary": {"frequency": [1.0]}}).setup.defaults()
+    return EXPECTED | {"spine.amplitude": [None, 0.3, 0.2, default["spine.amplitude"]]}
+
+
+def kept(table, *names):
+    return {name: table.column(name).to_pylist() for name in names or EXPECTED}
+
+
+def test_a_list_a_csv_and_a_parquet_file_say_the_same(tmp_path, expected):
+    """In the order given; the paths count from the sweep's file."""
+    (tmp_path / "design.csv").write_text(CSV)
+    nulls = {name: [row.get(name) for row in LIST] for name in EXPECTED}
+    pq.write_table(pa.table(nulls), tmp_path / "design.parquet")
+    listed = run_sweep({"rows": LIST, "plots": False}, tmp_path / "list", simulator=FakeSimulator()).table
+    assert kept(listed) == expected
+    for file in ("design.csv", "design.parquet"):
+        (tmp_path / "sweep.yaml").write_text(f"rows: {file}\nplots: false\n")
+        table = run_sweep(tmp_path / "sweep.yaml", tmp_path / file[-3:], simulator=FakeSimulator()).table
+        assert table.equals(listed)
+
+
+def test_the_directory_needs_the_file_no_more(tmp_path, expected):
+    """Its rows are copied into it: it can be moved, gone on with, replayed, and rows can be added."""
+    (tmp_path / "design.csv").write_text(CSV)
+    out = tmp_path / "out"
+    run_sweep({"rows": str(tmp_path / "design.csv"), "plots": False}, out, chunk=1, simulator=FakeSimulator())
+    (tmp_path / "design.csv").unlink()
+    (out / "results" / "chunk-00001.parquet").unlink()
+    moved = tmp_path / "moved"
+    shutil.move(out, moved)
+    assert find_row(moved, 3).values["spine.amplitude"] == expected["spine.amplitude"][3]
+    assert kept(run_sweep(moved / "sweep.yaml", moved, simulator=FakeSimulator()).table) == expected
+    text = Sweep.from_directory(moved)
+    assert Sweep.from_dict(text.resolved()) == text
+
+
+def test_a_pareto_front_again_with_repeats_by_the_command(tmp_path):
+    """A filtered table of results, whose columns know what they are: varied ones count, all else is passed over."""
+    spec = SPEC | {"randomize": {"repeats": 2, "contact.friction": {"uniform": [1, 2]}}}
+    run_sweep(spec, tmp_path / "grid", simulator=FakeSimulator())
+    table = read_table(tmp_path / "grid")
+    pq.write_table(table.filter(pc.greater(table.column("speed"), 0.125)), tmp_path / "best.parquet")
+    named = kept(table, "frequency", "spine.amplitude", "spine.phase", "speed")
+    fast = {row for row in zip(*named.values(), strict=True) if row[-1] > 0.125}
+    sweep = Sweep.from_rows(tmp_path / "best.parquet", tmp_path / "grid" / "sweep.yaml")
+    assert sweep.repeats == 2
+    assert sweep.variants == len({row[:3] for row in fast}) > 1
+    assert sweep.setup.spine == "stride_extension"
+    command = ["sweep", str(tmp_path / "grid" / "sweep.yaml"), "--rows", str(tmp_path / "best.parquet"),
+               "--out", str(tmp_path / "out"), "--engine", "steam"]  # fmt: skip
+    assert CliRunner().invoke(main, command).exit_code == 2  # engines are checked; the rest is run here
+    result = run_sweep(sweep, tmp_path / "out", simulator=FakeSimulator())
+    assert result.rows == 2 * sweep.variants
+
+
+@pytest.mark.compiles
+def test_the_command_takes_rows_without_a_file(tmp_path):
+    """The defaults hold for all else."""
+    (tmp_path / "two.csv").write_text("frequency,contact.friction\n0.8,1.2\n0.6,1.0\n")
+    command = ["sweep", "--rows", str(tmp_path / "two.csv"), "--out", str(tmp_path / "out"), "--engine", "c", "--quiet"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 0, result.stderr
+    table = read_table(tmp_path / "out")
+    assert kept(table, "frequency", "contact.friction") == {"frequency": [0.8, 0.6], "contact.friction": [1.2, 1.0]}
+
+
+def test_rows_of_every_combination_are_a_grid(tmp_path):
+    """Its figures are those of one."""
+    rows = [{"frequency": f, "spine.amplitude": a} for a in (0.0, 0.2) for f in (0.5, 0.8)]
+    base = {"spine": "stride_extension", "plots": False}
+    grid = run_sweep(base | {"rows": rows}, tmp_path / "a", simulator=FakeSimulator())
+    assert grid.table.schema.metadata[b"sampler"] == b"grid"
+    assert [each["value"] for each in grid.summary["marginal_means"]["frequency"]] == [0.5, 0.8]
+    other = run_sweep(base | {"rows": rows[:3]}, tmp_path / "b", simulator=FakeSimulator())
+    assert other.table.schema.metadata[b"sampler"] == b"rows"
+    expected = speed(np.array([0.5, 0.8, 0.5]), np.array([0, 0, 0.2]))
+    np.testing.assert_allclose(other.table.column("speed").to_numpy(), expected, rtol=1e-6)
+
+
+#: A CSV file, and what is said of it.
+WRONG = {
+    "unknown column": ("frequenzy\n0.8\n", "rows.csv:1: field 'frequenzy' is not a parameter"),
+    "nearest column": ("frequenzy\n0.8\n", "did you mean 'frequency'?"),
+    "misspelt structure": ("gat,frequency\ntrt,0.8\n", "did you mean 'gait'?"),
+    "results": ("frequency,roll_std\n0.8,0.1\n", "'roll_std' is a column of results, and the file does not say which"),
+    "text": ("frequency\n0.8\nfast\n", "rows.csv:3: field 'frequency' is the text 'fast': expected a number"),
+    "range": ("frequency,stride\n0.8,1\n9,1\n", "rows.csv:3: field 'frequency' is 9: allowed is (0, 5] Hz"),
+    "unknown gait": ("gait,frequency\ntrt,0.8\ntrot,0.8\n", "rows.csv:3: field 'gait' is 'trot'"),
+    "without effect": ("spine,spine.phase\nnone,1\n", "rows.csv:2: field 'spine.phase' has no effect"),
+    "twice": ("frequency\n0.8\n0.6\n0.8\n", "rows.csv:4: a row is the same as that of"),
+    "ragged": ("frequency,stride\n0.8\n", "rows.csv:2: has 1 values, and the first line 2 names"),
+    "two columns of a name": ("frequency,frequency\n0.8,1\n", "column 'frequency' stands twice"),
+    "no rows": ("frequency\n", "holds no rows"),
+    "empty": ("", "an empty file"),
+    "beyond the legs": ("stride,stance.swing_amplitude\n1.0,0.03\n", "values that do not go together"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "sentence"), WRONG.values(), ids=WRONG)
+def test_a_wrong_table_is_refused_with_its_line(tmp_path, text, sentence):
+    (tmp_path / "rows.csv").write_text(text)
+    with pytest.raises(SpecError) as refused:
+        Sweep.from_rows(tmp_path / "rows.csv")
+    assert sentence in str(refused.value)
+
+
+#: Fields of a sweep file, the line of the message, and what it says.
+WRONG_FILES = {
+    "beside vary": ("rows: [{frequency: 0.5}]\nvary: {stride: [0.5]}", 2, "'vary' is given beside 'rows'"),
+    "beside sample": ("rows: [{frequency: 0.5}]\nsample: {sobol: 4}", 2, "'sample' is given beside 'rows'"),
+    "no file": ("gait: trt\nrows: nowhere.csv", 2, "'rows' is 'nowhere.csv': there is no such file"),
+    "no table": ("rows: design.txt", 1, "expected the path of a .csv or .parquet file"),
+    "a row is a list": ("rows:\n  - {frequency: 0.5}\n  - [0.5]", 3, "is the list [0.5]: expected"),
+    "a value": ("rows:\n  - {frequency: 0.5}\n  - {frequency: -1}", 3, "'frequency' is -1: allowed is (0, 5] Hz"),
+    "a truth value": ("rows: [{frequency: true}]", 1, "'frequency' is inf"),
+    "two sources": ("set: {frequency: 0.5}\nrows: [{frequency: 0.6}]", 2, "also fixed under 'set'"),
+    "two sources of a structure": ("gait: trt\nrows:\n  - {gait: lat}", 3, "varied and also given as 'gait'"),
+    "the pilot": ("rows:\n  - {pilot: {arc: {radius: 1}}}\n  - {pilot: {ark: {radius: 1}}}", 3, "did you mean 'arc'?"),
+    "none": ("rows: []", 1, "holds no rows"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "line", "sentence"), WRONG_FILES.values(), ids=WRONG_FILES)
+def test_wrong_rows_of_a_file_are_refused_with_its_line(tmp_path, text, line, sentence):
+    (tmp_path / "sweep.yaml").write_text(text + "\n")
+    with pytest.raises(SpecError) as refused:
+        Sweep.from_file(tmp_path / "sweep.yaml")
+    assert sentence in str(refused.value)
+    assert f"sweep.yaml:{line}: " in str(refused.value)
+
+
+def test_a_table_that_lost_what_its_columns_are_is_refused(tmp_path):
+    """As pandas and polars write it: nobody could tell a drawn friction from a varied one."""
+    spec = {"vary": {"frequency": [0.5, 0.6]}, "randomize": {"contact.friction": {"uniform": [1, 2]}}, "plots": False}
+    table = run_sweep(spec, tmp_path / "out", simulator=FakeSimulator()).table
+    duckdb.sql(f"COPY (SELECT * FROM '{tmp_path}/out/results/*.parquet') TO '{tmp_path}/lost.parquet'")
+    with pytest.raises(SpecError, match="a column of results, and the file does not say which columns are parameters"):
+        Sweep.from_rows(tmp_path / "lost.parquet")
+    pq.write_table(table.slice(1), tmp_path / "known.parquet")
+    assert list(Sweep.from_rows(tmp_path / "known.parquet").rows.values) == ["frequency"]
+    (tmp_path / "torn.parquet").write_bytes(b"PAR1")
+    with pytest.raises(SpecError, match="cannot be read as Parquet"):
+        Sweep.from_rows(tmp_path / "torn.parquet")
