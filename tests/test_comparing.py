@@ -189,6 +189,23 @@ def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
     assert any("spine.amplitude varies in" in note for note in other.notes)
 
 
+def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(tmp_path: Path) -> None:
+    """The stiff spine reads no amplitude: its runs stand against those of each one, in pairs where seeds are shared."""
+    vary = {"spine": ["none", "stride_extension"], "frequency": [0.5, 0.9], "spine.amplitude": [0.2, 0.4]}
+    spec = {key: value for key, value in RANDOM.items() if key != "spine"} | {"vary": vary}
+    spec["compare"] = {"by": "spine", "for": ["spine.amplitude", "frequency"]}
+    summary = run_sweep(spec, tmp_path / "both", simulator=FakeSimulator()).summary
+    assert summary["rows"] == (2 + 4) * 12
+    gains = {tuple(each["for"].values()): each["metrics"]["speed"] for each in summary["comparison"]["groups"]}
+    assert set(gains) == {(0.2, 0.5), (0.2, 0.9), (0.4, 0.5), (0.4, 0.9)}
+    for (amplitude, _), speed in gains.items():
+        assert speed["relative"] == pytest.approx(amplitude / 2, abs=0.03)  # as the fake robot gains
+        assert (speed["runs_base"], speed["runs_other"]) == (12, 12)
+    alike = spec | {"vary": {"spine": ["none", "stride_extension"], "frequency": [0.5, 0.9]}, "compare": {"by": "spine"}}
+    same = run_sweep(alike, tmp_path / "alike", simulator=FakeSimulator()).summary["comparison"]["metrics"]["speed"]
+    assert same["difference"] == same["low"] == same["high"] == 0  # the same draws, and an amplitude that is not named
+
+
 def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:
     """Summary, table and figures have it; `plot` makes the same bytes, and it may be asked for later."""
     spec = RANDOM | {"compare": {"by": "spine.amplitude", "for": ["frequency"]}}

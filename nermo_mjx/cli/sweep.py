@@ -99,8 +99,9 @@ def command(
 
         sweep = _read(spec, rows, seed)
         say = sayer("sweep", quiet)
-        for name, places in sweep.partly_read().items() if say is not None else ():
-            say(f"{name} is varied in {len(places)} of {len(sweep.structures)} structures; the others do not read it.")
+        if say is not None:
+            for name, places in sweep.partly_read().items():
+                say(f"{name} is varied in {len(places)} of {len(sweep.structures)} structures; the others do not read it.")
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(
