@@ -101,7 +101,8 @@ def command(
         say = sayer("sweep", quiet)
         if say is not None:
             for name, places in sweep.partly_read().items():
-                say(f"{name} is varied in {len(places)} of {len(sweep.structures)} structures; the others do not read it.")
+                some = f"{len(places)} of {len(sweep.structures)} structures"
+                say(f"{name} is varied in {some}; the others do not read it.")
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(
@@ -170,6 +171,9 @@ def print_result(result: SweepResult) -> None:
         columns = [("metric", "left"), ("best is", "left"), ("value [SI]", "right"), ("at", "left")]
         print_table("Best variants", columns, rows)
     click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
+    for name in ("comparison", "sensitivity"):
+        if name in summary:
+            click.echo(f"{name} {result.out / f'{name}.parquet'}")
     if result.plots:
         click.echo(f"plots   {result.out / 'plots'}")
 

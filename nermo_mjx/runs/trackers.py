@@ -16,6 +16,10 @@ from typing import Final, NamedTuple, Protocol
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, replace_file
 
 
+class NoTracker(WrongDirectory):
+    """A tracker that there is not, or whose package is not installed; the message says what to do."""
+
+
 class Tracker(Protocol):
     """Takes numbers by name, at a step that grows; `close` is told whether the work went to its end."""
 
@@ -103,15 +107,15 @@ def check_trackers(names: Sequence[str]) -> None:
     """Refuse trackers whose package is not installed.
 
     Raises:
-        WrongDirectory: with the sentence that says which one to install.
+        NoTracker: with the sentence that says which one to install.
     """
     for name in names:
         if name not in TRACKERS:
-            raise WrongDirectory(f"log is {name!r}: allowed are {', '.join(TRACKERS)}.")
+            raise NoTracker(f"log is {name!r}: allowed are {', '.join(TRACKERS)}.")
         if importlib.util.find_spec(TRACKERS[name].module) is None:
             package = TRACKERS[name].package
-            raise WrongDirectory(f"log is {name}, which needs {package}: install nermo-mjx with its extra {name}, or "
-                                 f"{package} itself, by pip.")  # fmt: skip
+            raise NoTracker(f"log is {name}, which needs {package}: install nermo-mjx with its extra {name}, or "
+                            f"{package} itself, by pip.")  # fmt: skip
 
 
 @contextlib.contextmanager
