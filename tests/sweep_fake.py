@@ -43,7 +43,7 @@ class FakeSimulator:
             raise KeyboardInterrupt
         if len(self.batches) == self.fail_at:
             raise self.error
-        worlds = {len(column) for column in values.values()}
+        worlds = {len(column) for column in values.values()} or {1}
         assert len(worlds) == 1, "every parameter comes as an array of one length"
         n = worlds.pop()
         self.batches.append(n)

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from sweep_fake import SPEC, FakeSimulator, speed
 
 from nermo_mjx.cli import main
-from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
+from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, simulating
 from nermo_mjx.sweep.replay import find_row
 
 LIST = [
@@ -96,9 +96,9 @@ def test_a_pareto_front_again_with_repeats_by_the_command(tmp_path):
     assert result.rows == 2 * sweep.variants
 
 
-@pytest.mark.compiles
-def test_the_command_takes_rows_without_a_file(tmp_path):
+def test_the_command_takes_rows_without_a_file(tmp_path, monkeypatch):
     """The defaults hold for all else."""
+    monkeypatch.setattr(simulating, "Simulator", lambda setup, engine: FakeSimulator(engine=engine))
     (tmp_path / "two.csv").write_text("frequency,contact.friction\n0.8,1.2\n0.6,1.0\n")
     command = ["sweep", "--rows", str(tmp_path / "two.csv"), "--out", str(tmp_path / "out"), "--engine", "c", "--quiet"]
     result = CliRunner().invoke(main, command)

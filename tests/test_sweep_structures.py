@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import pickle
 from pathlib import Path
 from typing import ClassVar
 
@@ -116,6 +117,22 @@ def test_chunks_have_one_structure_and_each_gets_its_own_setup_run_and_values(tm
         ("straight", None), ("arc", None), ("straight", 0.5),
     }  # fmt: skip
     assert {setup.tail for setup, _, _ in asked} == {"rigid", "articulated"}
+
+
+def test_the_simulator_of_all_structures_travels_and_reuses_programs(asked):
+    """To a worker it goes cold, after it was warm here; gaits share one, and each batch has its structure's setup."""
+    sweep = Sweep.from_dict({"vary": {"gait": ["trt", "lat"], "spine": SPINES}})
+    here = simulating.SweepSimulator(sweep.structures, "c", notify=print)
+    here.warm()
+    there = pickle.loads(pickle.dumps(here))
+    assert there._kept == {}
+    for structure in (0, 1, 2, 3, 0):
+        there((structure, {"frequency": np.full(2, 0.7)}))
+    assert [(setup.gait, setup.spine) for setup, _, _ in asked] == [
+        *itertools.product(["trt", "lat"], SPINES), ("trt", "none"),
+    ]  # fmt: skip
+    assert len(there._kept) == 2
+    assert {here.stamp(k).id for k in range(4)} == {there.stamp().id}
 
 
 def test_each_model_has_its_own_code_and_they_are_no_other_code(tmp_path, asked):
@@ -276,3 +293,12 @@ def test_the_status_counts_the_runs_of_all_structures(tmp_path: Path) -> None:
     run_sweep(SPEC, tmp_path, simulator=FakeSimulator())
     said = json.loads(CliRunner().invoke(main, ["status", str(tmp_path), "--json"]).stdout)
     assert (said["rows"], said["rows_done"], said["complete"]) == (36, 36, True)
+
+
+def test_the_command_says_where_a_parameter_is_not_varied(tmp_path, asked):
+    """One sentence on standard error, as such rows would be expected."""
+    (tmp_path / "sweep.yaml").write_text("plots: false\nvary: {spine: [none, stride_extension], spine.phase: [0, 1]}\n")
+    command = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(tmp_path / "out"), "--engine", "c"]
+    result = CliRunner().invoke(main, command)
+    assert "spine.phase is varied in 1 of 2 structures: the others do not read it." in result.stderr
+    assert read_table(tmp_path / "out").column("spine.phase").to_pylist() == [None, 0.0, 1.0]

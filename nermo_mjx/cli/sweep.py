@@ -101,8 +101,8 @@ def command(
         say = sayer("sweep", quiet)
         if say is not None:
             for name, places in sweep.partly_read().items():
-                some = f"{len(places)} of {len(sweep.structures)} structures"
-                say(f"{name} is varied in {some}; the others do not read it.")
+                read = f"{len(places)} of {len(sweep.structures)} structures"
+                say(f"{name} is varied in {read}: the others do not read it.")
         progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
         with options.crew(workers, ray_address, say) as crew, progress:
             result = run_sweep(

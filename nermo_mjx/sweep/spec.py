@@ -26,7 +26,8 @@ from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, unread
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.asked import AskedComparison, CompareFields, Value, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
-from nermo_mjx.sweep.listing import RowList, RowsForm, RowTable, listed_rows, read_row_table
+from nermo_mjx.sweep.listing import RowList, RowsForm, listed_rows
+from nermo_mjx.sweep.row_tables import RowTable, read_row_table
 from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
 from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
 
