@@ -154,7 +154,7 @@ def test_a_run_that_ends_at_a_distance_is_repeated_and_its_recording_ends_there(
 
 
 def test_a_row_that_the_sweep_has_not_come_to_is_replayed_as_it_will_be(walks: Path, tmp_path: Path) -> None:
-    """Its chunk is missing: nothing to agreement with; when the sweep goes on, the table gets the same numbers."""
+    """Its chunk is missing: nothing to compare with; when the sweep goes on, the table gets the same numbers."""
     out = tmp_path / "part"
     shutil.copytree(walks, out)
     (out / "results" / "chunk-00001.parquet").unlink()
