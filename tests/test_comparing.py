@@ -130,6 +130,17 @@ def test_one_variant_of_many_repeats_has_scipys_interval() -> None:
     assert found.p[0] < 0.001
 
 
+def test_a_mean_of_very_many_variants_has_the_normal_interval() -> None:
+    """Its standard error is that of the variants' means, whatever the noise of their runs."""
+    variants, rng = 12_000, np.random.default_rng(4)
+    values = rng.normal(0.5, 1.0, (2 * variants, 2))
+    found = two_stage(values, np.repeat(np.arange(variants), 2), np.arange(variants))
+    means = values.reshape(variants, 2, 2).mean(axis=1)
+    half = 1.96 * means.std(axis=0, ddof=1) / np.sqrt(variants)
+    np.testing.assert_allclose(found.estimate, means.mean(axis=0))
+    np.testing.assert_allclose(found.high - found.low, 2 * half, rtol=0.05)
+
+
 def test_runs_of_one_seed_are_compared_with_each_other() -> None:
     """What they share falls out: the interval is several times as narrow as without."""
     data = table(seeds="shared")
