@@ -129,6 +129,17 @@ def test_one_variant_of_many_repeats_has_scipys_interval() -> None:
     assert found.p[0] < 0.001
 
 
+def test_a_mean_of_very_many_variants_has_the_normal_interval() -> None:
+    """Its standard error is that of the variants' means, whatever the noise of their runs."""
+    variants, rng = 12_000, np.random.default_rng(4)
+    values = rng.normal(0.5, 1.0, (2 * variants, 2))
+    found = two_stage(values, np.repeat(np.arange(variants), 2), np.arange(variants))
+    means = values.reshape(variants, 2, 2).mean(axis=1)
+    half = 1.96 * means.std(axis=0, ddof=1) / np.sqrt(variants)
+    np.testing.assert_allclose(found.estimate, means.mean(axis=0))
+    np.testing.assert_allclose(found.high - found.low, 2 * half, rtol=0.05)
+
+
 def test_runs_of_one_seed_are_compared_with_each_other() -> None:
     """What they share falls out: the interval is several times as narrow as without."""
     data = table(seeds="shared")
@@ -186,6 +197,23 @@ def test_two_directories_are_paired_over_what_both_have(tmp_path: Path) -> None:
     assert other.rows(other.others[0])[0]["relative"] == pytest.approx(0.1, abs=0.02)
     assert any("spine: none and stride_extension" in note for note in other.notes)
     assert any("spine.amplitude varies in" in note for note in other.notes)
+
+
+def test_structures_of_a_sweep_pair_and_a_parameter_of_one_of_them_makes_groups(tmp_path: Path) -> None:
+    """The stiff spine reads no amplitude: its runs stand against those of each one, in pairs where seeds are shared."""
+    vary = {"spine": ["none", "stride_extension"], "frequency": [0.5, 0.9], "spine.amplitude": [0.2, 0.4]}
+    spec = {key: value for key, value in RANDOM.items() if key != "spine"} | {"vary": vary}
+    spec["compare"] = {"by": "spine", "for": ["spine.amplitude", "frequency"]}
+    summary = run_sweep(spec, tmp_path / "both", simulator=FakeSimulator()).summary
+    assert summary["rows"] == (2 + 4) * 12
+    gains = {tuple(each["for"].values()): each["metrics"]["speed"] for each in summary["comparison"]["groups"]}
+    assert set(gains) == {(0.2, 0.5), (0.2, 0.9), (0.4, 0.5), (0.4, 0.9)}
+    for (amplitude, _), speed in gains.items():
+        assert speed["relative"] == pytest.approx(amplitude / 2, abs=0.03)  # as the fake robot gains
+        assert (speed["runs_base"], speed["runs_other"]) == (12, 12)
+    alike = spec | {"vary": {"spine": vary["spine"], "frequency": [0.5, 0.9]}, "compare": {"by": "spine"}}
+    same = run_sweep(alike, tmp_path / "alike", simulator=FakeSimulator()).summary["comparison"]["metrics"]["speed"]
+    assert same["difference"] == same["low"] == same["high"] == 0  # the same draws, and an amplitude that is not named
 
 
 def test_a_file_asks_for_its_comparison(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from nermo_mjx.physics.c_engine import CSession, _Block
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
 from nermo_mjx.sweep import replay as module
-from nermo_mjx.sweep.replay import compare, find_row, replay_row
+from nermo_mjx.sweep.replay import agreement, find_row, replay_row
 from nermo_mjx.view import Recording
 
 pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
@@ -185,11 +185,11 @@ def test_the_directory_is_only_read(short: Path) -> None:
 
 def test_the_largest_relative_difference_is_named() -> None:
     stored = {"speed": 0.1, "slip": 2.0, "cost_of_transport": math.nan, "fell": 0.0}
-    assert compare(stored, dict(stored), "c").equal
-    differs = compare(stored, stored | {"speed": 0.11, "slip": 1.0}, "c")
+    assert agreement(stored, dict(stored), "c").equal
+    differs = agreement(stored, stored | {"speed": 0.11, "slip": 1.0}, "c")
     assert (differs.equal, differs.metric, differs.stored, differs.replayed) == (False, "slip", 2.0, 1.0)
     assert differs.relative_difference == pytest.approx(0.5)
-    unknown = compare(stored, stored | {"cost_of_transport": 3.0, "slip": 1.0}, "c")
+    unknown = agreement(stored, stored | {"cost_of_transport": 3.0, "slip": 1.0}, "c")
     assert (unknown.metric, unknown.relative_difference) == ("cost_of_transport", math.inf)
 
 

@@ -102,6 +102,8 @@ def _print(found: Comparison) -> None:
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
+    if not row["variants"]:
+        return ["", "", "no run has it", "", "", "0", ""]
     low, high = row["low"], row["high"]
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""

@@ -15,15 +15,19 @@ from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, duration
 
 if TYPE_CHECKING:
-    from nermo_mjx.sweep import SweepResult
+    from nermo_mjx.sweep import Sweep, SweepResult
+    from nermo_mjx.sweep.forecast import Forecast
 
 EPILOG = """\b
 Examples:
   nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
   nermo-mjx sweep finer.yaml --out runs/quickstart --extend
   nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
+  nermo-mjx sweep sweeps/quickstart.yaml --dry-run
   nermo-mjx sweep --list-parameters
 """
+#: Options that decide what a sweep costs.
+_FORECAST = ("engine", "chunk", "shard", "extend", "use")
 
 
 class Shard(click.ParamType):
@@ -61,11 +65,14 @@ class Shard(click.ParamType):
 )
 @options.workers
 @options.accept_new_code
+@click.option("--log", type=click.Choice(("tensorboard", "mlflow")), multiple=True,
+              help="Numbers of each chunk for TensorBoard or MLflow, in DIR.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Say what it would cost in time, disk and memory; write nothing.")
 @click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
 @options.report
 def command(
     spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
-    rows: Path | None, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
+    rows: Path | None, dry_run: bool, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
 ) -> None:  # fmt: skip
     """Run every variant of a sweep file.
 
@@ -82,14 +89,24 @@ def command(
     if list_parameters:
         _list_parameters(spec, as_json)
         return
-    if (spec is None and rows is None) or out is None:
+    if (spec is None and rows is None) or (out is None and not dry_run):
         raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
-    with stdout_reserved():
-        from nermo_mjx.sweep import Sweep, run_sweep
+    if dry_run and workers != "local":
+        raise click.UsageError("--dry-run is about this machine: leave out --workers.")
+    if dry_run or out is None:
+        with stdout_reserved():
+            from nermo_mjx.sweep.forecast import forecast
 
-        sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
-        if seed is not None:
-            sweep = dataclasses.replace(sweep, seed=seed)
+            found = forecast(_read(spec, rows, seed), out, **{name: how[name] for name in _FORECAST})
+        if as_json:
+            print_json(dataclasses.asdict(found))
+        elif not quiet:
+            _print_forecast(found)
+        return
+    with stdout_reserved():
+        from nermo_mjx.sweep import run_sweep
+
+        sweep = _read(spec, rows, seed)
         say = sayer("sweep", quiet)
         if say is not None:
             for name, places in sweep.partly_read().items():
@@ -105,6 +122,36 @@ def command(
         print_json(result_fields(out, result))
     elif not quiet:
         print_result(result)
+
+
+def _read(spec: Path | None, rows: Path | None, seed: int | None) -> Sweep:
+    from nermo_mjx.sweep import Sweep
+
+    sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
+    return sweep if seed is None else dataclasses.replace(sweep, seed=seed)
+
+
+def _time(found: Forecast) -> str:
+    if not found.rows_left:
+        return "none: all rows are there"
+    return "not known" if math.isnan(found.seconds) else f"{duration(found.seconds)}, and what compiling takes"
+
+
+def _print_forecast(found: Forecast) -> None:
+    rate = f"{found.steps_per_second:,.0f} steps/s; " if math.isfinite(found.steps_per_second) else ""
+    left = f", of which {found.rows_left:,} are left to be run" if found.rows_left < found.rows else ""
+    batches = f"{found.batches:,} batches to be run, of {found.structures:,} structures"
+    for name, text in (
+        ("rows", f"{found.rows:,}{left}"),
+        ("chunks", f"{found.chunks:,}; {batches}"),
+        ("engine", found.engine),
+        ("rate", f"{rate}{found.rate_from}"),
+        ("time", _time(found)),
+        ("disk", f"{found.disk_bytes / 1e6:,.1f} MB for the table; {found.disk_free / 1e9:,.1f} GB are free"),
+        ("memory", f"about {found.memory_bytes / 1e9:.1f} GB"),
+        *(("note", note) for note in found.notes),
+    ):
+        click.echo(f"{name:<8} {text}")
 
 
 def result_fields(out: Path, result: SweepResult) -> dict[str, Any]:
@@ -134,6 +181,9 @@ def print_result(result: SweepResult) -> None:
         columns = [("metric", "left"), ("best is", "left"), ("value [SI]", "right"), ("at", "left")]
         print_table("Best variants", columns, rows)
     click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
+    for name in ("comparison", "sensitivity"):
+        if name in summary:
+            click.echo(f"{name} {result.out / f'{name}.parquet'}")
     if result.plots:
         click.echo(f"plots   {result.out / 'plots'}")
     if result.recordings:

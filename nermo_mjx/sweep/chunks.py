@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from nermo_mjx.runs.provenance import session
 from nermo_mjx.runs.workers import TaskFailed, Workers, WorkersLost
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.batches import Batch, BatchPlan, plan_batches
+from nermo_mjx.sweep.chunk_log import ChunkLog
 from nermo_mjx.sweep.known import KnownRows
 from nermo_mjx.sweep.layout import batch_values, listed, rows_digest
 from nermo_mjx.sweep.sampling import Sample
@@ -42,6 +44,7 @@ class Work:
         rows: of the whole sweep.
         layout: rows of each chunk.
         tally: is told of what is done.
+        log: is told of each chunk that is written.
         done: which ones are finished, (chunks,) bool.
         mine: which ones this process runs, (chunks,) bool.
         engines: of the finished chunks.
@@ -49,7 +52,15 @@ class Work:
         chunks_run: how many this process has had simulated.
     """
 
-    def __init__(self, store: Store, rows: Sample, layout: list[np.ndarray], tally: Tally) -> None:
+    def __init__(
+        self,
+        store: Store,
+        rows: Sample,
+        layout: list[np.ndarray],
+        tally: Tally,
+        log: ChunkLog | None = None,
+    ) -> None:
+        self.log = log
         self.store, self.rows, self.layout, self.tally = store, rows, layout, tally
         shard, shards = store.shard or (0, 1)
         self.mine = np.arange(len(layout)) % shards == shard
@@ -81,6 +92,10 @@ class Work:
             "wall_seconds": round(self.seconds, 3),
             "steps_per_second": round(self.steps / self.seconds, 1) if self.seconds else math.nan,
         }
+
+    def finished(self) -> list[Path]:
+        """The files of the chunks of this process that are finished."""
+        return [self.store.chunk_path(int(k)) for k in np.flatnonzero(self.mine & self.done)]
 
     def rows_of(self, chunks: np.ndarray) -> int:
         """How many rows some chunks hold."""
@@ -213,6 +228,8 @@ class Work:
         table = parts[0] if len(parts) == 1 else joined(parts, index)
         saved = None if result is None else result.series
         self.store.write_chunk(k, table, None if saved is None else series_table(self.store.sweep, index, saved))
+        if self.log is not None:
+            self.log.tell(table, steps / seconds if seconds else math.nan)
         self._finish(k, ChunkNote(engine, steps, seconds))
 
     def _forget(self) -> None:

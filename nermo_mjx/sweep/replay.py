@@ -72,7 +72,7 @@ class SweepRow:
 
 
 @dataclasses.dataclass(frozen=True)
-class Comparison:
+class Agreement:
     """A replayed row beside the table's.
 
     Attributes:
@@ -112,7 +112,7 @@ class Replay:
     history: History
     about: Mapping[str, Any]
     model: mujoco.MjModel
-    comparison: Comparison | None
+    comparison: Agreement | None
 
     def recording(self) -> Recording:
         """The recording of the run.
@@ -191,7 +191,7 @@ def replay_row(
         history=_until(result.trace, ticks),
         about=result.about(),
         model=simulator.robot.model,
-        comparison=None if found.stored is None else compare(found.stored, metrics, str(found.engine)),
+        comparison=None if found.stored is None else agreement(found.stored, metrics, str(found.engine)),
     )
 
 
@@ -232,7 +232,7 @@ def compared(found: SweepRow, replay: Replay) -> str:
     )
 
 
-def compare(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: str) -> Comparison:
+def agreement(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: str) -> Agreement:
     """A row of the table beside the metrics of its replay.
 
     Args:
@@ -243,8 +243,8 @@ def compare(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: str
     differences = {name: _difference(stored[name], metrics[name]) for name in metrics if name in stored}
     worst = max(differences, key=differences.__getitem__)
     if differences[worst] == 0.0:
-        return Comparison(engine, equal=True)
-    return Comparison(engine, False, worst, differences[worst], float(stored[worst]), float(metrics[worst]))
+        return Agreement(engine, equal=True)
+    return Agreement(engine, False, worst, differences[worst], float(stored[worst]), float(metrics[worst]))
 
 
 def _values(line: Rows) -> dict[str, float]:

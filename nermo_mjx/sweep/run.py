@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
@@ -18,8 +19,10 @@ from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.runs.interruption import Interruption, interruptible
 from nermo_mjx.runs.text import to_json
+from nermo_mjx.runs.trackers import check_trackers, tracked
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.chunk_log import ChunkLog
 from nermo_mjx.sweep.chunk_size import chunk_rows_here
 from nermo_mjx.sweep.chunks import Work
 from nermo_mjx.sweep.findings import findings
@@ -89,6 +92,7 @@ def run_sweep(
     extend: bool = False,
     use: Sequence[str | os.PathLike[str]] = (),
     simulate: bool = True,
+    log: Sequence[str] = (),
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
 ) -> SweepResult:
@@ -118,6 +122,7 @@ def run_sweep(
             used. The result is that of this sweep run in one go.
         use: directories of other sweeps whose rows are taken where this sweep has the same ones.
         simulate: whether rows that are not there are run.
+        log: trackers that get a line a chunk, `tensorboard` or `mlflow`; each needs the extra of its name.
         workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: stands in for `Simulator(spec.setup, engine)`.
 
@@ -130,6 +135,7 @@ def run_sweep(
     """
     sweep = spec if isinstance(spec, Sweep) else _as_sweep(spec)
     _check(chunk, shard, extend)
+    check_trackers(log)
     sources = [Path(each) for each in use]
     for source in sources:
         check_source(source, sweep)
@@ -139,7 +145,7 @@ def run_sweep(
         sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
     )
     wanted = Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend)
-    with wanted as store, _interruptible(store) as interruption:
+    with wanted as store, _interruptible(store) as interruption, contextlib.ExitStack() as stack:
 
         def report(share: SweepProgress) -> None:
             interruption.check()
@@ -153,6 +159,10 @@ def run_sweep(
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
         check_room(sweep, store.out, seconds, [layout[k] for k in (work.mine & ~work.done).nonzero()[0]])
+        if log:
+            part = "" if shard is None else "shard-{}-of-{}".format(*shard)
+            trackers = stack.enter_context(tracked(log, store.out, part))
+            work.log = ChunkLog(trackers, map(pq.read_table, work.finished()))
         simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify, sweep.save)
         places = [*store.former(), *(place for source in sources for place in with_former(source))]
         known = KnownRows(places, warn) if places and not work.done[work.mine].all() else None

@@ -191,8 +191,8 @@ def _sobol(data: _Data, pairs: bool) -> Iterator[dict[str, Any]]:
 
     block = saltelli_size(len(data.names), pairs)
     if len(data.means) % block:
-        raise ParameterError(f"the table has {len(data.means):,} variants, no whole number of blocks of {block}: "
-                             "finish the sweep first.")  # fmt: skip
+        raise ParameterError(f"the table has {len(data.means):,} variants, not whole blocks of {block}: finish "
+                             "the sweep first.")  # fmt: skip
     blocks = data.means.reshape(-1, block)
     whole = np.isfinite(blocks).all(axis=1)
     if lost := int((~whole).sum()):

@@ -19,6 +19,8 @@ from scipy import stats
 RESAMPLES: Final = 4000
 #: Variants above which their means alone are drawn: so many tell the runs' noise without a second stage.
 MANY_VARIANTS: Final = 400
+#: Variants above which nothing is drawn: the resamples of a mean of so many are normal.
+MOST_DRAWN: Final = 10_000
 _LEVEL: Final = 0.95
 #: Numbers of a block of resamples that are held at once.
 _HELD: Final = 4_000_000
@@ -74,7 +76,9 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Inte
     rng, drawn = np.random.default_rng(0), np.empty((RESAMPLES, values.shape[1]))
     members = np.split(np.argsort(cell, kind="stable"), np.cumsum(count)[:-1])
     block = max(1, _HELD // max(variants, len(cell)))
-    for start in range(0, RESAMPLES, block):
+    if variants > MOST_DRAWN:
+        drawn[:] = rng.normal(size=(RESAMPLES, 1)) * np.sqrt(across)
+    for start in range(0, RESAMPLES if variants <= MOST_DRAWN else 0, block):
         size = min(block, RESAMPLES - start)
         picked = rng.integers(variants, size=(size, variants)) + variants * np.arange(size)[:, None]
         often = np.bincount(picked.ravel(), minlength=size * variants).reshape(size, variants)

@@ -1,0 +1,73 @@
+"""What a sweep would cost: counts that come true, nothing written, and where the rate is from."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from sweep_fake import SPEC, FakeSimulator
+
+from nermo_mjx import Sweep, run_sweep
+from nermo_mjx.cli import main
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.sweep.forecast import forecast
+
+
+def rate(sweep: Sweep, engine: str) -> float:
+    """A machine of 1,000 steps a second."""
+    return 1000.0
+
+
+def test_rows_chunks_and_steps_are_those_of_the_run(tmp_path: Path) -> None:
+    """Steps in closed form: each chunk lasts as long as its longest run, four cycles at its lowest frequency."""
+    sweep = Sweep.from_dict(SPEC)
+    found = forecast(sweep, tmp_path / "out", engine="c", chunk=9, measure=rate)
+    assert (found.rows, found.rows_left, found.chunks, found.batches) == (36, 36, 4, 4)
+    assert found.steps == pytest.approx(sum(9 * 4 / frequency / 0.002 for frequency in (0.5, 0.7, 0.9, 1.1)))
+    assert found.seconds == pytest.approx(found.steps / 1000)
+    assert "measured now" in found.rate_from
+    assert list(tmp_path.iterdir()) == []
+    run_sweep(sweep, tmp_path / "out", chunk=9, simulator=FakeSimulator())
+    written = sum(path.stat().st_size for path in (tmp_path / "out" / "results").iterdir())
+    assert 0.3 * written < found.disk_bytes < 10 * written  # the fake robot has three of the metrics
+
+
+def test_what_is_there_is_subtracted_and_gives_the_rate(tmp_path: Path) -> None:
+    """Of a directory with half of its chunks, and with --extend of one that is smaller."""
+    run_sweep(SPEC, tmp_path, chunk=9, shard=(0, 2), simulator=FakeSimulator(engine="c", delay=0.05))
+    files = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    found = forecast(Sweep.from_dict(SPEC), tmp_path, measure=lambda *_: pytest.fail("nothing is measured"))
+    assert (found.rows, found.rows_left, found.batches, found.engine) == (36, 18, 2, "c")
+    assert found.rate_from == "measured: 2 chunks of the directory"
+    assert found.steps_per_second == pytest.approx(9 * 100 / 0.05, rel=0.2)
+    more = Sweep.from_dict(SPEC | {"randomize": {"repeats": 2}})
+    with pytest.raises(DirectoryError, match="repeats is 1 there and 2 here; --extend would go on with it"):
+        forecast(more, tmp_path)
+    assert forecast(more, tmp_path, extend=True).rows_left == 72 - 18
+    assert files == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def test_an_unmeasured_gpu_engine_has_no_time(tmp_path: Path) -> None:
+    """It says so, and what the batch takes of the device's memory."""
+    found = forecast(Sweep.from_dict(SPEC), tmp_path, engine="mjx", chunk=36)
+    assert math.isnan(found.seconds)
+    assert "not known: no chunk of the engine mjx" in found.rate_from
+    assert "batch of 36 worlds" in found.notes[0]
+
+
+def test_the_command_prints_it_and_makes_no_directory(tmp_path: Path) -> None:
+    """For people and as JSON; the arguments are checked as in a run."""
+    (tmp_path / "sweep.yaml").write_text(json.dumps(SPEC))
+    asked = ["sweep", str(tmp_path / "sweep.yaml"), "--dry-run", "--engine", "mjx", "--out", str(tmp_path / "out")]
+    about = json.loads(CliRunner().invoke(main, [*asked, "--json"]).stdout)
+    assert (about["rows"], about["seconds"]) == (36, None)
+    shown = CliRunner().invoke(main, asked)
+    assert shown.exit_code == 0
+    assert shown.stdout.startswith("rows     36\n")
+    assert not (tmp_path / "out").exists()
+    refused = CliRunner().invoke(main, [*asked, "--workers", "ray"])
+    assert refused.exit_code == 2
+    assert "--dry-run is about this machine" in refused.stderr
