@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.metadata
 import importlib.util
+import warnings
 from typing import Final, Protocol
 
 import numpy as np
@@ -56,10 +57,12 @@ class SobolSample:
 
     def ask(self) -> Asked:
         """See `Optimizer`."""
-        if self._begun:
-            return Asked(self._points.random(self._batch))
-        self._begun = True
-        return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # one point less than a power of two: the published gait stands for it
+            if self._begun:
+                return Asked(self._points.random(self._batch))
+            self._begun = True
+            return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
 
     def tell(self, found: Scores) -> None:
         """See `Optimizer`."""
