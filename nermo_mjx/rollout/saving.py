@@ -104,8 +104,12 @@ class Series:
 
     def first(self, worlds: int) -> Series:
         """Those of the first worlds."""
-        values = {name: each[:worlds] for name, each in self.values.items()}
-        return Series(self.time, values, self.count[:worlds])
+        return self.take(slice(worlds))
+
+    def take(self, worlds: slice) -> Series:
+        """Those of some worlds."""
+        values = {name: each[worlds] for name, each in self.values.items()}
+        return Series(self.time, values, self.count[worlds])
 
 
 def all_signals(robot: Robot) -> tuple[Signal, ...]:

@@ -27,13 +27,9 @@ class Batch:
         for k, size in zip(self.chunks, sizes, strict=True):
             here, share = slice(first, first + size), size / sum(sizes)
             metrics = {name: column[here] for name, column in result.metrics.items()}
-            # Rows with series are never known, so that a batch of them is one chunk.
-            yield (
-                k,
-                Simulated(
-                    metrics, result.status[here], result.steps * share, round(result.seconds * share, 3), result.series
-                ),
-            )
+            steps, seconds = result.steps * share, round(result.seconds * share, 3)
+            series = None if result.series is None else result.series.take(here)
+            yield k, Simulated(metrics, result.status[here], steps, seconds, series)
             first += size
 
 

@@ -22,7 +22,7 @@ from nermo_mjx.sweep.chunk_log import ChunkLog
 from nermo_mjx.sweep.known import KnownRows
 from nermo_mjx.sweep.layout import batch_values, listed, rows_digest
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.series import series_table
+from nermo_mjx.sweep.series import joined_series, series_table
 from nermo_mjx.sweep.simulating import Simulated, SweepSimulator
 from nermo_mjx.sweep.store import ChunkNote, Store
 from nermo_mjx.sweep.table import chunk_table, joined
@@ -226,8 +226,12 @@ class Work:
                 rows = self.rows.take(here)
                 parts.append(chunk_table(self.store.sweep, rows, here, each.metrics, each.status, made, about))
         table = parts[0] if len(parts) == 1 else joined(parts, index)
-        saved = None if result is None else result.series
-        self.store.write_chunk(k, table, None if saved is None else series_table(self.store.sweep, index, saved))
+        series: list[pa.Table] = []
+        if result is not None and result.series is not None:
+            series.append(series_table(self.store.sweep, plan.unknown(k), result.series))
+        if known is not None and places is not None and self.store.sweep.save is not None:
+            series.append(known.series(places[places >= 0], plan.found(k)))
+        self.store.write_chunk(k, table, joined_series(self.store.sweep, series, index) if series else None)
         if self.log is not None:
             self.log.tell(table, steps / seconds if seconds else math.nan)
         self._finish(k, ChunkNote(engine, steps, seconds))

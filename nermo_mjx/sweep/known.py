@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, codes_of
@@ -55,12 +56,15 @@ class KnownRows:
     Args:
         sources: the directories, each with a sweep.yaml and results; a row that is in several is the first one's.
         warn: called with a sentence where a chunk cannot be used.
+        series: whether time series are taken, too; a chunk without undamaged ones is not used.
 
     Raises:
         DirectoryError: a source is none, or cannot be read.
     """
 
-    def __init__(self, sources: Sequence[Path], warn: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self, sources: Sequence[Path], warn: Callable[[str], None] | None = None, *, series: bool = False
+    ) -> None:
         self._paths: list[Path] = []
         self._unnamed: list[Path] = []
         self._codes: dict[str, CodeStamp] = {}
@@ -77,6 +81,8 @@ class KnownRows:
                 noted = f"results/{path.name}" in digests.values()
                 sealed = not noted or hashlib.sha256(content).hexdigest() in digests
                 table = parquet_table(content) if sealed else None
+                if series and not _sealed(_series_of(path), digests):
+                    table = None
                 if table is None or (table.schema.metadata or {}).get(b"sweep") != digest:
                     if warn is not None:
                         why = "is damaged" if table is None else "was made by another sweep, or with other defaults"
@@ -120,6 +126,23 @@ class KnownRows:
         engine = self._table(int(files[0])).schema.metadata[b"engine"].decode()
         return TakenRows(metrics, status, code, engine, steps, round(seconds, 3))
 
+    def series(self, places: np.ndarray, index: np.ndarray) -> pa.Table:
+        """The time series of rows, a run after the other.
+
+        Args:
+            places: of the rows, and `index` their numbers in the sweep that takes them, (n,).
+        """
+        parts = []
+        for (file, row), number in zip(self._places[places].tolist(), index.tolist(), strict=True):
+            path = _series_of(self._paths[file])
+            table = parquet_table(path)
+            if table is None:
+                raise DirectoryError(f"{path} cannot be read any more: run the same command again.")
+            former = self._table(file).column("row")[row].as_py()
+            own = table.filter(pc.equal(table.column("row"), former))
+            parts.append(own.set_column(0, own.schema.field("row"), pa.array(np.full(len(own), number))))
+        return pa.concat_tables(parts)
+
     def codes(self, *, accept: bool) -> list[CodeStamp]:
         """Which codes made rows, as far as the directories say.
 
@@ -142,6 +165,15 @@ class KnownRows:
         if table is None:
             raise DirectoryError(f"{self._paths[file]} cannot be read any more: run the same command again.")
         return table
+
+
+def _series_of(path: Path) -> Path:
+    """The time series beside a chunk."""
+    return path.parent.parent / "series" / path.name
+
+
+def _sealed(path: Path, digests: Mapping[str, str]) -> bool:
+    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() in digests
 
 
 def sweep_in(source: Path) -> Sweep:

@@ -165,10 +165,9 @@ def run_sweep(
             work.log = ChunkLog(trackers, map(pq.read_table, work.finished()))
         simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify, sweep.save)
         places = [*store.former(), *(place for source in sources for place in with_former(source))]
-        known = KnownRows(places, warn) if places and not work.done[work.mine].all() else None
-        if known is not None and sweep.save is not None:
-            (warn or (lambda _: None))("the sweep saves time series, which other results lack: all its rows are run.")
-            known = None
+        known = None
+        if places and not work.done[work.mine].all():
+            known = KnownRows(places, warn, series=sweep.save is not None)
         if simulate:
             _finish(work, simulates, workers, accept_new_code, known, warn)
         elif known is not None:

@@ -45,6 +45,16 @@ def series_table(sweep: Sweep, index: np.ndarray, series: Series) -> pa.Table:
     return pa.table(arrays, schema=pa.schema(fields, metadata={"sweep": sweep.digest()}))
 
 
+def joined_series(sweep: Sweep, parts: Sequence[pa.Table], index: np.ndarray) -> pa.Table:
+    """One table of several, a run after the other, in the order of the chunk's rows (n,)."""
+    if len(parts) == 1:
+        return parts[0].replace_schema_metadata({"sweep": sweep.digest()})
+    table = pa.concat_tables(part.replace_schema_metadata({"sweep": sweep.digest()}) for part in parts)
+    place = np.empty(int(index.max()) + 1, int)
+    place[index] = np.arange(len(index))
+    return table.take(np.argsort(place[table.column("row").to_numpy()], kind="stable"))
+
+
 def signals_of(sweep: Sweep) -> tuple[Signal, ...]:
     """The signals that a sweep saves."""
     return () if sweep.save is None else chosen_signals(sweep.setup.load(), sweep.save)

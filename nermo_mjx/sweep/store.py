@@ -233,7 +233,7 @@ class Store:
             taken = [_number(each) for each in self.former()]
             before = self.out / f"{BEFORE}{max(taken, default=0) + 1}"
             before.mkdir(exist_ok=True)
-            for pattern in ("sweep.yaml", "rows-*.parquet", "controller*.py", "manifest*.sha256"):
+            for pattern in ("sweep.yaml", "rows-*.parquet", "controller*.py", "metrics*.py", "manifest*.sha256"):
                 for each in self.out.glob(pattern):
                     self.directory.write(before / each.name, each.read_bytes())
             for name in _MADE:
