@@ -110,8 +110,9 @@ def test_examples_in_the_help_are_valid_commands() -> None:
         for line in lines:
             words = line.split()
             assert words[0] == name
-            # FILE.npz need not exist for the check of names and values.
-            words = [word if word not in ("walk.npz", "other.npz") else os.fspath(Path(__file__)) for word in words]
+            # Files need not exist for the check of names and values.
+            files = ("walk.npz", "other.npz", "front.csv")
+            words = [word if word not in files else os.fspath(Path(__file__)) for word in words]
             command.make_context(name, words[1:])
 
 
@@ -163,7 +164,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["walk", "--cycles", "2", "--warmup", "2"], "--warmup is 2: it must be shorter than the run, 2."),
         (["walk", "--video", "walk.avi"], "a video ends in .mp4 or .gif"),
         (["walk", "--video", "walk.mp4", "--camera", "moon"], "camera is 'moon': allowed is one of three_quarter"),
-        (["sweep"], "A sweep needs SPEC.yaml and --out DIR"),
+        (["sweep"], "A sweep needs SPEC.yaml or --rows FILE, and --out DIR"),
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),
         (["sweep", "a.yaml", "--out", "b", "--shard", "4/4"], "I from 0 to N - 1"),
         (["experiment", "turning"], "Missing option '--out'"),

@@ -58,7 +58,11 @@ def test_commands_of_the_readme_are_valid() -> None:
     assert {line.split()[0] for line in named} == set(main.commands)
     for line in named:
         name, *words = [
-            word.replace("FILE.npz", __file__).replace("NAME=X", "a=1").replace("DIR", "docs") for word in line.split()
+            word.replace("FILE.npz", __file__)
+            .replace("FILE.csv", __file__)
+            .replace("NAME=X", "a=1")
+            .replace("DIR", "docs")
+            for word in line.split()
         ]
         words = ["maze" if (name, word) == ("experiment", "NAME") else word for word in words]
         assert main.commands[name].make_context(name, words) is not None

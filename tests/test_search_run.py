@@ -151,14 +151,16 @@ def test_a_budget_of_simulated_seconds(tmp_path):
 
 
 def test_repeats_count_by_their_mean(tmp_path):
-    """Rows of a point side by side, each with draws of its own; the objective is that of the means."""
+    """Rows of a point side by side, with draws of their own but for the first; the objective is that of the means."""
     spec = SPEED | {"randomize": {"repeats": 3}, "budget": 24}
     result = run_search(spec, tmp_path / "out", simulator=(fake := FakeSimulator()))
     table, best = result.table, result.best
     assert fake.batches == [36, 36]
     assert table.num_rows == 72
     assert table.column("repeat").to_pylist()[:4] == [0, 1, 2, 0]
-    assert len(set(table.column("start.x").to_pylist())) == 72
+    starts = np.reshape(table.column("start.x").to_pylist(), (24, 3))
+    assert not starts[:, 0].any()
+    assert len(set(starts[:, 1:].ravel())) == 48
     runs = table.slice(best["row"], 3)
     assert set(runs.column("variant").to_pylist()) == {best["row"] // 3}
     assert best["metrics"]["speed"] == pytest.approx(np.mean(runs.column("speed").to_pylist()), rel=1e-12)

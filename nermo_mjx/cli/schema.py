@@ -22,7 +22,7 @@ file beside it is completed and checked while you write it.
 """
 #: Where the fields of each command's file are declared.
 FILES: Final = {
-    "sweep": "sweep.spec:SweepFile",
+    "sweep": "sweep.file:SweepFile",
     "search": "search.spec:SearchFile",
     "tune": "tune.spec:TuningFile",
     "landscape": "tune.spec:TuningFile",

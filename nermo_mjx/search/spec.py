@@ -26,7 +26,8 @@ from nermo_mjx.specs.values import ByParameter, Checked, Whole
 from nermo_mjx.specs.walk import WalkFields, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.axes import AxisForm, read_axis, read_draw
-from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
+from nermo_mjx.sweep.file import Randomized
+from nermo_mjx.sweep.spec import Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
 from nermo_mjx.tune.sections import TermFields
 
