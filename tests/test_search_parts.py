@@ -147,6 +147,23 @@ def test_wrong_files_get_their_sentence(change, message):
         Search.from_dict(data)
 
 
+def test_a_metric_of_ones_own_is_aimed_at_measured_and_limited(tmp_path):
+    """In all three places; where no file gives it, its name is refused."""
+    (tmp_path / "own.py").write_text(
+        "from nermo_mjx import metric\n\n\n"
+        '@metric(unit="rad/s", better="low", reduce="rms")\n'
+        "def yaw_shake(sensors):\n    return sensors.gyro[2]\n"
+    )
+    own = {"objective": {"minimize": "yaw_shake"}, "subject_to": {"yaw_shake": {"max": 1.0}},
+           "atlas": {"yaw_shake": [0.0, 1.0, 10]}}  # fmt: skip
+    spec = {key: value for key, value in ATLAS.items() if key not in ("objective", "atlas")} | own
+    search = Search.from_dict(spec | {"metrics": str(tmp_path / "own.py")})
+    assert search.aim.metrics == ("yaw_shake",)
+    assert search.sweep.metrics["yaw_shake"].unit == "rad/s"
+    with pytest.raises(SpecError, match="yaw_shake"):
+        Search.from_dict(spec)
+
+
 @pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS, MEGA], ids=["cma", "nsga2", "cma_me", "cma_mega"])
 def test_a_search_reads_back_as_itself(spec):
     search = Search.from_dict(spec | {"subject_to": {"slip": {"max": 0.1}}, "randomize": {"repeats": 2}})
