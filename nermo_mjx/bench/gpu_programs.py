@@ -54,7 +54,13 @@ def walk(worlds: int) -> Program:
     carry = jax.eval_shape(engine.open_worlds, batch.params, *state)
     shapes = jax.tree.map(lambda leaf: _among(leaf, worlds), (batch.params, batch.fields, carry))
     ticks = jax.ShapeDtypeStruct((), jnp.int32)
-    return Program(inspect.unwrap(engine.advance), (*shapes, ticks), (2,), None, simulator.loop.steps_per_tick)
+    return Program(
+        inspect.unwrap(engine.advance, stop=inspect.ismethod),
+        (*shapes, ticks),
+        (2,),
+        None,
+        simulator.loop.steps_per_tick,
+    )
 
 
 def _gradient(mode: str, worlds: int) -> Program:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.pilot import Drive
-from nermo_mjx.shapes import Array, Count, Scalar
+from nermo_mjx.shapes import Array, Count, Scalar, Scalars
 
 State = TypeVar("State")
 
@@ -39,7 +39,7 @@ class ControllerState:
     spine: Scalar
 
     @property
-    def phase(self) -> Scalar:
+    def phase(self) -> Scalars:
         """Of the gait cycle, in [0, 1)."""
         return self.gait.phase
 
@@ -49,7 +49,7 @@ class ControllerState:
         return self.gait.stance
 
     @property
-    def turn_rate(self) -> Scalar:
+    def turn_rate(self) -> Scalars:
         """In [-1, 1], positive left."""
         return self.drive.turn_rate
 

@@ -160,6 +160,8 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
     Raises:
         ParameterError: with function, file and what is wrong.
     """
+    if not metrics:
+        return
     start_jax()
     robot = load_robot(**{field.name: getattr(config, field.name) for field in dataclasses.fields(config)})
     with jax.ensure_compile_time_eval():

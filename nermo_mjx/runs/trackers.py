@@ -49,7 +49,8 @@ class TensorBoard:
     def __init__(self, out: Path, part: str) -> None:
         from tensorboardX import SummaryWriter
 
-        self._writer = SummaryWriter(str(out / "tensorboard" / part))
+        # A file is named by the second: of two sessions in one, the later would replace the earlier one's.
+        self._writer = SummaryWriter(str(out / "tensorboard" / part), filename_suffix=f".{time.time_ns()}")
 
     def log(self, step: int, numbers: Mapping[str, float]) -> None:
         for name, value in numbers.items():
