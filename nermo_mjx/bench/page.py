@@ -86,7 +86,7 @@ def _figures(machine: str, measured: Sequence[Measured], number: int) -> Iterato
     if compiled := [line for line in compiled if line["compile_s"]]:
         yield f"compile_{number}", _compile(machine, compiled)
     gradients = _with(lines, "gradient", "ratio", "temporary_bytes_per_world")
-    if gradients:
+    if len({line["cycles"] for line in gradients}) > 1:  # of one length there is nothing to draw over it
         yield f"gradient_{number}", _gradient(machine, gradients)
 
 

@@ -11,8 +11,10 @@ from nermo_mjx.runs.files import clear_errors
 from nermo_mjx.search.batches import Batches
 from nermo_mjx.search.outcome import Evaluations
 from nermo_mjx.search.scoring import elites_of
+from nermo_mjx.sweep.keeping import recording_file
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
+from nermo_mjx.sweep.store import RECORDINGS
 from nermo_mjx.sweep.table import columns_of
 
 #: Worlds recorded at once: a walk of ten seconds is 1.5 MB.
@@ -46,13 +48,12 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: BatchSimul
         RecordingError, DirectoryError: one cannot be written.
     """
     found = Evaluations.of(batches.search, Results([*chunk_files(batches.out).values()]))
-    folder = batches.out / "recordings"
     rows = kept_rows(found, best["row"] // batches.search.repeats)
-    files = {row: folder / f"row-{row:06d}.npz" for row in rows}
+    files = {row: recording_file(batches.out, row) for row in rows}
     missing = [row for row, path in files.items() if not path.exists()]
     if missing:
         with clear_errors(batches.out):
-            folder.mkdir(exist_ok=True)
+            (batches.out / RECORDINGS).mkdir(exist_ok=True)
         for first in range(0, len(missing), _TOGETHER):
             _record(found, {row: files[row] for row in missing[first : first + _TOGETHER]}, computer.simulator)
     return list(files.values())
