@@ -272,7 +272,7 @@ class Going:
         metrics = {name: np.concatenate([each.metrics[name][mine] for each, mine in zip(found, own, strict=True)])
                    for name in found[0].metrics}  # fmt: skip
         status = np.concatenate([each.status[mine] for each, mine in zip(found, own, strict=True)])
-        seconds = round(time.perf_counter() - began, 3)
+        seconds = time.perf_counter() - began
         return Simulated(metrics, status, sum(each.steps for each in found), seconds)
 
     def _slopes(self, asked: Asked, rows: Rows, gradients: Gradients | None) -> np.ndarray | None:

@@ -27,7 +27,7 @@ class Batch:
         for k, size in zip(self.chunks, sizes, strict=True):
             here, share = slice(first, first + size), size / sum(sizes)
             metrics = {name: column[here] for name, column in result.metrics.items()}
-            steps, seconds = result.steps * share, round(result.seconds * share, 3)
+            steps, seconds = result.steps * share, result.seconds * share
             series = None if result.series is None else result.series.take(here)
             yield k, Simulated(metrics, result.status[here], steps, seconds, series)
             first += size

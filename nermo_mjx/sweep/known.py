@@ -124,7 +124,7 @@ class KnownRows:
         named = "code" in table.column_names  # release 0.1.0 did not say it
         code = np.array(table.column("code").to_pylist() if named else [None] * len(table), object)
         engine = self._table(int(files[0])).schema.metadata[b"engine"].decode()
-        return TakenRows(metrics, status, code, engine, steps, round(seconds, 3))
+        return TakenRows(metrics, status, code, engine, steps, seconds)
 
     def series(self, places: np.ndarray, index: np.ndarray) -> pa.Table:
         """The time series of rows, a run after the other.

@@ -110,7 +110,7 @@ class BatchSimulator:
         result = simulator.run(values, self.run, progress=progress, notify=self.notify, **saved)
         status = np.asarray(result.status)
         metrics = {name: np.asarray(column) for name, column in result.metrics.items()}
-        seconds = round(time.perf_counter() - began, 3)
+        seconds = time.perf_counter() - began
         return Simulated(
             metrics, status, result.steps * len(status), seconds, None if self.save is None else result.series
         )
