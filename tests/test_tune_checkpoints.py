@@ -16,9 +16,10 @@ from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory
+from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.tune import Tuning, run_tuning
-from nermo_mjx.tune.checkpoints import KEPT, Checkpoints
+from nermo_mjx.tune.checkpoints import Checkpoints
 from nermo_mjx.tune.history import empty_log
 from nermo_mjx.tune.state import initial_state
 

@@ -1,30 +1,18 @@
-"""A tuning's state on disk: Orbax checkpoints, each with the history up to it, and checked when read."""
+"""A tuning's checkpoints: the state, and with it the history up to it."""
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import json
-import logging
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Mapping
+from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import orbax.checkpoint as ocp
 
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory
-from nermo_mjx.runs.files import WrongDirectory, replace_file
+from nermo_mjx.runs import checkpoints as stored
+from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.tune.history import Log
 from nermo_mjx.tune.spec import Tuning, changes
 from nermo_mjx.tune.state import TuneState
-
-#: Bytes that must be free for a checkpoint to be begun.
-ROOM: Final = 1 << 18
-#: Checkpoints that are kept; all but the newest are there for the case that it is damaged.
-KEPT: Final = 3
 
 
 class Checkpoints:
@@ -40,53 +28,27 @@ class Checkpoints:
     """
 
     def __init__(self, held: RunDirectory, tuning: Tuning) -> None:
-        self.folder, self._held = held.out / "checkpoints", held
-        self.digest, self._identity = tuning.digest(), tuning.identity()
+        self._held, self._stored = held, stored.Checkpoints(held, "tuning")
+        self.folder, self.digest, self._identity = self._stored.folder, tuning.digest(), tuning.identity()
 
     def __enter__(self) -> Checkpoints:
-        options = ocp.CheckpointManagerOptions(
-            max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True
-        )
-        with _quiet():
-            self._manager = ocp.CheckpointManager(self.folder.absolute(), options=options)
+        self._stored.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._manager.close()
+        self._stored.__exit__()
 
     def save(self, state: TuneState, log: Log) -> None:
-        """Store a state and the history up to it; whole, or not at all.
-
-        Raises:
-            OSError: there is no room for it.
-            DirectoryError: it cannot be written for another reason.
-        """
-        # A full disk is found here, in one exception, and not by Orbax's threads one after the other.
-        replace_file(self.folder / ".room", bytes(ROOM))
-        (self.folder / ".room").unlink()
+        """Store a state and the history up to it; raises as `runs.checkpoints.Checkpoints.save`."""
         about = {
             "digest": self.digest,
             "precision": str(state.u.dtype),
             "metrics": list(log.metrics),
             "rows": list(log.rows.shape),
             "codes": log.codes,
-            "checksum": _checksum(state, log.rows),
             "identity": self._identity,
         }
-        about["seal"] = _seal(about)
-        items = ocp.args.Composite(
-            tuning=ocp.args.StandardSave({"state": state, "history": log.rows}),
-            about=ocp.args.JsonSave(about),
-        )
-        with _quiet():
-            try:
-                self._manager.save(int(state.iteration), args=items, force=True)
-            except OSError:
-                raise
-            except Exception as error:  # a failed write shows as whatever its thread stumbled over
-                raise DirectoryError(
-                    f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
-                ) from error
+        self._stored.save(int(state.iteration), {"state": state, "history": log.rows}, about)
 
     def restore(
         self, like: TuneState, *, accept: bool = False, warn: Callable[[str], None] = lambda _: None
@@ -102,65 +64,22 @@ class Checkpoints:
             DirectoryError: one cannot be read now, or was computed in another precision, for another tuning, or with
                 other defaults; nothing has been changed.
         """
-        damaged, found = [], None
-        with _quiet():
-            for step in sorted(self._manager.all_steps(), reverse=True):
-                self._check_readable(step)
-                found = self._read(step, like, accept)
-                if found is not None:
-                    break
-                damaged.append(step)
-            for step in damaged:
-                aside = self._held.move_aside(self.folder.relative_to(self._held.out) / str(step))
-                if aside is not None:
-                    warn(f"checkpoint {step} in {self.folder} is damaged; it is kept as {aside.name}.")
-            if damaged:
-                self._manager.reload()
-        return found
 
-    def _check_readable(self, step: int) -> None:
-        """Tell a disk that does not answer from a damaged file, which Orbax does not."""
-        try:
-            for path in (self.folder / str(step)).rglob("*"):
-                if path.is_file():
-                    path.read_bytes()
-        except OSError as error:
-            raise self._unreadable(step, error) from error
-
-    def _unreadable(self, step: int, error: OSError) -> DirectoryError:
-        return DirectoryError(f"checkpoint {step} in {self.folder} cannot be read: {error.strerror or error}; nothing "
-                              "was changed, run the same command again.")  # fmt: skip
-
-    def _read(self, step: int, like: TuneState, accept: bool) -> tuple[TuneState, Log] | None:
-        """A checkpoint; None if it is damaged."""
-        try:
-            items = ocp.args.Composite(about=ocp.args.JsonRestore())
-            about: dict[str, Any] = self._manager.restore(step, args=items)["about"]
-            if about.get("seal", "") != ("" if "identity" not in about else _seal(about)):
-                return None
+        def shapes(about: Mapping[str, Any]) -> dict[str, Any]:
             self._check_ours(about, accept)
             if about["precision"] != str(like.u.dtype):
                 raise DirectoryError(
                     f"{self.folder} was begun in {about['precision']}, and JAX computes in {like.u.dtype} now: go on "
                     "with that precision, or choose another directory."
                 )
-            shapes = jax.tree.map(ocp.utils.to_shape_dtype_struct, like)
-            wanted = {"state": shapes, "history": np.empty(about["rows"])}
-            items = ocp.args.Composite(tuning=ocp.args.StandardRestore(wanted))
-            found = self._manager.restore(step, args=items)["tuning"]
-            # As plain arrays: Orbax ties them to a device, and the simulation would be compiled anew for such points.
-            state = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)), found["state"])
-            codes = tuple((int(first), str(code)) for first, code in about.get("codes", [(0, "")]))
-            log = Log(tuple(about["metrics"]), found["history"], codes)
-        except (DirectoryError, MemoryError):
-            raise
-        except (FileNotFoundError, NotADirectoryError):
+            return {"state": like, "history": np.empty(about["rows"])}
+
+        found = self._stored.restore(shapes, warn)
+        if found is None:
             return None
-        except OSError as error:
-            raise self._unreadable(step, error) from error
-        except Exception:  # a damaged file shows as whatever its reader stumbles over
-            return None
-        return (state, log) if about["checksum"] == _checksum(state, log.rows) else None
+        parts, about = found
+        codes = tuple((int(first), str(code)) for first, code in about.get("codes", [(0, "")]))
+        return parts["state"], Log(tuple(about["metrics"]), parts["history"], codes)
 
     def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
         """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
@@ -183,33 +102,3 @@ class Checkpoints:
                 f"{self._held.out} was made with other defaults: {difference}; choose another directory, or go on with "
                 "--accept-new-code, and tell the rows apart by their column code."
             )
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Without what Orbax's threads print of a damaged or failed checkpoint: here that is expected, and dealt with."""
-    logger, hook = logging.getLogger("absl"), sys.unraisablehook
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    sys.unraisablehook = lambda _: None
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-        sys.unraisablehook = hook
-
-
-def _checksum(state: TuneState, rows: np.ndarray) -> str:
-    """A hash of every number; the file format alone would not notice each flipped bit."""
-    total = hashlib.sha256()
-    for leaf in (*jax.tree.leaves(state), rows):
-        array = np.asarray(leaf)
-        total.update(f"{array.dtype} {array.shape}".encode())
-        total.update(array.tobytes())
-    return total.hexdigest()
-
-
-def _seal(about: Mapping[str, Any]) -> str:
-    """A hash of what a checkpoint says of itself, as JSON gives it back."""
-    content = json.dumps({key: about[key] for key in about if key != "seal"}, sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()

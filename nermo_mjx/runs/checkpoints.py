@@ -1,0 +1,178 @@
+"""States on disk: Orbax checkpoints of a directory, whole or not at all, and checked when they are read."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import logging
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+
+from nermo_mjx.runs.directory import RunDirectory
+from nermo_mjx.runs.files import DirectoryError, replace_file
+
+#: Bytes that must be free for a checkpoint to be begun.
+ROOM: Final = 1 << 18
+#: Checkpoints that are kept; all but the newest are there for the case that it is damaged.
+KEPT: Final = 3
+#: Parts of a checkpoint by name, each a pytree of arrays, and what it says of itself.
+Parts = Mapping[str, Any]
+About = Mapping[str, Any]
+
+
+class Checkpoints:
+    """The checkpoints of one directory, by number; use it in a `with` statement.
+
+    A checkpoint has parts, each a pytree of arrays, and says what they are (item `about`, with checksums).
+
+    Args:
+        held: the directory; checkpoints are in its folder `checkpoints`, which is made if it does not exist.
+        item: name of the parts' item, such as "tuning".
+    """
+
+    def __init__(self, held: RunDirectory, item: str) -> None:
+        self.folder, self._held, self._item = held.out / "checkpoints", held, item
+
+    def __enter__(self) -> Checkpoints:
+        options = ocp.CheckpointManagerOptions(
+            max_to_keep=KEPT, enable_async_checkpointing=False, cleanup_tmp_directories=True
+        )
+        with _quiet():
+            self._manager = ocp.CheckpointManager(self.folder.absolute(), options=options)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._manager.close()
+
+    def save(self, number: int, parts: Parts, about: About) -> None:
+        """Store parts, and what they are, in plain JSON; whole, or not at all.
+
+        Raises:
+            OSError: there is no room for it.
+            DirectoryError: it cannot be written for another reason.
+        """
+        # A full disk is found here, in one exception, and not by Orbax's threads one after the other.
+        replace_file(self.folder / ".room", bytes(ROOM))
+        (self.folder / ".room").unlink()
+        about = {**about, "checksum": _checksum(parts)}
+        about["seal"] = _seal(about)
+        saved = ocp.args.StandardSave(dict(parts))
+        items = ocp.args.Composite(**{self._item: saved, "about": ocp.args.JsonSave(about)})
+        with _quiet():
+            try:
+                self._manager.save(number, args=items, force=True)
+            except OSError:
+                raise
+            except Exception as error:  # a failed write shows as whatever its thread stumbled over
+                raise DirectoryError(
+                    f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
+                ) from error
+
+    def restore(
+        self, like: Callable[[About], Parts], warn: Callable[[str], None] = lambda _: None
+    ) -> tuple[dict[str, Any], About] | None:
+        """The newest whole checkpoint, None if there is none. Newer ones that are damaged are moved aside.
+
+        Args:
+            like: parts of the same shapes, for what a checkpoint says of itself; it raises a `DirectoryError` where
+                that is of something else.
+            warn: called with a sentence on each checkpoint that is moved aside.
+
+        Raises:
+            DirectoryError: one cannot be read now, or `like` refuses it; nothing has been changed.
+        """
+        damaged, found = [], None
+        with _quiet():
+            for number in sorted(self._manager.all_steps(), reverse=True):
+                self._check_readable(number)
+                found = self._read(number, like)
+                if found is not None:
+                    break
+                damaged.append(number)
+            for number in damaged:
+                aside = self._held.move_aside(self.folder.relative_to(self._held.out) / str(number))
+                if aside is not None:
+                    warn(f"checkpoint {number} in {self.folder} is damaged; it is kept as {aside.name}.")
+            if damaged:
+                self._manager.reload()
+        return found
+
+    def _check_readable(self, number: int) -> None:
+        """Tell a disk that does not answer from a damaged file, which Orbax does not."""
+        try:
+            for path in (self.folder / str(number)).rglob("*"):
+                if path.is_file():
+                    path.read_bytes()
+        except OSError as error:
+            raise self._unreadable(number, error) from error
+
+    def _unreadable(self, number: int, error: OSError) -> DirectoryError:
+        return DirectoryError(f"checkpoint {number} in {self.folder} cannot be read: {error.strerror or error}; "
+                              "nothing was changed, run the same command again.")  # fmt: skip
+
+    def _read(self, number: int, like: Callable[[About], Parts]) -> tuple[dict[str, Any], About] | None:
+        """A checkpoint; None if it is damaged."""
+        try:
+            about: About = self._manager.restore(number, args=ocp.args.Composite(about=ocp.args.JsonRestore()))["about"]
+            if about.get("seal", "") != ("" if "identity" not in about else _seal(about)):
+                return None
+            shapes = {name: jax.tree.map(_shape, part) for name, part in like(about).items()}
+            items = ocp.args.Composite(**{self._item: ocp.args.StandardRestore(shapes)})
+            found = self._manager.restore(number, args=items)[self._item]
+            # As plain arrays: Orbax ties them to a device, and programs would be compiled anew for such.
+            parts = {name: jax.tree.map(_plain, found[name], like) for name, like in shapes.items()}
+        except (DirectoryError, MemoryError):
+            raise
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            raise self._unreadable(number, error) from error
+        except Exception:  # a damaged file shows as whatever its reader stumbles over
+            return None
+        return (parts, about) if about["checksum"] == _checksum(parts) else None
+
+
+def _shape(leaf: Any) -> Any:
+    """What Orbax restores a leaf by: as an array of NumPy's where it is one, else as one of JAX's."""
+    return leaf if isinstance(leaf, np.ndarray) else ocp.utils.to_shape_dtype_struct(leaf)
+
+
+def _plain(found: Any, like: Any) -> Any:
+    return np.asarray(found) if isinstance(like, np.ndarray) else jnp.asarray(np.asarray(found))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what Orbax's threads print of a damaged or failed checkpoint: here that is expected, and dealt with."""
+    logger, hook = logging.getLogger("absl"), sys.unraisablehook
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    sys.unraisablehook = lambda _: None
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+        sys.unraisablehook = hook
+
+
+def _checksum(parts: Parts) -> str:
+    """A hash of every number; the file format alone would not notice each flipped bit."""
+    total = hashlib.sha256()
+    for leaf in (leaf for part in parts.values() for leaf in jax.tree.leaves(part)):
+        array = np.asarray(leaf)
+        total.update(f"{array.dtype} {array.shape}".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()
+
+
+def _seal(about: About) -> str:
+    """A hash of what a checkpoint says of itself, as JSON gives it back."""
+    content = json.dumps({key: about[key] for key in about if key != "seal"}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
