@@ -202,7 +202,9 @@ def test_a_full_circle(side):
     assert settled["speed"] == pytest.approx(radius * turn_rate, rel=2e-3)
     result, _ = measure(readings, rate=rate)
     assert result["distance"] == pytest.approx(radius * abs(yaw[-1]), rel=0.03)
+    assert result["turn_rate"] == pytest.approx(side * turn_rate, rel=1e-4)
     low, high = sorted((side * 3 * np.pi, 0.0))
+    assert result["turn_rate"] == pytest.approx(side * turn_rate, rel=1e-4)
     assert result["yaw_max"] == pytest.approx(high, abs=0.01)
     assert result["yaw_min"] == pytest.approx(low, abs=0.01)
     assert result["yaw_mean"] == pytest.approx(side * 1.5 * np.pi, abs=0.01)
@@ -406,6 +408,13 @@ def test_a_straight_way_has_no_turning_radius():
     assert np.isnan(result["turning_radius"])
     standing, _ = measure(stream(401))
     assert np.isnan(standing["turning_radius"])
+
+
+def test_the_turn_rate_is_that_between_the_ends_of_what_is_measured():
+    """A turn of 0.3 rad/s after a warm-up without one, its sway of whole cycles left out; the end lies in a tick."""
+    yaw = 0.3 * np.maximum(TIME - 0.5, 0.0) + 0.2 * np.sin(2 * np.pi * 2.0 * TIME)
+    result, _ = measure(stream(401, orientation=every_step(quaternion(yaw))), rate=2.0, begin=0.5, end=1.5)
+    assert result["turn_rate"] == pytest.approx(0.3, rel=1e-3)
 
 
 def test_sway_counts_in_the_peak_of_the_error_and_not_in_the_way_walked():

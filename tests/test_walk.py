@@ -70,6 +70,7 @@ def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
     assert left > 0.05
     assert right == pytest.approx(-left, rel=0.15)
     assert result.metrics["lateral_drift"][0] > 0.0 > result.metrics["lateral_drift"][1]
+    assert result.metrics["turn_rate"][0] > 0.0 > result.metrics["turn_rate"][1]
 
 
 def test_the_straight_pilot_keeps_the_line(simulator):

@@ -35,6 +35,7 @@ METRICS: Final[dict[str, Metric]] = {
     "cross_track_rms": Metric("m", "root mean square of the distance from the pilot's path; NaN without a path", "low"),
     "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path", "low"),
     "turning_radius": Metric("m", "radius of the circle fitted to the cycles' mean positions; NaN if straight"),
+    "turn_rate": Metric("rad/s", "yaw gained over duration, positive to the left"),
     "slip": Metric("m/s", "mean horizontal speed of loaded feet", "low"),
     **{f"slip_{limb}": Metric("m/s", f"the same of the {limb.replace('_', ' ')} foot", "low") for limb in LIMBS},
     **{f"duty_{limb}": Metric("1", f"share of time with the {limb.replace('_', ' ')} foot loaded") for limb in LIMBS},

@@ -80,6 +80,7 @@ class MetricState:
         low, high: extremes of the readings.
         course, turning: smoothed yaw [rad] and its rate [rad/s].
         position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
+        heading: yaw where measuring began and ended (2,) [rad].
         loaded, slid: time each foot was loaded [s], and the way it slid meanwhile [m], (4,) each.
         swing, swing_loaded: time of each foot's commanded swing, and how much of it the foot was loaded (4,) each [s].
         load: force on each foot over time (4,), and on the tail [N s].
@@ -106,6 +107,7 @@ class MetricState:
     position: Float[Array, " 3"]
     origin: Float[Array, " 3"]
     end: Float[Array, " 3"]
+    heading: Float[Array, " 2"]
     loaded: Float[Array, " 4"]
     slid: Float[Array, " 4"]
     swing: Float[Array, " 4"]
@@ -132,7 +134,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
     return MetricState(
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
-        origin=position, end=position, loaded=four, slid=four, swing=four, swing_loaded=four,
+        origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four, swing=four, swing_loaded=four,
         load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
         own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
@@ -195,6 +197,10 @@ def update(
     mean = state.mean + share * deviation
 
     origin = jnp.where(state.begun, state.origin, _between(state.position, last.position, part.begin))
+    begin, end = (_between(state.readings[2], angles[2], share) for share in (part.begin, part.end))
+    heading = jnp.stack(
+        [jnp.where(state.begun, state.heading[0], begin), jnp.where(part.inside, end, state.heading[1])]
+    )
     error = jnp.zeros(()) if path is None else jnp.where(lost, 0.0, path.error)
     readings = jnp.append(angles, error)
     low, high = _extremes(state, readings, part)
@@ -220,6 +226,7 @@ def update(
         position=jnp.where(lost, state.position, last.position),
         origin=origin,
         end=jnp.where(part.inside, _between(state.position, last.position, part.end), state.end),
+        heading=heading,
         loaded=state.loaded + bears,
         slid=state.slid + part.weight * (contact * speed).mean(axis=0),
         swing=state.swing + part.weight * swings,
@@ -295,6 +302,7 @@ def result(
         "cross_track_rms": root(state.path.square / time),
         "cross_track_walked": state.path.walked,
         "turning_radius": path_metrics.radius(state.path),
+        "turn_rate": (state.heading[1] - state.heading[0]) / time,
         "slip": _share(state.slid.sum(), state.loaded.sum()),
         "front_load_share": _share(state.load[PAIRS["front"]].sum(), state.load[:4].sum()),
         "tail_time": state.tail_loaded / time,
