@@ -335,7 +335,7 @@ def _written(text: str | bytes) -> Callable[[Path], None]:
         (None, "first", "'first' is not a valid integer"),
         (_nothing, "0", "out: no such directory."),
         (_a_file, "0", "out: this is a file, not a directory."),
-        (_no_yaml, "0", "out: not the directory of a sweep; allowed is one with a file sweep.yaml."),
+        (_no_yaml, "0", "out: not the directory of a sweep or a search; allowed is one with"),
         (_written("vary: {frequency: [0.8"), "0", "out/sweep.yaml:1: not valid YAML"),
         (_written("vary:\n  frequncy: [0.8]\n"), "0", "did you mean 'frequency'?"),
         (_written(b"\xff\xfe\x00"), "0", "sweep.yaml: not a text file in UTF-8"),

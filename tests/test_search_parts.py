@@ -193,6 +193,11 @@ def test_the_command_searches_keeps_and_draws(tmp_path):
     assert file.endswith(f"recordings/row-{told['best']['row']:06d}.npz")
     assert recording.metadata["metrics"]["speed"] == told["best"]["metrics"]["speed"]
     assert recording.metadata["parameters"]["stride"] == pytest.approx(told["best"]["parameters"]["stride"], rel=1e-6)
+    again = json.loads(call("replay", out, "--row", told["best"]["row"], "--json"))
+    assert again["comparison"]["equal"]
+    assert again["parameters"] == recording.metadata["parameters"]
+    refused = CliRunner().invoke(main, ["replay", str(out), "--row", "8"])
+    assert (refused.exit_code, "row is 8: allowed is 0 to 7" in refused.stderr) == (2, True)
     assert (out / "plots/convergence.png").exists()
     state = json.loads(call("status", out, "--json"))
     assert (state["kind"], state["rows_done"], state["complete"], state["engine"]) == ("search", 8, True, "c")

@@ -24,10 +24,10 @@ METRICS = (
     "speed", "distance", "duration", "lateral_drift", "roll_mean", "roll_std", "roll_min", "roll_max", "pitch_mean",
     "pitch_std", "pitch_min", "pitch_max", "yaw_mean", "yaw_std", "yaw_min", "yaw_max", "cross_track_peak",
     "cross_track_rms", "cross_track_walked", "turning_radius", "turn_rate", "slip", "slip_front_left",
-    "slip_front_right", "slip_rear_left", "slip_rear_right", "duty_front_left", "duty_front_right", "duty_rear_left", "duty_rear_right",
-    "loaded_front", "loaded_rear", "swing_loaded_front", "swing_loaded_rear", "load_front_left", "load_front_right",
-    "load_rear_left", "load_rear_right", "front_load_share", "tail_time", "tail_load_share", "servo_work",
-    "cost_of_transport", "fell", "diverged", "failure_time",
+    "slip_front_right", "slip_rear_left", "slip_rear_right", "duty_front_left", "duty_front_right", "duty_rear_left",
+    "duty_rear_right", "loaded_front", "loaded_rear", "swing_loaded_front", "swing_loaded_rear", "load_front_left",
+    "load_front_right", "load_rear_left", "load_rear_right", "front_load_share", "tail_time", "tail_load_share",
+    "servo_work", "cost_of_transport", "fell", "diverged", "failure_time",
 )  # fmt: skip
 PARAMETERS = (
     "frequency", "stride", "duty", "gait_factor", "speed", "offset.front_left", "offset.front_right",

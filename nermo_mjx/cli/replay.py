@@ -1,4 +1,4 @@
-"""`nermo-mjx replay`: one row of a sweep again, to look at it."""
+"""`nermo-mjx replay`: one row of a sweep or of a search again, to look at it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ EPILOG = """\b
 Examples:
   nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
   nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
+  nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
 """
 
 
 @click.command("replay", epilog=EPILOG)
 @click.argument("out", metavar="DIR", type=click.Path(path_type=Path))
 @options.number("--row", "Which row of the table, from 0.", int, required=True, metavar="N")
-@options.choice("--engine", ENGINES, "By default the sweep's own.", default=None)
+@options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4 or GIF.")
 @options.camera
@@ -39,10 +40,11 @@ def command(
     out: Path, row: int, engine: str | None, record: Path | None, video: Path | None, camera: str, as_json: bool,
     quiet: bool,
 ) -> None:  # fmt: skip
-    """Run one row of a sweep's directory again, by itself.
+    """Run one row of a sweep's or a search's directory again, by itself.
 
     It has the parameters, the start and the length that the sweep gives it,
-    whether the sweep has come to it or not. Its metrics are compared with
+    whether the sweep has come to it or not; of a search, those of a row of
+    its table. Its metrics are compared with
     those in the table: with the engine c on the same machine, they are equal
     to the last bit. DIR is only read.
     """
@@ -51,7 +53,12 @@ def command(
         from nermo_mjx.runs.files import make_writable
         from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
-        found = find_row(out, row)
+        if (out / "search.yaml").exists():
+            from nermo_mjx.search.keeping import find_evaluation
+
+            found = find_evaluation(out, row)
+        else:
+            found = find_row(out, row)
         wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
         for path in files:
             make_writable(path.parent)

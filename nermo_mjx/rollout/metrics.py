@@ -134,8 +134,8 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
     return MetricState(
         time=zero, work=zero, way=zero, travelled=zero, mean=three, square=three, readings=readings,
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
-        origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four, swing=four, swing_loaded=four,
-        load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
+        origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four,
+        swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
         own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip

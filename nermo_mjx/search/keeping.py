@@ -1,18 +1,24 @@
-"""Recordings of what a search found: rows of its table run once more."""
+"""What a search found, run once more: the recordings that it keeps, and a row of its table for `replay`."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from nermo_mjx.runs.files import clear_errors
-from nermo_mjx.search.batches import Batches
+from nermo_mjx.search.batches import SEARCH, Batches
 from nermo_mjx.search.outcome import Evaluations
 from nermo_mjx.search.scoring import elites_of
+from nermo_mjx.search.spec import Search
+from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.keeping import recording_file
-from nermo_mjx.sweep.results import Results, chunk_files
+from nermo_mjx.sweep.replay import SweepRow
+from nermo_mjx.sweep.results import Results, chunk_files, read_table
+from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
 from nermo_mjx.sweep.store import RECORDINGS
 from nermo_mjx.sweep.table import columns_of
@@ -70,3 +76,33 @@ def _record(found: Evaluations, files: dict[int, Path], simulator: SimulatorLike
     ends = np.broadcast_to(search.run.seconds(rate)[1], len(rows))
     for world, (path, end) in enumerate(zip(files.values(), ends.tolist(), strict=True)):
         result.recording(world).between(0.0, end).save(path)
+
+
+def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
+    """A row of a search's table, for `replay_row`; nothing is written, so the search may be at work there.
+
+    Raises:
+        SpecError: no search is there that can be read, or no such row.
+        DirectoryError: it has no results yet.
+    """
+    out = Path(out)
+    search = Search.from_file(out / SEARCH)
+    table = read_table(out)
+    if not 0 <= row < table.num_rows:
+        raise SpecError(f"row is {row}: allowed is 0 to {table.num_rows - 1}, as far as the search has come.")
+    stored = table.slice(row, 1).to_pylist()[0]
+    values = {name: np.array([stored[name]]) for name in columns_of(table, "varied", "randomized")}
+    index = {name: np.array([stored[name]]) for name in ("variant", "repeat", "seed")}
+    walk = search.sweep.structures[0]
+    rate = walk.setup.cycle_rate(walk.constants | {name: column[0] for name, column in values.items()})
+    begin, end = walk.run.seconds(rate)
+    return SweepRow(
+        out=out, sweep=search.sweep, row=row, line=Rows(**index, values=values, structure=np.zeros(1, int)),
+        begin=float(begin), end=float(end), engine=_engine_of(out),
+        chunk=np.array([row]), stored=stored, outdated=False,
+    )  # fmt: skip
+
+
+def _engine_of(out: Path) -> str:
+    """The engine of the first batch, which a directory keeps."""
+    return pq.read_schema(next(iter(chunk_files(out).values()))).metadata[b"engine"].decode()

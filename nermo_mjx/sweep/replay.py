@@ -133,7 +133,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if not out.is_dir():
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
     if not (out / "sweep.yaml").exists():
-        raise SpecError(f"{out}: not the directory of a sweep; allowed is one with a file sweep.yaml.")
+        raise SpecError(f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or "
+                        "search.yaml.")  # fmt: skip
     sweep = Sweep.from_directory(out)
     rows, engine = Sample(sweep), _begun_with(out, sweep.digest())
     if not 0 <= row < len(rows):

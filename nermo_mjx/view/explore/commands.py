@@ -25,17 +25,16 @@ def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
     """Commands of a directory's rows.
 
     Returns:
-        `replay`: words to which the row's number is added, of a sweep; `walk`: `words`, `options`, pairs of an option
-        and the column of its value, and `set`, columns that `--set NAME=X` takes, where `walk` can do what the rows
-        did. Either is None where there is no such command.
+        `replay`: words to which the row's number is added; `walk`: `words`, `options`, pairs of an option and the
+        column of its value, and `set`, columns that `--set NAME=X` takes; None where `walk` cannot do what the rows
+        did.
     """
-    replay = f"nermo-mjx replay {shlex.quote(str(path))} --row" if runs.kind == "sweep" else None
     spec = path / ("sweep.yaml" if runs.kind == "sweep" else "search.yaml")
     try:
         walk = _walk(read_file(spec, runs.kind).data, runs) if spec.exists() else None
     except SpecError:  # of another version; what can be read is shown
         walk = None
-    return {"replay": replay, "walk": walk}
+    return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk}
 
 
 def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
