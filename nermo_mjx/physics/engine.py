@@ -35,6 +35,17 @@ class Loop(Protocol):
         """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata)."""
 
 
+@runtime_checkable
+class DrivenLoop(Loop, Protocol):
+    """A loop that is told something anew before some of its ticks, and says what it sees after them."""
+
+    def input(self, params: Any) -> Any:
+        """The array (k,) among the parameters that is told."""
+
+    def observe(self, params: Any, state: Any, sensordata: Any) -> Any:
+        """What is seen after a tick, any pytree, from the state before its `step` and the tick's sensors."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Trace:
     """What a recorded run leaves, world first, one entry a tick.

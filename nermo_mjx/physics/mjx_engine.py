@@ -108,14 +108,17 @@ class MjxEngine:
         state, readings = self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1))
         return Carry(physics, state, readings, jnp.zeros((), jnp.int32))
 
-    def tick(self, params: Any, fields: dict[str, Array], carry: Carry) -> tuple[Carry, Array]:
+    def tick(
+        self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False
+    ) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
             params, fields: of the loop, and what differs from the model.
             carry: before the tick.
+            shown: whether all sensors are wanted, also those that the loop does not read.
         """
-        return self._tick(False, False, self.data, params, fields, carry)
+        return self._tick(False, shown, self.data, params, fields, carry)
 
     @full_precision
     def _tick(

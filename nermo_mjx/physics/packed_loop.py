@@ -16,7 +16,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from nermo_mjx.physics.engine import Loop
+from nermo_mjx.physics.engine import DrivenLoop, Loop
 from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array
@@ -70,8 +70,21 @@ class PackedLoop:
         options = compiler_options()
         self.init = jax.jit(jax.vmap(init), compiler_options=options)
         self.step = jax.jit(step_once, compiler_options=options)
+        if isinstance(loop, DrivenLoop):
+            self._observe(loop, unpack_params, unpack_state, one)
         #: First argument of `step`: not a constant, or XLA would see that the loop is none.
         self.once = jax.device_put(np.int32(1))
+
+    def _observe(self, loop: DrivenLoop, unpack_params: Any, unpack_state: Any, one: Any) -> None:
+        """What a loop has that is told and asked."""
+
+        def observe(params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]) -> Any:
+            return loop.observe(unpack_params(params), unpack_state(state), sensordata)
+
+        self.observe = jax.jit(full_precision(jax.vmap(observe)), compiler_options=compiler_options())
+        places = np.arange(sum(leaf.size for leaf in jax.tree.leaves(one)))
+        #: Columns of the packed parameters that are told.
+        self.input = np.asarray(loop.input(unpack_params(jnp.asarray(places, float)))).astype(int)
 
 
 def _unpacking(tree: Any) -> Callable[[Array], Any]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.control.state import canonical, with_dtypes_of
-from nermo_mjx.robot import ParameterError, Robot, ServoAngles
+from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.parameters import Start, Window
@@ -74,6 +74,19 @@ class ClosedLoop:
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> tuple[LoopState, Float[Array, " n_servos"]]:
         """See `Loop.step`. Metrics see the tick that has just ended, the controller its last reading."""
+        measured = self.measure(params, state, sensordata)
+        controller, own = self.controller, params.control
+        control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
+        reach = params.servo_speed * controller.dt
+        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)
+        tick = state.tick + 1
+        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
+        return with_dtypes_of(state, after), ctrl
+
+    def measure(
+        self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
+    ) -> metrics.MetricState:
+        """The metrics with the tick that has just ended."""
         sensors = self.robot.sensors(sensordata)
         controller, own = self.controller, params.control
         path, stance = None, None
@@ -82,18 +95,18 @@ class ClosedLoop:
             path = controller.path(own, state.control, position)
         if isinstance(controller, PlansContact):
             stance = controller.stance(state.control)
-        measured = metrics.update(
+        return metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
             stance, self.robot.terrain.height(position[0], position[1]), self.own,
         )  # fmt: skip
-        # A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
-        last = jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)
-        control, servo = controller.update(own, state.control, last)
-        reach = params.servo_speed * controller.dt
-        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)
-        tick = state.tick + 1
-        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
-        return with_dtypes_of(state, after), ctrl
+
+    def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:
+        """What a controller is told of a tick.
+
+        A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
+        """
+        sensors = self.robot.sensors(sensordata)
+        return jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)
 
 
 def check_controller(robot: Robot, controller: ControllerLike) -> None:

@@ -1,0 +1,282 @@
+"""What a policy's action does: it changes the controller's servo targets or its parameters, or takes the servos over.
+
+An action is one number in [-1, 1] for each of the names of its kind. At zero the controller does what it does alone
+(`Residual`, `Modulation`), or the robot stands (`Targets`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Final, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
+from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
+from nermo_mjx.robot.interface import SERVOS
+from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
+from nermo_mjx.shapes import Array, Scalar
+
+#: Servos that actions reach: those of the legs and the spine. The neck and the tail look straight ahead and back.
+ACTED: Final = SERVOS[:9]
+
+Action = Float[Array, " a"]
+
+
+@runtime_checkable
+class ActionKind(Protocol):
+    """What an action means to a controller. Values are unbatched."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One for each number of the action."""
+
+    def check(self, controller: ControllerLike) -> None:
+        """Raise `ParameterError` where the controller has nothing that such an action could reach."""
+
+    def parameters(self, params: Any, action: Action) -> Any:
+        """The controller's parameters under an action."""
+
+    def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
+        """Servo angles, from those of the controller and those of the standing robot."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Residual:
+    """Nine corrections of the controller's servo targets, those of the publications on this robot.
+
+    >>> Residual(spine=0.0).names[-1]
+    'rear_right_knee'
+
+    Attributes:
+        hip, knee, spine: largest correction of these servos [rad]; a group with 0 is left to the controller.
+    """
+
+    hip: float = 0.3
+    knee: float = 0.3
+    spine: float = 0.2
+
+    def __post_init__(self) -> None:
+        _check_ranges("residual", self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `ActionKind`."""
+        return _servos(self)
+
+    def check(self, controller: ControllerLike) -> None:
+        """See `ActionKind`; every controller has servo targets."""
+
+    def parameters(self, params: Any, action: Action) -> Any:
+        """See `ActionKind`."""
+        return params
+
+    def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
+        """See `ActionKind`."""
+        return _moved(self, servo, action)
+
+
+@dataclasses.dataclass(frozen=True)
+class Targets:
+    """Servo targets around those of the standing robot; of the controller only its clock is heard.
+
+    Attributes:
+        hip, knee, spine: range to either side [rad]; a group with 0 stays as it stands.
+    """
+
+    hip: float = 0.8
+    knee: float = 0.8
+    spine: float = 0.4
+
+    def __post_init__(self) -> None:
+        _check_ranges("targets", self)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `ActionKind`."""
+        return _servos(self)
+
+    def check(self, controller: ControllerLike) -> None:
+        """See `ActionKind`; every robot has servos."""
+
+    def parameters(self, params: Any, action: Action) -> Any:
+        """See `ActionKind`."""
+        return params
+
+    def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
+        """See `ActionKind`."""
+        return _moved(self, home, action)
+
+
+#: What `Modulation` varies, and in which range, unless it is told.
+MODULATED: Final[Mapping[str, tuple[float, float]]] = {
+    "frequency": (0.4, 1.4), "stride": (0.4, 1.0), "spine.amplitude": (0.0, 0.4), "spine.phase": (-3.1416, 3.1416),
+    "pilot.turn_rate": (-1.0, 1.0),
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Modulation:
+    """Parameters of the controller that are changed while it runs.
+
+    An action of -1 sets the low end of the range, 0 the value that the controller has without it, 1 the high end, and
+    between them it goes straight.
+
+    Attributes:
+        ranges: parameter -> (low, high), in its unit; any named parameter of the controller. The turn rate is read by
+            the pilot `open_loop` alone, the spine's amplitude and phase by its mode `stride_extension`.
+    """
+
+    ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=lambda: dict(MODULATED))
+
+    def __hash__(self) -> int:
+        return hash(tuple(self.ranges.items()))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `ActionKind`."""
+        return tuple(self.ranges)
+
+    def check(self, controller: ControllerLike) -> None:
+        """See `ActionKind`."""
+        known = dict(quantities(controller.parameters))
+        if not self.ranges:
+            raise ParameterError("modulation has no ranges: name at least one parameter of the controller.")
+        for name, (low, high) in self.ranges.items():
+            if name not in known:
+                near = nearest(name, list(known))
+                hint = f": did you mean {near!r}?" if near else "."
+                raise ParameterError(f"modulation has {name!r}, which is no parameter of the controller{hint}")
+            if not low < high:
+                raise ParameterError(f"modulation.{name} is [{low:g}, {high:g}]: expected a low end and a high end.")
+            check_quantities(replace_quantities(controller.parameters, {name: low}))
+            check_quantities(replace_quantities(controller.parameters, {name: high}))
+
+    def parameters(self, params: Any, action: Action) -> Any:
+        """See `ActionKind`."""
+        held, moved = dict(values_of(params)), {}
+        for share, (name, (low, high)) in zip(action, self.ranges.items(), strict=True):
+            value = jnp.asarray(held[name])
+            span = jnp.where(share > 0.0, high - value, value - low)
+            moved[name] = jnp.clip(value + share * span, low, high)
+        return replace_quantities(params, moved)
+
+    def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
+        """See `ActionKind`."""
+        return servo
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Acted:
+    """Parameters of a controller, and the action on it, numbers in [-1, 1]."""
+
+    control: Any
+    action: Action
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ActedState:
+    """State of the controller, and how the robot stands (`Targets`)."""
+
+    control: Any
+    home: ServoAngles
+
+
+@dataclasses.dataclass(frozen=True)
+class Acting:
+    """A controller under the actions of a policy, itself a `ControllerLike`; its parameters are `Acted`.
+
+    >>> from nermo_mjx.control import published_controller
+    >>> Acting(published_controller(), Residual()).parameters.action.shape
+    (9,)
+
+    Attributes:
+        base: the controller that is acted on.
+        kind: what an action does.
+    """
+
+    base: ControllerLike
+    kind: ActionKind
+
+    def __post_init__(self) -> None:
+        self.kind.check(self.base)
+
+    @property
+    def dt(self) -> float:
+        """See `ControllerLike`."""
+        return self.base.dt
+
+    @property
+    def parameters(self) -> Acted:
+        """See `ControllerLike`; the action is zero."""
+        return Acted(self.base.parameters, jnp.zeros(len(self.kind.names)))
+
+    def init(self, params: Acted, sensors: Sensors, phase: Scalar) -> ActedState:
+        """See `ControllerLike`."""
+        return ActedState(self.base.init(params.control, sensors, phase), self._home(params))
+
+    def initial_servo(self, params: Acted, phase: Scalar) -> ServoAngles:
+        """See `ControllerLike`."""
+        return self._home(params) if isinstance(self.kind, Targets) else self.base.initial_servo(params.control, phase)
+
+    def update(self, params: Acted, state: ActedState, sensors: Sensors) -> tuple[ActedState, ServoAngles]:
+        """See `ControllerLike`."""
+        action = jnp.clip(params.action, -1.0, 1.0)
+        under = self.kind.parameters(params.control, action)
+        control, servo = self.base.update(under, state.control, sensors)
+        return ActedState(control, state.home), self.kind.servo(servo, state.home, action)
+
+    def cycle_rate(self, params: Acted) -> Any:
+        """See `ControllerLike`."""
+        if not isinstance(self.kind, Modulation):
+            return self.base.cycle_rate(params.control)
+        under = self.kind.parameters(params.control, jnp.moveaxis(jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0))
+        return self.base.cycle_rate(under)
+
+    def path(self, params: Acted, state: ActedState, position: Float[Array, " 3"]) -> PathPoint | None:
+        """See `FollowsPath`; None where the controller follows none."""
+        if not isinstance(self.base, FollowsPath):
+            return None
+        return self.base.path(params.control, state.control, position)
+
+    def stance(self, state: ActedState) -> Any:
+        """See `PlansContact`; None where the controller plans none."""
+        return self.base.stance(state.control) if isinstance(self.base, PlansContact) else None
+
+    def _home(self, params: Acted) -> ServoAngles:
+        """The standing robot: the mean of what the controller starts from, over a cycle."""
+        if not isinstance(self.kind, Targets):
+            zero = jnp.zeros(())
+            return ServoAngles(hip=jnp.zeros(4), knee=jnp.zeros(4), spine=zero, neck=zero, tail=zero)
+        starts = [self.base.initial_servo(params.control, jnp.asarray(phase)) for phase in (0.0, 0.25, 0.5, 0.75)]
+        return jax.tree.map(lambda *angles: sum(angles[1:], angles[0]) / len(angles), *starts)
+
+
+def _check_ranges(called: str, kind: Residual | Targets) -> None:
+    ranges = dataclasses.asdict(kind)
+    for name, value in ranges.items():
+        if not 0.0 <= value <= 1.6:
+            raise ParameterError(f"{called}.{name} is {value!r}: allowed is [0, 1.6] rad.")
+    if not any(ranges.values()):
+        raise ParameterError(f"{called} has ranges of 0 only: give at least one of hip, knee and spine [rad].")
+
+
+def _servos(kind: Residual | Targets) -> tuple[str, ...]:
+    return tuple(name for name in ACTED if getattr(kind, name.rsplit("_", 1)[-1]))
+
+
+def _moved(kind: Residual | Targets, servo: ServoAngles, action: Action) -> ServoAngles:
+    hip, knee, at = servo.hip, servo.knee, 0
+    if kind.hip:
+        hip, at = hip + kind.hip * action[:4], 4
+    if kind.knee:
+        knee, at = knee + kind.knee * action[at : at + 4], at + 4
+    spine = servo.spine + kind.spine * action[at] if kind.spine else servo.spine
+    return dataclasses.replace(servo, hip=hip, knee=knee, spine=spine)

@@ -1,0 +1,242 @@
+"""What runs between ticks of physics in one world that a policy drives: the run loop, and what a step is judged by.
+
+A control step is `Task.decimation` ticks of the run loop under one action. Nothing is measured twice over: `observe`
+looks at the tick that has just ended without taking it in, and `step`, which comes next, takes it in.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.state import with_dtypes_of
+from nermo_mjx.learn import observing
+from nermo_mjx.learn.acting import Acting
+from nermo_mjx.learn.observing import Observer, Told
+from nermo_mjx.learn.rewards import Moment, Term, chosen_terms
+from nermo_mjx.learn.task import EpisodeParameters, Outcome, Task
+from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.rollout.loop import ClosedLoop, LoopState
+from nermo_mjx.rollout.metrics import MetricState
+from nermo_mjx.shapes import Array, Count, Scalar, Truth
+
+
+class Observed(NamedTuple):
+    """What a control step gave in one world.
+
+    Attributes:
+        observation, privileged: for the policy (o,), and for a critic (p,).
+        reward: of the step.
+        terms: name -> value of each term, in its unit.
+        terminated, truncated: whether the episode ended there, and whether it was only cut off.
+        status: place of the sentence in `Outcome`.
+        episode: of the episode so far: `distance` [m], `duration` [s], `servo_work` [J].
+    """
+
+    observation: Float[Array, " o"]
+    privileged: Float[Array, " p"]
+    reward: Scalar
+    terms: dict[str, Scalar]
+    terminated: Truth
+    truncated: Truth
+    status: Count
+    episode: dict[str, Scalar]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EpisodeState:
+    """What is carried from tick to tick in one world.
+
+    Attributes:
+        loop: state of the run loop.
+        before: metrics at the start of the control step.
+        speed: smoothed over a gait cycle [m/s].
+        memory: readings of the last ticks, newest first.
+        action, last_action: of this control step, and of the one before.
+    """
+
+    loop: LoopState
+    before: MetricState
+    speed: Scalar
+    memory: Float[Array, "ticks k"]
+    action: Float[Array, " a"]
+    last_action: Float[Array, " a"]
+
+
+class EpisodeLoop:
+    """Implements `physics.engine.DrivenLoop`: the run loop of a robot under a task."""
+
+    def __init__(self, robot: Robot, controller: Acting, task: Task, drawn: tuple[str, ...]) -> None:
+        """
+        Args:
+            robot, controller: what walks, and what is acted on.
+            task: what is observed and rewarded, and when an episode ends.
+            drawn: names of what differs between episodes.
+
+        Raises:
+            ParameterError: a group of observations or a term of the reward that there is not, or an ending that needs a
+                path where there is none.
+        """
+        self.robot, self.task = robot, task
+        self.run = ClosedLoop(robot, controller)
+        self.dt = controller.dt
+        self.terms: dict[Term, float] = chosen_terms(task.rewards, task.commands)
+        forms = self._forms()
+        self.has_phase, self.has_path = hasattr(forms[0], "phase"), forms[1] is not None
+        if task.corridor is not None and not self.has_path:
+            raise ParameterError("corridor is given, and the pilot follows no path: leave it out.")
+        named = {*task.set, *task.randomize}
+        self.observer = Observer(
+            groups=task.observe,
+            commands=task.commands,
+            actions=controller.kind.names,
+            phase=self.has_phase,
+            path=self.has_path,
+            delayed=math.ceil(_longest_delay(task) / self.dt - 1e-6),
+            noisy=any(name.startswith("sensing.") and name.endswith("_noise") for name in named),
+            dt=self.dt,
+        )
+        self.observation_names = self.observer.names
+        self.privileged_names = observing.privileged_names(self.observer.names, drawn, self.has_path)
+        #: Control ticks of an episode.
+        self.ticks = max(1, round(task.duration / self.dt / task.decimation)) * task.decimation
+
+    @property
+    def steps_per_tick(self) -> int:
+        """See `Loop`."""
+        return self.run.steps_per_tick
+
+    def input(self, params: EpisodeParameters) -> Float[Array, " a"]:
+        """See `DrivenLoop`: the action."""
+        return params.loop.control.action
+
+    def with_input(self, params: EpisodeParameters, action: Float[Array, " a"]) -> EpisodeParameters:
+        """The parameters with another action."""
+        control = dataclasses.replace(params.loop.control, action=action)
+        return dataclasses.replace(params, loop=dataclasses.replace(params.loop, control=control))
+
+    def init(self, params: EpisodeParameters, sensordata: Float[Array, " n"]) -> EpisodeState:
+        """See `Loop.init`."""
+        loop = self.run.init(params.loop, sensordata)
+        sensors = self.robot.sensors(jnp.where(jnp.isfinite(sensordata), sensordata, 0.0))
+        nothing = jnp.zeros_like(self.input(params))
+        memory = self.observer.memory(self.observer.readings(sensors))
+        return EpisodeState(loop, loop.metrics, jnp.zeros(()), memory, nothing, nothing)
+
+    def step(
+        self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
+    ) -> tuple[EpisodeState, Float[Array, " n_servos"]]:
+        """See `Loop.step`."""
+        begins = state.loop.tick % self.task.decimation == 0
+        speed = self._speed(params, state, self.run.measure(params.loop, state.loop, sensordata))
+        loop, ctrl = self.run.step(params.loop, state.loop, sensordata)
+        sensors = self.run.last_reading(loop.metrics, sensordata)
+        first = {
+            "before": loop.metrics, "action": self.input(params), "last_action": state.action
+        }  # fmt: skip
+        kept = {name: getattr(state, name) for name in first}
+        chosen = jax.tree.map(functools.partial(jnp.where, begins), first, kept)
+        memory = self.observer.remembered(state.memory, self.observer.readings(sensors))
+        after = EpisodeState(loop=loop, speed=speed, memory=memory, **chosen)
+        return with_dtypes_of(state, after), ctrl
+
+    def observe(
+        self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
+    ) -> Observed:
+        """See `DrivenLoop.observe`: what the control step that has just ended gave, or the start of an episode."""
+        now = self.run.measure(params.loop, state.loop, sensordata)
+        speed = self._speed(params, state, now)
+        sensors = self.run.last_reading(now, sensordata)
+        status, failed = self._status(state, now)
+        moment = Moment(
+            before=state.before, now=now, sensors=sensors, seconds=jnp.asarray(self.dt * self.task.decimation),
+            speed=speed, command={name: getattr(params.given.command, name) for name in self.task.commands},
+            action=state.action, last_action=state.last_action, failed=failed,
+            arrived=status == _code(Outcome.arrived),
+        )  # fmt: skip
+        begun = state.loop.tick > 0
+        values = {term.name: jnp.where(begun, term.value(moment), 0.0) for term in self.terms}
+        # A world that lost its numbers gives none; it starts anew.
+        values = {name: jnp.where(now.lost & (name != "failed"), 0.0, value) for name, value in values.items()}
+        reward = sum((weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(()))
+        observation, privileged = self._told(params, state, now, sensors)
+        cut = (status == _code(Outcome.timed_out)) | (status == _code(Outcome.arrived))
+        return Observed(
+            observation=observation, privileged=privileged, reward=reward, terms=values, terminated=failed,
+            truncated=cut, status=status,
+            episode={"distance": now.travelled, "duration": state.loop.time, "servo_work": now.work},
+        )  # fmt: skip
+
+    def _told(
+        self, params: EpisodeParameters, state: EpisodeState, now: MetricState, sensors: Sensors
+    ) -> tuple[Array, Array]:
+        """What the policy and the critic are told."""
+        control = state.loop.control.control
+        command = [getattr(params.given.command, name) for name in self.task.commands]
+        told = Told(
+            phase=control.phase if self.has_phase else None,
+            command=jnp.stack(command) if command else jnp.zeros(0),
+            path=self._path(params, state, sensors),
+            action=state.action,
+        )
+        key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
+        observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)
+        exact = jnp.concatenate([self.observer.readings(sensors), self.observer.told(told, sensors)])
+        left = 1.0 - state.loop.tick / self.ticks
+        privileged = observing.privileged(
+            exact, sensors, self.robot.terrain.height, now.readings[2], left, params.drawn, self.has_path
+        )
+        return observation.astype(jnp.float32), privileged.astype(jnp.float32)
+
+    def _status(self, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:
+        """How the episode stands, and whether it failed."""
+        task, no = self.task, jnp.zeros((), bool)
+        over = state.loop.tick >= self.ticks
+        arrived = no if task.distance is None else now.travelled >= task.distance
+        left = no if task.corridor is None else jnp.abs(now.readings[3]) > task.corridor
+        flags = {
+            Outcome.diverged: now.lost, Outcome.fell: now.fell, Outcome.left: left, Outcome.arrived: arrived,
+            Outcome.timed_out: over,
+        }  # fmt: skip
+        codes = [jnp.asarray(_code(outcome), jnp.int32) for outcome in flags]
+        status = jnp.select(list(flags.values()), codes, jnp.asarray(_code(Outcome.walking), jnp.int32))
+        return status, now.lost | now.fell | left
+
+    def _speed(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> Scalar:
+        """The smoothed speed after the tick that has just ended."""
+        share = jnp.clip(self.dt * self.run.controller.cycle_rate(params.loop.control), 0.0, 1.0)
+        walked = (now.travelled - state.loop.metrics.travelled) / self.dt
+        return jnp.where(state.loop.tick > 0, state.speed + share * (walked - state.speed), 0.0)
+
+    def _path(self, params: EpisodeParameters, state: EpisodeState, sensors: Sensors) -> PathPoint | None:
+        controller: Any = self.run.controller
+        return controller.path(params.loop.control, state.loop.control, sensors.position)
+
+    def _forms(self) -> tuple[Any, Any]:
+        """Shapes of the controller's first state and of its path."""
+        controller, real = self.run.controller, jnp.zeros(()).dtype
+        data = jax.ShapeDtypeStruct((self.robot.model.nsensordata,), real)
+
+        def first(data: Array) -> tuple[Any, Any]:
+            params, sensors = controller.parameters, self.robot.sensors(data)
+            state = controller.init(params, sensors, jnp.zeros(()))
+            return state.control, controller.path(params, state, sensors.position)
+
+        return jax.eval_shape(first, data)
+
+
+def _code(outcome: Outcome) -> int:
+    return list(Outcome).index(outcome)
+
+
+def _longest_delay(task: Task) -> float:
+    given = task.randomize.get("sensing.delay")
+    return float(task.set.get("sensing.delay", 0.0) if given is None else given[1])

@@ -1,0 +1,275 @@
+"""What a policy is told: groups of readings of the real robot's sensors, late and noisy as they are, and its orders.
+
+A critic may know more (`privileged`), since it stays behind when training is over.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.pilot import heading
+from nermo_mjx.learn.acting import ACTED
+from nermo_mjx.robot import LIMBS, ParameterError, Sensors
+from nermo_mjx.robot.quantity import parameter_tree, quantity
+from nermo_mjx.rollout.metrics import LOADED
+from nermo_mjx.shapes import Array, Scalar
+
+Vector = Float[Array, " k"]
+
+#: The longest delay that readings may have [s].
+LONGEST_DELAY: Final = 0.1
+_AXES: Final = ("x", "y", "z")
+
+
+@parameter_tree
+class Sensing:
+    """How late and how noisy the sensors' readings reach the policy; noise is normal, and new in each control tick."""
+
+    delay: Any = quantity(0.0, unit="s", low=0.0, high=LONGEST_DELAY, doc="age of the readings that a policy gets")
+    servo_angle_noise: Any = quantity(0.0, unit="rad", low=0.0, high=1.0, doc="of the servos' angles")
+    servo_load_noise: Any = quantity(0.0, unit="N m", low=0.0, high=1.0, doc="of the servos' torques")
+    knee_angle_noise: Any = quantity(0.0, unit="rad", low=0.0, high=1.0, doc="of the knees' angles")
+    gyro_noise: Any = quantity(0.0, unit="rad/s", low=0.0, high=10.0, doc="of the IMU's angular velocity")
+    accelerometer_noise: Any = quantity(0.0, unit="m/s^2", low=0.0, high=50.0, doc="of the IMU's acceleration")
+    tilt_noise: Any = quantity(0.0, unit="1", low=0.0, high=1.0, doc="of the direction of gravity")
+
+
+@dataclasses.dataclass(frozen=True)
+class Sensed:
+    """A group of readings.
+
+    Attributes:
+        labels: of its numbers.
+        read: the readings of one world, in SI units.
+        scale: what is observed is the reading over this, so that it is about 1.
+        unit: of the scale.
+        noise: field of `Sensing`; None for a reading without noise.
+        doc: what it is.
+    """
+
+    labels: tuple[str, ...]
+    read: Callable[[Sensors], Vector]
+    scale: float
+    unit: str
+    noise: str | None
+    doc: str
+
+
+def down(sensors: Sensors) -> Float[Array, " 3"]:
+    """Direction of the world's -z in the IMU's frame."""
+    w, x, y, z = sensors.orientation
+    return -jnp.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+
+
+def contact(sensors: Sensors) -> Float[Array, " 4"]:
+    """0 for a foot without load, 1 for a loaded one."""
+    none, full = LOADED
+    return jnp.clip((sensors.foot_force - none) / (full - none), 0.0, 1.0)
+
+
+#: What the robot senses. Loads are the servos' torques.
+SENSED: Final[dict[str, Sensed]] = {
+    "servo_angle": Sensed(
+        ACTED, lambda s: s.servo_angle[: len(ACTED)], 1.0, "rad", "servo_angle_noise", "angles of the servos"
+    ),
+    "servo_load": Sensed(
+        ACTED, lambda s: s.servo_torque[: len(ACTED)], 0.1, "N m", "servo_load_noise", "torques of the servos"
+    ),
+    "knee_angle": Sensed(LIMBS, lambda s: s.knee_angle, 1.0, "rad", "knee_angle_noise", "angles of the knees"),
+    "foot_contact": Sensed(LIMBS, contact, 1.0, "1", None, "whether a foot bears load"),
+    "gyro": Sensed(_AXES, lambda s: s.gyro, 3.0, "rad/s", "gyro_noise", "angular velocity of the torso"),
+    "accelerometer": Sensed(
+        _AXES, lambda s: s.accelerometer, 9.81, "m/s^2", "accelerometer_noise", "acceleration of the torso"
+    ),
+    "tilt": Sensed(_AXES, down, 1.0, "1", "tilt_noise", "direction of gravity, which an IMU with fusion knows"),
+}  # fmt: skip
+#: What a policy is told besides: the gait's phase as cosine and sine, what is commanded, where the path is, and its
+#: own last action.
+TOLD: Final = ("phase", "command", "path", "action")
+#: What a policy observes unless it is chosen.
+OBSERVED: Final = (
+    "servo_angle", "servo_load", "knee_angle", "foot_contact", "gyro", "accelerometer", *TOLD,
+)  # fmt: skip
+#: Points of the ground that the critic sees, left of and ahead of the torso [m].
+SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04))
+
+
+class Told(NamedTuple):
+    """What is known in one world besides its sensors.
+
+    Attributes:
+        phase: of the gait cycle, where the controller has one.
+        command: commanded values, (c,).
+        path: point of the path beside the torso, where there is a path.
+        action: the last one.
+    """
+
+    phase: Scalar | None
+    command: Vector
+    path: PathPoint | None
+    action: Vector
+
+
+@dataclasses.dataclass(frozen=True)
+class Observer:
+    """Makes observations of one world.
+
+    Attributes:
+        groups: names of `SENSED` and `TOLD`, in the order in which they are observed.
+        commands: names of what is commanded.
+        actions: names of the actions.
+        phase, path: whether the controller has a phase and a path.
+        delayed: how many control ticks readings may be late at most.
+        noisy: whether there is noise.
+        dt: length of a control tick [s].
+    """
+
+    groups: tuple[str, ...]
+    commands: tuple[str, ...]
+    actions: tuple[str, ...]
+    phase: bool
+    path: bool
+    delayed: int
+    noisy: bool
+    dt: float
+
+    def __post_init__(self) -> None:
+        known = (*SENSED, *TOLD)
+        for name in self.groups:
+            if name not in known:
+                raise ParameterError(f"observe has {name!r}: allowed is {', '.join(known)}.")
+
+    @property
+    def sensed(self) -> tuple[str, ...]:
+        """The groups that come from sensors."""
+        return tuple(name for name in self.groups if name in SENSED)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of every number of an observation, such as `gyro.x`."""
+        told = {
+            "phase": ("cos", "sin") if self.phase else (),
+            "command": self.commands,
+            "path": ("error", "heading") if self.path else (),
+            "action": self.actions,
+        }
+        return tuple(
+            f"{group}.{label}" for group in (*self.sensed, *(name for name in TOLD if name in self.groups))
+            for label in (SENSED[group].labels if group in SENSED else told[group])
+        )  # fmt: skip
+
+    def readings(self, sensors: Sensors) -> Vector:
+        """What the sensors say now, scaled."""
+        parts = [SENSED[name].read(sensors) / SENSED[name].scale for name in self.sensed]
+        return jnp.concatenate(parts) if parts else jnp.zeros(0)
+
+    def memory(self, readings: Vector) -> Float[Array, "ticks k"]:
+        """Readings of the last ticks, at the start: newest first."""
+        return jnp.tile(readings, (self.delayed, 1))
+
+    def remembered(self, memory: Float[Array, "ticks k"], readings: Vector) -> Float[Array, "ticks k"]:
+        """The memory one tick later."""
+        return jnp.concatenate([readings[None], memory[:-1]]) if self.delayed else memory
+
+    def observe(
+        self, sensing: Sensing, memory: Float[Array, "ticks k"], sensors: Sensors, told: Told, key: Any
+    ) -> Vector:
+        """The observation: late and noisy readings, and what the policy is told.
+
+        Args:
+            sensing: how late and how noisy.
+            memory: earlier readings, newest first.
+            sensors: readings now.
+            told: the rest.
+            key: of the noise.
+        """
+        readings = self.readings(sensors)
+        if self.delayed:
+            readings = self._late(sensing.delay, jnp.concatenate([readings[None], memory]))
+        if self.noisy:
+            readings = readings + self._spread(sensing) * jax.random.normal(key, readings.shape, readings.dtype)
+        return jnp.concatenate([readings, self.told(told, sensors)])
+
+    def told(self, told: Told, sensors: Sensors) -> Vector:
+        """What the policy is told besides its readings."""
+        parts: dict[str, Vector] = {"command": told.command, "action": told.action}
+        if told.phase is not None:
+            turn = 2.0 * jnp.pi * told.phase
+            parts["phase"] = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
+        if told.path is not None:
+            parts["path"] = jnp.stack([told.path.error / 0.1, heading(told.path, sensors)])
+        chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
+        return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
+
+    def _late(self, delay: Scalar, newest_first: Float[Array, "ticks k"]) -> Vector:
+        """Readings of a moment between two ticks go straight from the one to the other."""
+        ticks = jnp.clip(jnp.asarray(delay) / self.dt, 0.0, self.delayed)
+        before = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
+        share = ticks - before
+        return newest_first[before] + share * (newest_first[before + 1] - newest_first[before])
+
+    def _spread(self, sensing: Sensing) -> Vector:
+        """Standard deviation of each reading's noise, scaled."""
+        parts = []
+        for name in self.sensed:
+            group = SENSED[name]
+            noise = 0.0 if group.noise is None else getattr(sensing, group.noise)
+            parts.append(jnp.broadcast_to(jnp.asarray(noise) / group.scale, (len(group.labels),)))
+        return jnp.concatenate(parts)
+
+
+def privileged_names(observed: Sequence[str], drawn: Sequence[str], path: bool) -> tuple[str, ...]:
+    """Of every number that `privileged` gives."""
+    return (
+        *(f"exact.{name}" for name in observed),
+        *(f"velocity.{axis}" for axis in _AXES), *(f"down.{axis}" for axis in _AXES),
+        "height", *(f"foot_force.{limb}" for limb in LIMBS), "tail_force",
+        *(f"foot_height.{limb}" for limb in LIMBS),
+        *(f"ground.{side:g}.{ahead:g}" for side, ahead in SCANNED),
+        *(() if path else ("course",)), "time_left", *(f"drawn.{name}" for name in drawn),
+    )  # fmt: skip
+
+
+def privileged(
+    exact: Vector,
+    sensors: Sensors,
+    ground: Callable[[Any, Any], Array],
+    yaw: Scalar,
+    time_left: Scalar,
+    drawn: Vector,
+    path: bool,
+) -> Vector:
+    """What the critic knows: the observation without delay and noise, the robot's motion, the ground, and the body.
+
+    Args:
+        exact: the observation without delay and noise.
+        sensors: readings.
+        ground: height of the ground at (x, y) [m].
+        yaw: of the torso [rad].
+        time_left: share of the episode.
+        drawn: what was drawn for this episode, in [-1, 1].
+        path: whether the observation says where the robot heads.
+    """
+    x, y, z = sensors.position
+    # The torso's left and ahead on the ground.
+    left, ahead = jnp.stack([jnp.cos(yaw), jnp.sin(yaw)]), jnp.stack([jnp.sin(yaw), -jnp.cos(yaw)])
+    velocity = sensors.linear_velocity
+    ours = jnp.stack([velocity[:2] @ left, velocity[:2] @ ahead, velocity[2]])
+    beneath = ground(x, y)
+    feet = sensors.foot_position[:, 2] - ground(sensors.foot_position[:, 0], sensors.foot_position[:, 1])
+    points = jnp.asarray(SCANNED)
+    seen = ground(x + points[:, 0] * left[0] + points[:, 1] * ahead[0], y + points[:, 0] * left[1] + points[:, 1] * ahead[1])
+    force = jnp.append(sensors.foot_force, sensors.tail_force)
+    height = jnp.reshape(z - beneath, 1)
+    course = () if path else (jnp.reshape(yaw, 1),)
+    return jnp.concatenate([
+        exact, ours / 0.1, down(sensors), height / 0.05, jnp.tanh(force / 2.0), feet / 0.01,
+        jnp.clip((seen - beneath) / 0.01, -5.0, 5.0), *course, jnp.reshape(time_left, 1), drawn,
+    ])  # fmt: skip

@@ -1,0 +1,241 @@
+"""A task: what a policy does and observes, what it is rewarded for, when an episode ends, and what differs between."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Mapping
+from typing import Any, Final
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from nermo_mjx.control import turning
+from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.pilot import OpenLoop
+from nermo_mjx.learn.acting import Acted, Acting, ActionKind, Residual
+from nermo_mjx.learn.observing import OBSERVED, Sensing
+from nermo_mjx.learn.rewards import Term
+from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, identified
+from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
+from nermo_mjx.rollout.loop import LoopParameters
+from nermo_mjx.rollout.metrics import Ending
+from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.setup import Setup, all_parameters
+from nermo_mjx.rollout.start import StartPose
+from nermo_mjx.shapes import Array, Count
+
+
+class Outcome(enum.Enum):
+    """How an episode stands: a member's place is its code in `State.status`, and its value is the sentence."""
+
+    walking = "The robot is walking."
+    timed_out = "The time of the episode is over."
+    arrived = "The robot has walked its distance."
+    left = "The robot left the corridor about its path."
+    fell = Ending.fell.value
+    diverged = Ending.diverged.value
+
+
+@parameter_tree
+class Command:
+    """What the robot is to do, in an episode; only what a task names is commanded."""
+
+    speed: Any = quantity(0.1, unit="m/s", low=0.0, high=1.0, doc="wanted speed")
+    yaw_rate: Any = quantity(0.0, unit="rad/s", low=-3.0, high=3.0, doc="wanted yaw rate, positive left")
+
+
+@parameter_tree
+class Given:
+    """Parameters that an episode has besides those of a run."""
+
+    sensing: Sensing = group(Sensing)
+    command: Command = group(Command)
+
+
+#: What differs between episodes unless a task says so.
+RANDOMIZED: Final[Mapping[str, tuple[float, float]]] = {"start.phase": (0.0, 1.0), "start.yaw": (-0.05, 0.05)}
+#: Rewards unless a task has its own: walk ahead, stay on the path, spend little, stay up.
+REWARDS: Final[Mapping[str | Term, float]] = {
+    "progress": 20.0, "deviation": -2.0, "tilt": -1.0, "work": -0.5, "action_change": -0.002, "failed": -2.0,
+}  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What an `Environment` is made of besides its setup.
+
+    >>> Task(randomize={"contact.friction": (1.0, 1.6)}, distance=1.0).decimation
+    1
+
+    Attributes:
+        action: `Residual`, `Modulation` or `Targets`.
+        observe: groups of `observing.SENSED` and `TOLD`.
+        rewards: weight of each term, see `rewards.TERMS`; also of a `Term` of one's own.
+        set: parameter -> its value in all episodes: parameters of the setup, `sensing.*` and `command.*`.
+        randomize: parameter -> (low, high), drawn uniformly for each episode.
+        bodies: draw a body of the identified ensemble for each episode.
+        decimation: control ticks for which an action is held. The published controller's own tick is the default: the
+            residual learners on this robot act at each, and a policy costs a tenth of a tick's physics.
+        duration: of an episode [s].
+        distance: walked that far [m], an episode ends; None for never.
+        corridor: this far from the path [m] an episode ends; None for never.
+
+    A command is named like any parameter: with `command.speed` or `command.yaw_rate` under `set` or `randomize` the
+    policy is told it, and the published controller obeys it as far as it can (the yaw rate with the pilot `open_loop`).
+    With a pilot that follows a path, the path is the command.
+    """
+
+    action: ActionKind = dataclasses.field(default_factory=Residual)
+    observe: tuple[str, ...] = OBSERVED
+    rewards: Mapping[str | Term, float] = dataclasses.field(default_factory=lambda: dict(REWARDS))
+    set: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    randomize: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
+    bodies: bool = False
+    decimation: int = 1
+    duration: float = 10.0
+    distance: float | None = None
+    corridor: float | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.action, ActionKind):
+            raise ParameterError(f"action is {self.action!r}: expected Residual, Modulation or Targets.")
+        if not (isinstance(self.decimation, int) and self.decimation >= 1):
+            raise ParameterError(f"decimation is {self.decimation!r}: allowed is a whole number from 1 on.")
+        for name in ("duration", "distance", "corridor"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise ParameterError(f"{name} is {value!r}: allowed is (0, inf).")
+        object.__setattr__(self, "observe", tuple(self.observe))
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Fields of `Command` that the task names."""
+        named = {*self.set, *self.randomize}
+        return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
+
+    def check(self, setup: Setup) -> None:
+        """Refuse names that there are not, values out of range, and what has two sources.
+
+        Raises:
+            ParameterError: with the field's name, its value and what is allowed.
+        """
+        known = task_parameters(setup)
+        body = set(identified.bodies().values) if self.bodies else set()
+        for section in ("set", "randomize"):
+            for name in getattr(self, section):
+                if name not in known:
+                    near = nearest(name, list(known))
+                    hint = f": did you mean {near!r}?" if near else "."
+                    raise ParameterError(f"{section} has {name!r}, which is no parameter{hint}")
+                if name in body:
+                    raise ParameterError(f"{section} has {name!r}, which the identified bodies bring: leave one out.")
+        for name in self.randomize:
+            if name in self.set:
+                raise ParameterError(f"{name} stands under set and under randomize: leave one out.")
+            try:
+                low, high = self.randomize[name]
+            except (TypeError, ValueError):
+                raise ParameterError(f"randomize.{name} is {self.randomize[name]!r}: expected (low, high).") from None
+            if not low < high:
+                raise ParameterError(f"randomize.{name} is ({low:g}, {high:g}): the low end is not below the high one.")
+            known[name].check(f"randomize.{name}", [low, high])
+        for name, value in self.set.items():
+            known[name].check(f"set.{name}", value)
+        setup.check(setup.world({name: value for name, value in self.set.items() if name not in GIVEN}))
+
+
+#: Parameters of episodes that runs do not have.
+GIVEN: Final[Mapping[str, Quantity]] = dict(quantities(Given))
+
+
+def task_parameters(setup: Setup) -> dict[str, Quantity]:
+    """Every parameter that a task may name under `set` and `randomize`."""
+    return all_parameters(setup) | GIVEN
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EpisodeParameters:
+    """Parameters of one world in one episode.
+
+    Attributes:
+        loop: of the run loop; the action is in `loop.control.action`.
+        given: how its sensors are, and what is commanded.
+        drawn: what was drawn, each in [-1, 1] of its range, (r,).
+        seed: of the noise, a whole number below 2^24.
+    """
+
+    loop: LoopParameters
+    given: Given
+    drawn: Float[Array, " r"]
+    seed: Count
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Episodes:
+    """Draws episodes: parameters, body and first position of one world from a random key. Pure JAX."""
+
+    setup: Setup
+    robot: Robot
+    controller: Acting
+    task: Task
+
+    @property
+    def drawn(self) -> tuple[str, ...]:
+        """Names of what differs between episodes."""
+        return (*self.task.randomize, *(identified.bodies().values if self.task.bodies else ()))
+
+    @property
+    def reached(self) -> tuple[str, ...]:
+        """Names of the parameters that are not the setup's."""
+        return (*self.task.set, *self.drawn)
+
+    def __call__(self, key: Any) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
+        """Parameters, body and first position of an episode."""
+        numbers = jax.numpy
+        seed, draw, body = jax.random.split(key, 3)
+        values: dict[str, Any] = dict(self.task.set)
+        shares = jax.random.uniform(draw, (len(self.task.randomize),), minval=-1.0, maxval=1.0)
+        for share, (name, (low, high)) in zip(shares, self.task.randomize.items(), strict=True):
+            values[name] = 0.5 * (low + high) + 0.5 * share * (high - low)
+        if self.task.bodies:
+            ensemble = identified.bodies()
+            one = jax.random.choice(body, len(ensemble), p=numbers.asarray(ensemble.weights, float))
+            members = {name: numbers.asarray(column, float) for name, column in ensemble.values.items()}
+            values |= {name: column[one] for name, column in members.items()}
+            spread = [(column[one] - column.mean()) / (3.0 * column.std() + 1e-12) for column in members.values()]
+            shares = numbers.concatenate([shares, numbers.clip(numbers.stack(spread), -1.0, 1.0)])
+        given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
+        world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
+        control = Acted(self._commanded(world.control, given.command), self.controller.parameters.action)
+        loop = LoopParameters(control, world.start, Window(), world.model.servo.speed)
+        first = StartPose(self.robot, self.controller).qpos(control, world.start)
+        number = jax.random.randint(seed, (), 0, 1 << 24)
+        parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))
+        return parameters, jax.tree.map(_real, world.model), first
+
+    def _commanded(self, control: Any, command: Command) -> Any:
+        """The published controller's parameters with the speed and the turn rate that are commanded."""
+        base, numbers = self.controller.base, jax.numpy
+        if not isinstance(base, Controller):
+            return control
+        gait, clock_ratio = control.gait, control.tracking.clock_ratio
+        if "speed" in self.task.commands:
+            speed = command.speed * clock_ratio / numbers.maximum(gait.stride, 1e-3)
+            control = replace_quantities(control, {"speed": speed})
+        if "yaw_rate" in self.task.commands and isinstance(base.pilot, OpenLoop):
+            stride = turning.stride_length(control.gait, control.stance, control.gait.speed)
+            speed = turning.body_speed(control.gait, stride) / clock_ratio
+            curvature = numbers.asarray(command.yaw_rate / numbers.maximum(speed, 1e-3), float)
+            rate = turning.turn_rate_for(control, curvature / control.pilot.grip)
+            control = replace_quantities(control, {"pilot.turn_rate": rate})
+        return control
+
+
+def _real(leaf: Any) -> Array:
+    """Numbers in JAX's default precision; whole numbers stay what they are."""
+    array = jax.numpy.asarray(leaf)
+    return array.astype(float) if jax.numpy.issubdtype(array.dtype, jax.numpy.floating) else array

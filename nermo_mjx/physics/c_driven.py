@@ -1,0 +1,84 @@
+"""Worlds of the C engine that are driven from outside, a few ticks at a time, and started anew one by one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import mujoco
+import numpy as np
+
+from nermo_mjx.physics.c_engine import LANES, CEngine, CSession, _Block
+
+
+class CDriven(CSession):
+    """A batch whose loop is a `DrivenLoop`. Results depend neither on the batch nor on the number of cores."""
+
+    def __init__(self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+        super().__init__(engine, params, qpos, fields)
+        for block in self._blocks:
+            block.params = np.array(block.params)
+
+    def observe(self) -> Any:
+        """What all worlds see: leaves (n, ...)."""
+        return _joined(self._each(_observed))
+
+    def drive(self, inputs: np.ndarray, ticks: int) -> Any:
+        """Run all worlds for some ticks under inputs (n, k); what they see after them, leaves (n, ...)."""
+        given = {id(block): inputs[span] for span, block in zip(self._spans, self._blocks, strict=True)}
+
+        def run(block: _Block) -> Any:
+            block.params[: block.worlds, self.loop.input] = given[id(block)]
+            block.advance(ticks)
+            return _observed(block)
+
+        return _joined(self._each(run))
+
+    def restart(self, worlds: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
+        """Start some worlds anew, at rest.
+
+        Args:
+            worlds: which, (k,), in their order.
+            params, qpos, fields: as for `CSession`, of these worlds.
+
+        Returns:
+            What they see, leaves (k, ...).
+        """
+        parts = []
+        for span, block in zip(self._spans, self._blocks, strict=True):
+            chosen = np.flatnonzero(np.isin(worlds, span))
+            if len(chosen):
+                parts.append((block, worlds[chosen] - span[0], chosen))
+        seen = []
+        for block, ids, chosen in parts:
+            some = jax.tree.map(lambda leaf, chosen=chosen: np.asarray(leaf)[chosen], params)
+            seen.append(_restarted(block, ids, some, qpos[chosen], {k: v[chosen] for k, v in fields.items()}))
+        return _joined(seen)
+
+
+def _observed(block: _Block) -> Any:
+    _, *given = block.arguments
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: block.worlds], block.loop.observe(*given))
+
+
+def _restarted(block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
+    batch, lanes = block.batch, np.pad(np.arange(len(ids)), (0, LANES - len(ids)), mode="edge")
+    batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+    for name, values in fields.items():
+        batch.expand(name)[ids] = values
+    if "body_mass" in fields:
+        batch.set_const()
+    block.qpos[ids] = qpos
+    batch.forward(ids)
+    at_rest = np.array(batch.bind("sensordata"))[ids]
+    packed = np.asarray(block.loop.pack(jax.tree.map(lambda leaf: leaf[lanes], params)))
+    state = np.array(block._state)
+    state[ids] = np.asarray(block.loop.init(packed, at_rest[lanes]))[: len(ids)]
+    block._state = state
+    block.params[ids] = packed[: len(ids)]
+    block._sensordata[ids] = at_rest[:, None]
+    return jax.tree.map(lambda leaf: leaf[ids], _observed(block))
+
+
+def _joined(parts: list[Any]) -> Any:
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
