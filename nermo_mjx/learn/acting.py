@@ -237,7 +237,9 @@ class Acting:
         """See `ControllerLike`."""
         if not isinstance(self.kind, Modulation):
             return self.base.cycle_rate(params.control)
-        under = self.kind.parameters(params.control, jnp.moveaxis(jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0))
+        under = self.kind.parameters(
+            params.control, jnp.moveaxis(jnp.clip(jnp.asarray(params.action), -1.0, 1.0), -1, 0)
+        )
         return self.base.cycle_rate(under)
 
     def path(self, params: Acted, state: ActedState, position: Float[Array, " 3"]) -> PathPoint | None:

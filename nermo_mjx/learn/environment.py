@@ -183,6 +183,7 @@ class _CWorlds:
         self.engine = CEngine(environment.robot, environment.loop, threads)
         self.variation = Variation(environment.robot)
         self.session: CDriven | None = None
+        self.drawn: dict[int, tuple[Any, dict[str, np.ndarray], np.ndarray]] = {}
         self.newest: object = None
 
         def draw(key: Array, world: Array, episode: Array) -> Any:

@@ -85,12 +85,12 @@ class EpisodeLoop:
             ParameterError: a group of observations or a term of the reward that there is not, or an ending that needs a
                 path where there is none.
         """
-        self.robot, self.task = robot, task
+        self.robot, self.task, self.controller = robot, task, controller
         self.run = ClosedLoop(robot, controller)
         self.dt = controller.dt
         self.terms: dict[Term, float] = chosen_terms(task.rewards, task.commands)
         forms = self._forms()
-        self.has_phase, self.has_path = hasattr(forms[0], "phase"), forms[1] is not None
+        self.has_phase, self.has_path = (form is not None for form in forms)
         if task.corridor is not None and not self.has_path:
             raise ParameterError("corridor is given, and the pilot follows no path: leave it out.")
         named = {*task.set, *task.randomize}
@@ -148,9 +148,7 @@ class EpisodeLoop:
         after = EpisodeState(loop=loop, speed=speed, memory=memory, **chosen)
         return with_dtypes_of(state, after), ctrl
 
-    def observe(
-        self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]
-    ) -> Observed:
+    def observe(self, params: EpisodeParameters, state: EpisodeState, sensordata: Float[Array, "steps n"]) -> Observed:
         """See `DrivenLoop.observe`: what the control step that has just ended gave, or the start of an episode."""
         now = self.run.measure(params.loop, state.loop, sensordata)
         speed = self._speed(params, state, now)
@@ -212,23 +210,23 @@ class EpisodeLoop:
 
     def _speed(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> Scalar:
         """The smoothed speed after the tick that has just ended."""
-        share = jnp.clip(self.dt * self.run.controller.cycle_rate(params.loop.control), 0.0, 1.0)
+        share = jnp.clip(self.dt * self.controller.cycle_rate(params.loop.control), 0.0, 1.0)
         walked = (now.travelled - state.loop.metrics.travelled) / self.dt
         return jnp.where(state.loop.tick > 0, state.speed + share * (walked - state.speed), 0.0)
 
     def _path(self, params: EpisodeParameters, state: EpisodeState, sensors: Sensors) -> PathPoint | None:
-        controller: Any = self.run.controller
-        return controller.path(params.loop.control, state.loop.control, sensors.position)
+        return self.controller.path(params.loop.control, state.loop.control, sensors.position)
 
     def _forms(self) -> tuple[Any, Any]:
-        """Shapes of the controller's first state and of its path."""
-        controller, real = self.run.controller, jnp.zeros(()).dtype
+        """Shapes of the gait's phase and of the path's point, where the controller has them."""
+        controller, real = self.controller, jnp.zeros(()).dtype
         data = jax.ShapeDtypeStruct((self.robot.model.nsensordata,), real)
 
         def first(data: Array) -> tuple[Any, Any]:
             params, sensors = controller.parameters, self.robot.sensors(data)
             state = controller.init(params, sensors, jnp.zeros(()))
-            return state.control, controller.path(params, state, sensors.position)
+            phase = getattr(state.control, "phase", None)
+            return phase, controller.path(params, state, sensors.position)
 
         return jax.eval_shape(first, data)
 

@@ -265,7 +265,9 @@ def privileged(
     beneath = ground(x, y)
     feet = sensors.foot_position[:, 2] - ground(sensors.foot_position[:, 0], sensors.foot_position[:, 1])
     points = jnp.asarray(SCANNED)
-    seen = ground(x + points[:, 0] * left[0] + points[:, 1] * ahead[0], y + points[:, 0] * left[1] + points[:, 1] * ahead[1])
+    seen = ground(
+        x + points[:, 0] * left[0] + points[:, 1] * ahead[0], y + points[:, 0] * left[1] + points[:, 1] * ahead[1]
+    )
     force = jnp.append(sensors.foot_force, sensors.tail_force)
     height = jnp.reshape(z - beneath, 1)
     course = () if path else (jnp.reshape(yaw, 1),)

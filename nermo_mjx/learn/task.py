@@ -148,7 +148,7 @@ class Task:
 
 
 #: Parameters of episodes that runs do not have.
-GIVEN: Final[Mapping[str, Quantity]] = dict(quantities(Given))
+GIVEN: Final[dict[str, Quantity]] = dict(quantities(Given))
 
 
 def task_parameters(setup: Setup) -> dict[str, Quantity]:
@@ -211,7 +211,7 @@ class Episodes:
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
         world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
         control = Acted(self._commanded(world.control, given.command), self.controller.parameters.action)
-        loop = LoopParameters(control, world.start, Window(), world.model.servo.speed)
+        loop = LoopParameters(control, world.start, Window(begin=0.0, end=1e6, distance=1e6), world.model.servo.speed)
         first = StartPose(self.robot, self.controller).qpos(control, world.start)
         number = jax.random.randint(seed, (), 0, 1 << 24)
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))

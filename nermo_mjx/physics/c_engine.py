@@ -25,6 +25,7 @@ from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.packed_loop import PackedLoop
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import start_jax, thread_count
+from nermo_mjx.shapes import Array
 
 #: Worlds of every call of the compiled loop; what is missing is filled up. XLA rounds by the shape of a batch.
 LANES: Final = 32
@@ -121,7 +122,7 @@ class CSession:
         return self._blocks[0].loop
 
     @property
-    def arguments(self) -> tuple[jax.Array, jax.Array, jax.Array, np.ndarray]:
+    def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
         """Of a call of `loop.step`: `LANES` worlds, whatever the batch."""
         return self._blocks[0].arguments
 
@@ -192,7 +193,7 @@ class _Block:
         return jax.tree.map(lambda leaf: np.asarray(leaf)[: self.worlds], self.loop.unpack(self._state))
 
     @property
-    def arguments(self) -> tuple[jax.Array, jax.Array, jax.Array, np.ndarray]:
+    def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
         """Of the next call of `loop.step`."""
         return self.loop.once, self.params, self._state, self._sensordata
 

@@ -108,9 +108,7 @@ class MjxEngine:
         state, readings = self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1))
         return Carry(physics, state, readings, jnp.zeros((), jnp.int32))
 
-    def tick(
-        self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False
-    ) -> tuple[Carry, Array]:
+    def tick(self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:

@@ -1,0 +1,239 @@
+"""The environment to learn in: against runs of the published controller, against itself in other batches, and MJX."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from nermo_mjx import ParameterError, Run, Setup, Simulator
+from nermo_mjx.control import published_controller
+from nermo_mjx.control.protocol import leg_servos
+from nermo_mjx.learn import SENTENCES, Environment, Modulation, Outcome, Residual, Targets, Task, Term
+from nermo_mjx.learn.acting import Acted, Acting
+from nermo_mjx.learn.observing import Observer, Sensing, Told
+from nermo_mjx.learn.rewards import chosen_terms
+from nermo_mjx.robot import Sensors
+
+SETUP = Setup(physics="fast")
+RANDOMIZED = {"frequency": (0.6, 1.0), "contact.friction": (1.0, 1.6), "mass.front": (0.15, 0.19)}
+#: Short episodes, so that worlds begin new ones in a test; a term of one's own.
+HEIGHT = Term("height", "m", "of the IMU", lambda m: m.sensors.position[2])
+TASK = Task(
+    rewards={"progress": 2.0, "work": -1.0, "failed": -1.0, HEIGHT: 0.5}, randomize=RANDOMIZED, duration=0.2
+)  # fmt: skip
+STEPS = 30
+
+
+def actions(step: int, n: int) -> np.ndarray:
+    return 0.3 * np.sin(np.arange(9) + 0.3 * step)[None].repeat(n, 0)
+
+
+def walked(environment: Environment) -> list:
+    states = [environment.reset(3)]
+    for step in range(STEPS):
+        states.append(environment.step(states[-1], actions(step, environment.worlds)))
+    return states
+
+
+@pytest.fixture(scope="module")
+def environment():
+    """Three worlds on one processor."""
+    return Environment(SETUP, worlds=3, task=TASK, threads=1)
+
+
+@pytest.fixture(scope="module")
+def states(environment):
+    """What they see, over the end of an episode."""
+    return walked(environment)
+
+
+def sensors(**given) -> Sensors:
+    zero = {field.name: jnp.zeros(()) for field in dataclasses.fields(Sensors)}
+    shapes = {"position": 3, "linear_velocity": 3, "gyro": 3, "accelerometer": 3, "servo_angle": 10,
+              "servo_velocity": 10, "servo_torque": 10, "knee_angle": 4, "foot_force": 4}  # fmt: skip
+    zero |= {name: jnp.zeros(size) for name, size in shapes.items()} | {"orientation": jnp.array([1.0, 0, 0, 0])}
+    return Sensors(**(zero | given))
+
+
+@pytest.mark.compiles
+def test_without_an_action_the_published_controller_walks(environment):
+    """As far, and with as much work, as in a run of it: every world with the frequency, friction and mass drawn."""
+    state = environment.reset(5)
+    drawn = state.privileged[:, -3:]
+    for _ in range(20):
+        state = environment.step(state, np.zeros((3, 9)))
+    middle = np.array([sum(ends) / 2 for ends in RANDOMIZED.values()])
+    half = np.array([ends[1] - ends[0] for ends in RANDOMIZED.values()]) / 2
+    values = dict(zip(RANDOMIZED, (middle + drawn * half).T, strict=True))
+    run = Simulator(SETUP, engine="c").run(values, Run(duration=0.2))
+    np.testing.assert_allclose(state.episode["distance"], run.metrics["distance"], rtol=1e-3)
+    np.testing.assert_allclose(state.episode["servo_work"], run.metrics["servo_work"], rtol=1e-3)
+    assert state.truncated.all()
+    assert len(set(values["frequency"])) == 3
+
+
+@pytest.mark.compiles
+def test_a_world_does_not_depend_on_the_others_nor_on_the_number_of_threads(states):
+    """Bit for bit, over the beginning of a second episode."""
+    for few, many in zip(states, walked(Environment(SETUP, worlds=40, task=TASK, threads=2)), strict=True):
+        np.testing.assert_array_equal(few.observation, many.observation[:3])
+        np.testing.assert_array_equal(few.privileged, many.privileged[:3])
+        np.testing.assert_array_equal(few.reward, many.reward[:3])
+
+
+@pytest.mark.compiles
+def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(states):
+    cut = [step for step, state in enumerate(states) if state.truncated.any()]
+    assert cut == [20]
+    end = states[20]
+    assert [SENTENCES[code] for code in end.status] == [Outcome.timed_out.value] * 3
+    assert not end.terminated.any()
+    np.testing.assert_allclose(end.episode["duration"], 0.2, rtol=1e-6)
+    np.testing.assert_allclose(states[21].episode["duration"], 0.01, rtol=1e-6)
+    # The next one has another body and another gait, and has not acted yet.
+    assert (end.privileged[:, -3:] != end.final_privileged[:, -3:]).all()
+    assert not end.observation[:, -9:].any()
+    np.testing.assert_allclose(end.final_observation[:, -9:], actions(19, 3), rtol=1e-6)
+
+
+@pytest.mark.compiles
+def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measures(states):
+    episode = states[1:21]
+    for name, measured in (("progress", "distance"), ("work", "servo_work")):
+        total = sum(state.terms[name] for state in episode)
+        np.testing.assert_allclose(total, episode[-1].episode[measured], rtol=1e-4)
+    state = episode[7]
+    weighted = 2.0 * state.terms["progress"] - state.terms["work"] + 0.5 * state.terms["height"]
+    np.testing.assert_allclose(state.reward, weighted, rtol=1e-5)
+    assert (state.terms["height"] > 0.04).all()
+
+
+@pytest.mark.compiles
+def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(environment):
+    """A robot that is laid on its side, between two that walk."""
+    height = environment.privileged_names.index("height")
+    start = environment.reset(9)
+    block = environment._worlds.session._blocks[0]
+    block.qpos[1, 3:7] = [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
+    state = environment.step(start, np.zeros((3, 9)))
+    assert [SENTENCES[code] for code in state.status] == [SENTENCES[0], "The robot fell.", SENTENCES[0]]
+    np.testing.assert_array_equal(state.terminated, [False, True, False])
+    np.testing.assert_array_equal(state.terms["failed"], [0.0, 1.0, 0.0])
+    np.testing.assert_allclose(state.privileged[:, height], start.privileged[:, height], rtol=0.05)
+    after = environment.step(state, np.zeros((3, 9)))
+    assert not after.terminated.any()
+    np.testing.assert_allclose(after.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
+
+
+@pytest.mark.compiles
+def test_readings_come_late_and_with_noise_of_the_given_size():
+    """Three ticks late, and a quarter of a tick more: straight between the readings of those two ticks."""
+    observer = Observer(("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01)
+    told = Told(None, jnp.zeros(0), None, jnp.array([7.0]))
+    memory = observer.memory(jnp.zeros(3))
+    for tick in range(1, 5):
+        memory = observer.remembered(memory, observer.readings(sensors(gyro=jnp.full(3, float(tick)))))
+    seen = observer.observe(Sensing(delay=0.0325), memory, sensors(gyro=jnp.full(3, 5.0)), told, None)
+    np.testing.assert_allclose(seen, [*[1.75 / 3.0] * 3, 7.0], rtol=1e-6)
+    noisy = dataclasses.replace(observer, delayed=0, noisy=True)
+    keys = jax.random.split(jax.random.key(0), 2000)
+    many = jax.vmap(lambda key: noisy.observe(Sensing(gyro_noise=0.6), memory, sensors(), told, key))(keys)
+    np.testing.assert_allclose(many[:, :3].std(axis=0), 0.2, rtol=0.05)
+    np.testing.assert_array_equal(many[:, 3], 7.0)
+
+
+@pytest.mark.compiles
+def test_actions_move_servo_targets_or_parameters_by_their_ranges():
+    base = published_controller("stride_extension", "open_loop")
+    servo, home = leg_servos(jnp.array([[0.0, -0.045]] * 4)), leg_servos(jnp.array([[0.01, -0.04]] * 4))
+    action = jnp.array([0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.0, 1.0, -1.0])
+    moved = Residual(hip=0.3, knee=0.2, spine=0.1).servo(servo, home, action)
+    np.testing.assert_allclose(moved.hip - servo.hip, [0.03, 0.06, 0.09, 0.12], atol=1e-6)
+    np.testing.assert_allclose(moved.knee - servo.knee, [-0.1, 0.0, 0.0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(moved.spine, -0.1)
+    np.testing.assert_allclose(Targets(knee=0.0).servo(servo, home, action[:5]).knee, home.knee)
+    ranges = {"frequency": (0.4, 1.67), "pilot.turn_rate": (-1.0, 0.5)}
+    acting = Acting(base, Modulation(ranges))
+    under = acting.kind.parameters(base.parameters, jnp.array([0.5, -1.0]))
+    assert float(under.gait.frequency) == pytest.approx(0.67 + 0.5 * (1.67 - 0.67))
+    assert float(under.pilot.turn_rate) == -1.0
+    # In a batch, as runs ask it.
+    batch = Acted(
+        jax.tree.map(lambda leaf: jnp.stack([jnp.asarray(leaf)] * 2), base.parameters), jnp.array([[0.0, 0], [1, 0]])
+    )
+    np.testing.assert_allclose(acting.cycle_rate(batch), [0.67, 1.67], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("task", "sentence"),
+    [
+        (lambda: Task(decimation=0), "decimation is 0: allowed is a whole number from 1 on."),
+        (lambda: Task(duration=-1.0), "duration is -1.0: allowed is (0, inf)."),
+        (lambda: Task(randomize={"contact.fricton": (1.0, 2.0)}), "did you mean 'contact.friction'?"),
+        (lambda: Task(randomize={"contact.friction": (0.0, 2.0)}), "allowed is [0.05, 5]"),
+        (lambda: Task(randomize={"frequency": (1.0, 1.0)}), "the low end is not below the high one"),
+        (lambda: Task(set={"frequency": 1.0}, randomize={"frequency": (0.5, 1.0)}), "leave one out"),
+        (lambda: Task(bodies=True, randomize={"servo.kp": (10.0, 20.0)}), "the identified bodies bring"),
+        (lambda: Task(observe=("gyro", "smell")), "observe has 'smell': allowed is servo_angle"),
+        (lambda: Task(rewards={"progres": 1.0}), "did you mean 'progress'?"),
+        (lambda: Task(rewards={"speed": 1.0}), "name command.speed under set or randomize"),
+        (lambda: Task(action=Modulation({"frequencies": (0.4, 1.0)})), "no parameter of the controller"),
+        (lambda: Task(action=Residual(hip=3.0)), "residual.hip is 3.0: allowed is [0, 1.6] rad."),
+    ],
+)  # fmt: skip
+def test_a_task_that_does_not_fit_is_refused_with_a_sentence(task, sentence):
+    with pytest.raises(ParameterError) as refused:
+        Environment(SETUP, worlds=1, task=task())
+    assert sentence in str(refused.value)
+
+
+@pytest.mark.compiles
+def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(environment):
+    old = environment.reset(0)
+    with pytest.raises(ParameterError, match=r"expected \(3, 9\)"):
+        environment.step(old, np.zeros((3, 8)))
+    with pytest.raises(ParameterError, match="not finite"):
+        environment.step(old, np.full((3, 9), np.nan))
+    environment.step(old, np.zeros((3, 9)))
+    with pytest.raises(ParameterError, match="not the newest one"):
+        environment.step(old, np.zeros((3, 9)))
+
+
+def test_terms_of_one_name_are_refused():
+    own = Term("work", "J", "another", lambda m: m.speed)
+    with pytest.raises(ParameterError, match="two terms of one name"):
+        chosen_terms({"work": 1.0, own: 1.0}, ())
+
+
+@pytest.mark.long
+def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
+    """From equal starts, within what float32 leaves; and a derivative that is the quotient of differences."""
+    task = dataclasses.replace(TASK, randomize={"start.phase": (0.3, 0.3001)}, duration=0.2)
+    ours, theirs = (Environment(SETUP, engine=engine, worlds=2, task=task) for engine in ("c", "mjx"))
+    a, b = ours.reset(0), jax.jit(theirs.reset)(0)
+    step = jax.jit(theirs.step)
+    for i in range(15):
+        a, b = ours.step(a, actions(i, 2)), step(b, actions(i, 2))
+    np.testing.assert_allclose(a.observation, b.observation, atol=2e-2)
+    np.testing.assert_allclose(a.episode["distance"], b.episode["distance"], atol=1e-4)
+
+    with jax.enable_x64(True):
+        theirs = Environment(SETUP, engine="mjx", worlds=1, task=task)
+        start = theirs.reset(0)
+        direction = jnp.asarray(actions(0, 1), float)
+
+        def total(size):
+            def go(state, _):
+                state = theirs.step(state, size * direction)
+                return state, state.reward[0]
+
+            return jax.lax.scan(go, start, None, length=4)[1].sum()
+
+        value, slope = jax.jit(jax.value_and_grad(total))(0.1)
+        both = jax.jit(jax.vmap(total))(jnp.array([0.1 - 1e-4, 0.1 + 1e-4]))
+        assert jnp.isfinite(value)
+        assert slope == pytest.approx((both[1] - both[0]) / 2e-4, rel=1e-3)
