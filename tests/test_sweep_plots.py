@@ -9,7 +9,7 @@ from sweep_fake import AMPLITUDES, FREQUENCIES, PHASES, SPEC, FakeSimulator, spe
 
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.shown import shown
-from nermo_mjx.plotting.style import STYLE
+from nermo_mjx.plotting.style import STYLE, colour_scale
 from nermo_mjx.sweep import Results, run_sweep
 from nermo_mjx.sweep.figures import heat_maps
 from nermo_mjx.sweep.plots import figures_of
@@ -237,3 +237,17 @@ def test_a_scatter_of_too_many_points_is_thinned(tmp_path, monkeypatch):
     assert "20 of 64 runs" in svg["speed-over-each.svg"].read_text()
     assert "20 of 64 runs" in svg["speed-over-pairs.svg"].read_text()
     assert "rank correlation +1.00" in svg["speed-over-each.svg"].read_text()
+
+
+def test_a_few_wild_values_do_not_take_the_colours():
+    """Of a hundred values and two far above them, colours tell the hundred apart; of even ones nothing is cut off."""
+    even = np.linspace(1.0, 2.0, 100)
+    for wild, ends, extend in (
+        ([], (1.0, 2.0), "neither"),
+        ([300.0, 454.0], (1.0, 1.97), "max"),
+        ([-300.0, -454.0], (1.03, 2.0), "min"),
+        ([2.4], (1.0, 2.4), "neither"),
+    ):
+        scale, cut = colour_scale(np.array([*even, *wild, np.nan]))
+        assert (scale.vmin, scale.vmax) == pytest.approx(ends, abs=0.01)
+        assert cut == extend

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import Normalize, to_hex, to_rgb
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 
 from nermo_mjx.plotting.shown import ShownValues
@@ -38,6 +38,10 @@ COLOURS: Final = "viridis"
 GAIN_COLOURS: Final = "RdBu"
 #: Sizes of type that are not those of `STYLE` [pt].
 SMALL: Final = 8.0
+
+#: Colours leave out this share of the values at an end where a few wild ones would take most of them.
+_TAIL: Final = 0.05
+_MOST: Final = 0.5
 
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -70,6 +74,28 @@ def light(colour: str) -> str:
     """The colour on its way to white."""
     red, green, blue = (0.42 * part + 0.58 for part in to_rgb(colour))
     return to_hex((red, green, blue))
+
+
+def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
+    """The scale of the colours of numbers, and at which end it is cut off, as `extend` of a colour bar says it.
+
+    It goes from the lowest finite value to the highest. An end at which one value of twenty or fewer would take more
+    than half of the colours is cut off before them: all of these have the colour of the end.
+
+    >>> scale, extend = colour_scale(np.array([*range(100), 900.0]))
+    >>> float(scale.vmin), extend
+    (0.0, 'max')
+    """
+    good = values[np.isfinite(values)]
+    if not len(good):
+        return Normalize(0.0, 1.0), "neither"
+    low, high = float(good.min()), float(good.max())
+    if low == high:
+        return Normalize(low - abs(low) * 0.01 - 1e-9, high + abs(high) * 0.01 + 1e-9), "neither"
+    first, last = np.quantile(good, [_TAIL, 1 - _TAIL]).tolist()
+    cut_low, cut_high = first - low > _MOST * (high - low), high - last > _MOST * (high - low)
+    extend = {(False, False): "neither", (True, False): "min", (False, True): "max"}[cut_low, cut_high]
+    return Normalize(first if cut_low else low, last if cut_high else high), extend
 
 
 def set_scales(ax: Axes, x: ShownValues, y: ShownValues | None = None) -> None:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.page import around, blank, page
 from nermo_mjx.plotting.shown import ShownValues, shown
-from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, horizontal_grid, set_scales
+from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, colour_scale, horizontal_grid, set_scales
 from nermo_mjx.rollout import Metric
 from nermo_mjx.search.outcome import Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.search.scoring import cells_of, elites_of
@@ -130,13 +130,13 @@ def atlas(found: Evaluations) -> Figure:
     rows = -(-len(pairs) // columns)
     figure = blank(_WIDTH, 1.1 + 4.2 * rows / (1 if columns == 1 else 1.3))
     axes = np.atleast_1d(figure.subplots(rows, columns)).ravel()
-    values = quantity.values[points]
-    scale = Normalize(values.min(), values.max() if np.ptp(values) > 0 else values.min() + 1e-9)
+    scale, extend = colour_scale(quantity.values[points])
     for ax in axes[len(pairs) :]:
         ax.remove()
     for ax, (i, j) in zip(axes, pairs, strict=False):
         _map(ax, found, points, quantity, scale, (i, j), best)
-    bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=axes[: len(pairs)].tolist(), shrink=0.9, pad=0.02)
+    bar = figure.colorbar(ScalarMappable(scale, COLOURS), ax=axes[: len(pairs)].tolist(), shrink=0.9, pad=0.02,
+                          extend=extend, extendfrac=0.03)  # fmt: skip
     bar.set_label(quantity.label)
     bar.outline.set_visible(False)
     return around(figure, title, note)

@@ -138,12 +138,12 @@ def hypervolumes(found: Evaluations) -> tuple[np.ndarray, np.ndarray]:
 def atlas_progress(found: Evaluations) -> tuple[np.ndarray, np.ndarray]:
     """Filled cells and QD score after each batch, (batches,) each.
 
-    The QD score is the sum over the filled cells of how much better their elite is than the worst allowed point of the
-    first batch (Pugh et al. 2016); nothing counts less than zero.
+    The QD score is the sum over the filled cells of how much better their elite is than the worst point of the first
+    batch that has a cell (Pugh et al. 2016); nothing counts less than zero.
     """
     aim, scores = found.search.aim, found.scores
     cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
-    known = np.flatnonzero(scores.allowed)
+    known = np.flatnonzero(cell >= 0)
     floor = float(scores.quality[known[found.batch[known] == found.batch[known[0]]]].min()) if len(known) else 0.0
     best: dict[int, float] = {}
     filled, total = [], []

@@ -27,6 +27,7 @@ from nermo_mjx.plotting.style import (
     INK,
     LINE,
     MISSING,
+    colour_scale,
     horizontal_grid,
     set_scales,
 )
@@ -53,12 +54,14 @@ def heat_maps(
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
     grids = [_cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
-    low, high = _limits(np.concatenate([grid.ravel() for grid in grids]))
-    marked, colours, scale, fill, edge = grids, COLOURS, Normalize(low, high), "none", "white"
+    values = np.concatenate([grid.ravel() for grid in grids])
+    scale, extend = colour_scale(values)
+    marked, colours, fill, edge = grids, COLOURS, "none", "white"
     if gain is not None:
         chosen = np.where(gain, z.values, np.nan)
         marked = [_cell_means(x.values[mask], y.values[mask], chosen[mask], xs, ys) for _, mask in panels]
-        colours, scale, fill, edge = GAIN_COLOURS, _about_zero(low, high), "white", INK
+        colours, fill, edge = GAIN_COLOURS, "white", INK
+        scale, extend = _about_zero(values)
     figure, axes = panelled(len(panels), 2.5 if len(panels) > 1 else 4.4)
     prices = [cost(z.side, grid) for grid in marked]
     lowest = min((float(np.nanmin(price)) for price in prices if np.isfinite(price).any()), default=math.nan)
@@ -78,7 +81,7 @@ def heat_maps(
             if gain is not None:
                 _beside(ax, xs[i], ys[j], _signed(candidates[i, j]), 11 if star else 8, left=bool(i >= len(xs) / 2))
     _outer_labels(axes, x.label, y.label)
-    bar = _colour_bar(figure, axes, scale, z.label, colours, cut=low < float(scale.vmin or 0))
+    bar = _colour_bar(figure, axes, scale, z.label, colours, extend=extend)
     if gain is not None:
         bar.formatter = FuncFormatter(lambda value, _: _signed(value).removesuffix(" %"))
     word = best_word(z) if gain is None else "best"
@@ -122,7 +125,7 @@ def pair_scatters(
 ) -> Figure:
     """Every run a point over two parameters, coloured by the metric; good runs lie on top, the best may be a star."""
     figure, axes = panelled(len(pairs), 2.7 if len(pairs) > 1 else 4.0)
-    scale, order = Normalize(*_limits(z.values)), np.argsort(-cost(z.side, z.values), kind="stable")
+    (scale, extend), order = colour_scale(z.values), np.argsort(-cost(z.side, z.values), kind="stable")
     for ax, (x, y) in zip(axes, pairs, strict=False):
         ax.scatter(x.values[order], y.values[order], c=z.values[order], s=14, norm=scale, cmap=COLOURS, lw=0,
                    rasterized=len(z.values) > 2000)  # fmt: skip
@@ -130,7 +133,7 @@ def pair_scatters(
             ax.scatter(x.values[order[-1]], y.values[order[-1]], s=170, marker="*", fc=BEST, ec="white", zorder=5)
         set_scales(ax, x, y)
         ax.set(xlabel=x.label, ylabel=y.label)
-    _colour_bar(figure, axes, scale, z.label)
+    _colour_bar(figure, axes, scale, z.label, extend=extend)
     best = f"star: {best_word(z)}, {z.shown(float(z.values[order[-1]]))}"
     return around(figure, title, note + best if star else note.removesuffix("; "))
 
@@ -157,9 +160,8 @@ def _columns(count: int) -> int:
 
 
 def _colour_bar(
-    figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str, colours: str = COLOURS, *, cut: bool = False
+    figure: Figure, axes: Sequence[Axes], scale: Normalize, label: str, colours: str = COLOURS, *, extend: str
 ) -> Colorbar:
-    extend = "min" if cut else "neither"  # an arrow
     bar = figure.colorbar(ScalarMappable(scale, colours), ax=list(axes), shrink=0.9, aspect=28, pad=0.02, extend=extend,
                           extendfrac=0.03)  # fmt: skip
     bar.set_label(label)
@@ -219,15 +221,9 @@ def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
     return np.exp(edges) if log else edges
 
 
-def _about_zero(low: float, high: float) -> Normalize:
+def _about_zero(values: np.ndarray) -> tuple[Normalize, str]:
     """A scale that reaches alike far to both sides of 0; losses beyond 25 % and three times the best gain are cut."""
-    far = max(high, min(-low, max(3 * high, 25.0)))
-    return Normalize(-far, far)
-
-
-def _limits(values: np.ndarray) -> tuple[float, float]:
     good = values[np.isfinite(values)]
-    if not len(good):
-        return 0.0, 1.0
-    low, high = float(good.min()), float(good.max())
-    return (low, high) if high > low else (low - abs(low) * 0.01 - 1e-9, high + abs(high) * 0.01 + 1e-9)
+    low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
+    far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)
+    return Normalize(-far, far), "min" if low < -far else "neither"

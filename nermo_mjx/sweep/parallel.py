@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Final
 
@@ -9,13 +10,12 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from nermo_mjx.plotting.page import around, blank
 from nermo_mjx.plotting.shown import ShownValues
-from nermo_mjx.plotting.style import BEST, COLOURS, INK, MUTED, SMALL
+from nermo_mjx.plotting.style import BEST, COLOURS, INK, MUTED, SMALL, colour_scale
 
 #: Lines that are drawn; of more points, as many are chosen evenly by rank.
 MOST_LINES: Final = 800
@@ -48,11 +48,13 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
         parameters: (n,) each, of the points in the order drawn, the best one last.
         z: the metric of the same points.
     """
-    axes = [*parameters, z]
+    scale, extend = colour_scale(z.values)
+    if extend != "neither":
+        end = scale.vmax if extend == "max" else scale.vmin
+        note += f"; {z.name} {'above' if extend == 'max' else 'below'} {z.shown(float(end))} is drawn there"
+    axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
     figure = blank(1.5 + 1.35 * len(axes), 4.7)
     ax = figure.subplots()
-    low, high = float(z.values.min()), float(z.values.max())
-    scale = Normalize(low, high if high > low else low + 1e-9)
     ways = np.stack([_share(each, each.values) for each in axes], axis=-1)
     places = np.broadcast_to(np.arange(len(axes)), ways.shape)
     lines = np.stack([places, ways], axis=-1)
