@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics.differentiable import step
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics.differentiable import step
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
 pytestmark = pytest.mark.slow

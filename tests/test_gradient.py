@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.physics.checkpointing import checkpointed_scan
-from nermo_mjx.physics.mass_constants import MassConstants
+from nermo_mjx.dynamics.checkpointing import checkpointed_scan
+from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.rollout import Run, Setup
 from nermo_mjx.rollout.derivative import MOST_FORWARD, choose_mode, value_and_gradient

@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import impedance, rows
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics import impedance, rows
+from nermo_mjx.dynamics.mjx_import import mjx
 
 pytestmark = pytest.mark.compiles
 

@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import differentiable
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics import differentiable
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.rollout import Run, metrics
 from nermo_mjx.rollout.lanes import Lanes
 

@@ -9,7 +9,7 @@ import pytest
 import swinging
 
 from nermo_mjx.bench.profile import MJX_STAGES, profile, profile_stage
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.robot import ParameterError
 
 

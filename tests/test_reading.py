@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from nermo_mjx.physics import differentiable
+from nermo_mjx.dynamics import differentiable
 from nermo_mjx.physics.reading import read_entries, with_sensors
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Setup

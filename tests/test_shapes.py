@@ -5,8 +5,8 @@ import pytest
 from jaxtyping import TypeCheckError
 
 from nermo_mjx.control.turning import body_speed, leg_radius
+from nermo_mjx.dynamics.spatial import rotate
 from nermo_mjx.kinematics.root import bracketed_root
-from nermo_mjx.physics.spatial import rotate
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout.attitude import attitude
 

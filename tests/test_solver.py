@@ -10,9 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import Variation, solver
-from nermo_mjx.physics.differentiable import _newton
-from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.dynamics import solver
+from nermo_mjx.dynamics.differentiable import _newton
+from nermo_mjx.dynamics.rows import Layout, Problem
+from nermo_mjx.physics import Variation
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from mujoco.mjx._src import forward
 
-from nermo_mjx.physics import differentiable, stages
+from nermo_mjx.dynamics import differentiable, stages
 
 #: What MJX calls with (model, data), in its order.
 STAGES = {

@@ -12,8 +12,8 @@ import pytest
 from mujoco import mjx
 from mujoco.mjx._src import support
 
-from nermo_mjx.physics import rows, tree
-from nermo_mjx.physics.jacobians import point_jacobian, with_point_jacobians
+from nermo_mjx.dynamics import rows, tree
+from nermo_mjx.dynamics.jacobians import point_jacobian, with_point_jacobians
 from nermo_mjx.robot import load_robot
 
 pytestmark = pytest.mark.compiles

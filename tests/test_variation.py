@@ -12,10 +12,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import Variation, differentiable
+from nermo_mjx.dynamics import differentiable
+from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.physics import Variation
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, assemble, load_robot
 from nermo_mjx.robot.gravity import gravity_vector

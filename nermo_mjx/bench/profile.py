@@ -18,12 +18,12 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.bench.timing import compile_cold, seconds
-from nermo_mjx.physics import differentiable, stages
+from nermo_mjx.dynamics import differentiable, stages
+from nermo_mjx.dynamics.impedance import make_constraint
+from nermo_mjx.dynamics.integration import integrate
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.impedance import make_constraint
-from nermo_mjx.physics.integration import integrate
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Simulator

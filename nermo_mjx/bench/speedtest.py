@@ -7,7 +7,7 @@ import os
 from typing import Any, Final
 
 from nermo_mjx.bench.hardware import peak_bytes
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.rollout.setup import Setup
 
 STEPS: Final = 100

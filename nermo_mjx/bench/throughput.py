@@ -14,9 +14,9 @@ from mujoco import rollout
 
 from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.timing import compare, compile_cold
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 from nermo_mjx.runtime import compiler_options, cpu_count

@@ -1,14 +1,25 @@
-"""Physics: engines behind one small protocol, variation of the body within a batch, and a step that can be derived."""
+"""Physics: engines behind one small protocol, variation of the body within a batch, and a step that can be derived.
+
+Names are imported on first use: `step` and `forward`, which are `nermo_mjx.dynamics`', know nothing of the robot, and
+bring nothing of it; the engine `c` can do without MJX.
+"""
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
-from nermo_mjx.physics.engine import ENGINES, Engine, Session, Trace, make_engine, resolve_engine
-from nermo_mjx.physics.variation import Variation
-
 if TYPE_CHECKING:
-    from nermo_mjx.physics.differentiable import forward, step
+    from nermo_mjx.dynamics import forward, step
+    from nermo_mjx.physics.engine import ENGINES, Engine, Session, Trace, make_engine, resolve_engine
+    from nermo_mjx.physics.variation import Variation
+
+_HOMES = {
+    "nermo_mjx.dynamics": ("forward", "step"),
+    "nermo_mjx.physics.engine": ("ENGINES", "Engine", "Session", "Trace", "make_engine", "resolve_engine"),
+    "nermo_mjx.physics.variation": ("Variation",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
     "ENGINES", "Engine", "Session", "Trace", "Variation", "forward", "make_engine", "resolve_engine", "step",
@@ -16,9 +27,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`step` and `forward` bring MJX, which the engine `c` can do without."""
-    if name in ("step", "forward"):
-        from nermo_mjx.physics import differentiable
-
-        return getattr(differentiable, name)
-    raise AttributeError(f"module 'nermo_mjx.physics' has no attribute {name!r}")
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'nermo_mjx.physics' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME_OF[name]), name)

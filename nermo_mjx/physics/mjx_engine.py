@@ -17,14 +17,14 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jaxtyping import Bool, Float
 from mujoco.batch import Batch
 
-from nermo_mjx.physics import differentiable, rows
-from nermo_mjx.physics.checkpointing import keeping_little
+from nermo_mjx.dynamics import differentiable, rows
+from nermo_mjx.dynamics.checkpointing import keeping_little
+from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.precision import full_precision
+from nermo_mjx.dynamics.solver import ROUNDS
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
-from nermo_mjx.physics.mjx_import import mjx
-from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.reading import read_entries, with_sensors
-from nermo_mjx.physics.solver import ROUNDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options

@@ -16,8 +16,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.engine import DrivenLoop, Loop
-from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array
 

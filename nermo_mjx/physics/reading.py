@@ -8,7 +8,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Var
 from jaxtyping import Bool
 
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import mjx
 
 
 def read_entries(program: ClosedJaxpr, size: int) -> Bool[np.ndarray, " size"]:

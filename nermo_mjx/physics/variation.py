@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.physics.mass_constants import MassConstants
+from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.equipment import contact_kinds
 from nermo_mjx.robot.gravity import gravity_vector

@@ -18,9 +18,9 @@ from jax.extend import backend
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Bool
 
-from nermo_mjx.physics import rows
+from nermo_mjx.dynamics import rows
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.physics.mjx_import import mjx
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.shapes import Truth
 

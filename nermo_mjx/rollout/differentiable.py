@@ -14,9 +14,9 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.physics.checkpointing import checkpointed_scan
+from nermo_mjx.dynamics.checkpointing import checkpointed_scan
+from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
-from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures

@@ -11,7 +11,7 @@ from typing import Any, Final
 import jax
 import numpy as np
 
-from nermo_mjx.physics.precision import full_precision
+from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.runtime import compiler_options
 
 #: Worlds of a piece; the last one is filled up.

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Dofs, Efc
 
 

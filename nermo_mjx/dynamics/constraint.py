@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Dofs, Efc
 
 

@@ -15,9 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.physics.linear import solve_definite
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics.linear import solve_definite
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Dofs
+
+#: What `integrate` can do; MJX's enumeration also has DISCRETE, with which it cannot step.
+INTEGRATORS: Final = (mjx.IntegratorType.EULER, mjx.IntegratorType.RK4, mjx.IntegratorType.IMPLICITFAST)
 
 #: Nodes a and weights b of the classical Runge-Kutta method of fourth order.
 _RK4_NODES: Final = (0.5, 0.5, 1.0)
@@ -32,7 +35,7 @@ def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
     """State one time step later, by the model's integrator.
 
     Args:
-        model: its integrator is Euler, RK4 or implicitfast.
+        model: its integrator is one of `INTEGRATORS`.
         data: after forward dynamics.
         forward: forward dynamics, for the stages of RK4.
     """

@@ -9,16 +9,16 @@ from __future__ import annotations
 import functools
 import threading
 from collections.abc import Callable
-from typing import Any, Final, ParamSpec, TypeVar
+from typing import Final, ParamSpec, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from mujoco.mjx._src import support
 
-from nermo_mjx.physics import spatial
-from nermo_mjx.physics.mjx_import import mjx
-from nermo_mjx.physics.tree import tree_of
+from nermo_mjx.dynamics import spatial, wrapping
+from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.tree import tree_of
 from nermo_mjx.shapes import Array, Count
 
 P = ParamSpec("P")
@@ -38,16 +38,20 @@ def point_jacobian(
 
 
 def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
-    """A function that calls stages of MJX, which take their Jacobians from here as long as it is traced."""
+    """A function that calls stages of MJX, which take Jacobians and wraps of tendons from here while it is traced."""
+    ours = {
+        "jac": point_jacobian, "wrap_circle": wrapping.circle, "wrap_inside": wrapping.inside,
+        "_length_circle": wrapping.arc,
+    }  # fmt: skip
 
     @functools.wraps(stage)
     def traced(*args: P.args, **kwargs: P.kwargs) -> T:
-        theirs: Any = support
         with _TRACING:
-            before, theirs.jac = theirs.jac, point_jacobian
+            before = {name: getattr(support, name) for name in ours}
+            vars(support).update(ours)
             try:
                 return stage(*args, **kwargs)
             finally:
-                theirs.jac = before
+                vars(support).update(before)
 
     return traced

@@ -9,11 +9,11 @@ from __future__ import annotations
 import jax
 import numpy as np
 
-from nermo_mjx.physics import rows, tree
-from nermo_mjx.physics.impedance import make_constraint
-from nermo_mjx.physics.jacobians import with_point_jacobians
-from nermo_mjx.physics.linear import solve_definite
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics import rows, tree
+from nermo_mjx.dynamics.impedance import make_constraint
+from nermo_mjx.dynamics.jacobians import with_point_jacobians
+from nermo_mjx.dynamics.linear import solve_definite
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array
 
 

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.physics import rows, spatial
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics import rows, spatial
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array
 
 FREE, BALL, SLIDE, HINGE = (mjx.JointType[name] for name in ("FREE", "BALL", "SLIDE", "HINGE"))

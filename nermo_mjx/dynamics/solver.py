@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Float
 
-from nermo_mjx.physics import constraint
-from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.dynamics import constraint
+from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
 #: Most rounds. Walks, falls and impacts need 3.5 in the mean and 10 at most; at the ends of the contacts'

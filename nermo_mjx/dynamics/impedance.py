@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 from mujoco import mjMAXIMP, mjMINIMP
 
-from nermo_mjx.physics import rows
-from nermo_mjx.physics.mjx_import import mjx
+from nermo_mjx.dynamics import rows
+from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Scalar
 
 #: Impedances of rows other than contacts; no derivative flows to them.

@@ -23,12 +23,12 @@ import jax
 from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
 
-from nermo_mjx.physics import constraint, rows, solver, stages
-from nermo_mjx.physics.checkpointing import KEPT
-from nermo_mjx.physics.integration import integrate
-from nermo_mjx.physics.mjx_import import mjx
-from nermo_mjx.physics.precision import full_precision
-from nermo_mjx.physics.rows import Layout, Problem
+from nermo_mjx.dynamics import constraint, rows, solver, stages
+from nermo_mjx.dynamics.checkpointing import KEPT
+from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
+from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.precision import full_precision
+from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Dofs
 
 
@@ -36,30 +36,75 @@ from nermo_mjx.shapes import Array, Dofs
 def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """Advance the simulation by one time step, as `mjx.step`, with its derivatives in both modes.
 
+    >>> import mujoco, jax
+    >>> from mujoco import mjx
+    >>> ball = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><geom type="plane" size="1 1 .1"/>
+    ... <body pos="0 0 .0999"><freejoint/><geom size=".1"/></body></worldbody></mujoco>''')
+    >>> model = mjx.put_model(ball)
+    >>> data = mjx.make_data(model)
+    >>> def speed(friction):
+    ...     rough = model.replace(geom_friction=model.geom_friction.at[:, 0].set(friction))
+    ...     return step(rough, data.replace(qvel=data.qvel.at[0].set(1.0))).qvel[0]
+    >>> bool(jax.grad(speed)(0.1) < 0.0)  # friction slows it
+    True
+
     Derivatives flow from the new state to the old one (`qpos`, `qvel`, `act`), to `ctrl`, applied forces and mocap
     poses, and to the real fields of the model that MJX's step reads, except the impedances of rows that are not
     contacts and the exponents of those that are. None flows through the warm start, on which the solution does not
-    depend.
+    depend. `solver`, `iterations` and `tolerance` of the model do not count: the solution is always that of the
+    whole problem.
 
     Args:
-        model: MJX model of `impl="jax"`, any solver, integrator, cone and constraint.
-        data: unbatched; use `jax.vmap` for a batch.
+        model: MJX model of `impl="jax"`, with any solver, integrator, cone and constraint that `mjx.put_model` takes.
+        data: of one world; use `jax.vmap` for a batch.
 
     Raises:
-        ValueError: a model of another implementation.
+        ValueError: a model or data of another kind, an integrator that MJX has not, a model that cannot move, a batch.
     """
-    if model.impl != mjx.Impl.JAX:
-        raise ValueError(f"impl is {model.impl.value!r}: allowed is 'jax', the others have no derivatives.")
     after = integrate(model, forward(model, data), forward)
     return after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
 
 
+@full_precision
 def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """Forward dynamics with exact derivatives, as `mjx.forward`: accelerations, constraint forces and sensors."""
+    """Forward dynamics with exact derivatives, as `mjx.forward`: accelerations, constraint forces and sensors.
+
+    Args:
+        model, data: as for `step`.
+
+    Raises:
+        ValueError: as `step`.
+    """
+    _check(model, data)
     data = mjx.sensor_pos(model, stages.position(model, data))
     data = mjx.sensor_vel(model, stages.velocity(model, data))
     data = stages.acceleration(model, mjx.fwd_actuation(model, data))
     return mjx.sensor_acc(model, solve(model, data))
+
+
+def _check(model: mjx.Model, data: mjx.Data) -> None:
+    """Refuse, while the program is traced, what would fail far inside of MJX."""
+    for name, given, kind, maker in (
+        ("model", model, mjx.Model, "mjx.put_model"), ("data", data, mjx.Data, "mjx.make_data or mjx.put_data"),
+    ):  # fmt: skip
+        if not isinstance(given, kind):
+            made = f"{type(given).__module__.partition('.')[0]}.{type(given).__name__}"
+            raise ValueError(f"{name} is of {made}: allowed is an mjx.{kind.__name__}, as of {maker}.")
+        if given.impl != mjx.Impl.JAX:
+            raise ValueError(
+                f"impl of the {name} is {given.impl.value!r}: allowed is 'jax', the others have no derivatives."
+            )
+    if model.opt.integrator not in INTEGRATORS:
+        allowed = ", ".join(each.name for each in INTEGRATORS)
+        raise ValueError(f"integrator is {model.opt.integrator.name}: allowed is one of {allowed}, which MJX has.")
+    if not model.nv:
+        raise ValueError("the model has no joints: allowed is one that can move, which MJX asks for, too.")
+    for name, size in (("qpos", model.nq), ("qvel", model.nv), ("ctrl", model.nu), ("act", model.na)):
+        shape = jax.numpy.shape(getattr(data, name))
+        if shape != (size,):
+            raise ValueError(
+                f"{name} has the shape {shape}: allowed is {(size,)}, that of one world; use jax.vmap for a batch."
+            )
 
 
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:

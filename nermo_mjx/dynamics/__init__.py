@@ -1,0 +1,35 @@
+"""Forward dynamics of any model in MJX, with derivatives through contacts, limits and tendons.
+
+`step` and `forward` take the place of `mjx.step` and `mjx.forward`, `checkpointed_scan` that of `jax.lax.scan` where a
+long run is differentiated in reverse mode, `check_gradient` compares a gradient with differences, and `MassConstants`
+are what MuJoCo derives from masses. Nothing here knows of the robot. docs/howto/step.md starts from any model.
+
+Names are imported on first use: `precision`, for one, can do without MJX.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nermo_mjx.dynamics.checking import GradientCheck, check_gradient
+    from nermo_mjx.dynamics.checkpointing import checkpointed_scan
+    from nermo_mjx.dynamics.differentiable import forward, step
+    from nermo_mjx.dynamics.mass_constants import MassConstants
+
+_HOMES = {
+    "nermo_mjx.dynamics.checking": ("GradientCheck", "check_gradient"),
+    "nermo_mjx.dynamics.checkpointing": ("checkpointed_scan",),
+    "nermo_mjx.dynamics.differentiable": ("forward", "step"),
+    "nermo_mjx.dynamics.mass_constants": ("MassConstants",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = ["GradientCheck", "MassConstants", "check_gradient", "checkpointed_scan", "forward", "step"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'nermo_mjx.dynamics' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME_OF[name]), name)

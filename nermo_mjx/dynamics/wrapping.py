@@ -1,0 +1,114 @@
+"""Where a tendon touches what it is wound round, with derivatives that are finite also where it does not touch.
+
+MJX computes the wrap of every tendon and takes what it needs afterwards. Where a tendon runs past its cylinder, or
+begins within it, that is the arcsine of a number above one, and its NaN comes back through the choice as a zero times
+NaN. Here such a tendon is given ends for which all is finite, before; what is chosen stays as it is. The angle on the
+circle is an arctangent: the arccosine has no derivative where the points meet, and half of float32's digits nearby.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+from mujoco import mjMINVAL
+from mujoco.mjx._src import support
+
+from nermo_mjx.shapes import Array, Count, Scalar, Truth
+
+_circle: Final = support.wrap_circle
+#: Ends that a wrap of radius 1 has a solution for, from inside and from outside.
+_ROUND: Final = (2.0, -0.5, -2.0, -0.5)
+_THROUGH: Final = (2.0, 1.5, -2.0, 1.5)
+
+#: Both ends (x0, y0, x1, y1) in the plane of a circle about the origin.
+Ends = Float[Array, " 4"]
+Point = Float[Array, " 2"]
+
+
+def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Array, Array]:
+    """As MJX's `wrap_circle`: length of the arc (-1 without a wrap) and its ends."""
+    near = jnp.minimum(ends[:2] @ ends[:2], ends[2:] @ ends[2:]) < radius * radius
+    straight = ends[2:] - ends[:2]
+    free = near | (radius < mjMINVAL) | (straight @ straight < mjMINVAL)
+    kept, ring = _or_else(free, _ROUND, ends, radius)
+    length, points = _circle(kept, side, has_side, ring)
+    return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
+
+
+def inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Array, Array]:
+    """As MJX's `wrap_inside`: length (-1 without a wrap, else about 0), (1,), and the one point, twice.
+
+    The tangent point solves asin(A z) + asin(B z) - 2 asin(z) + G = 0, with the radius over both distances, A and B,
+    and the angle between the ends, G. Its derivative is that of the solution, not of Newton's rounds to it.
+    """
+    between, straight = 0.5 * (ends[:2] + ends[2:]), ends[2:] - ends[:2]
+    cosine = ends[:2] @ ends[2:] / jnp.maximum(_length(ends[:2]) * _length(ends[2:]), mjMINVAL)
+    share = -(straight @ ends[:2]) / jnp.maximum(straight @ straight, mjMINVAL)
+    foot = ends[:2] + share * straight
+    near = jnp.minimum(_length(ends[:2]), _length(ends[2:])) <= radius
+    crosses = (straight @ straight > mjMINVAL) & (share > 0.0) & (share < 1.0) & (foot @ foot <= radius * radius)
+    free = near | crosses | (radius < mjMINVAL) | (cosine < -1.0 + mjMINVAL)
+    parallel = cosine > 1.0 - mjMINVAL
+    kept, ring = _or_else(free | parallel, _THROUGH, ends, radius)
+    one, other = _length(kept[:2]), _length(kept[2:])
+    angle = jnp.arctan2(jnp.abs(kept[0] * kept[3] - kept[1] * kept[2]), kept[:2] @ kept[2:])
+
+    z, lost = _root(ring / one, ring / other, angle, rounds, tolerance, first)
+    # MJX takes the middle of the ends, on the circle, where it knows no better.
+    middle = radius * between / jnp.maximum(_length(between), mjMINVAL)
+    begins = kept[0] * kept[3] - kept[1] * kept[2] > 0.0
+    from_, away = jnp.where(begins, kept[:2], kept[2:]), jnp.where(begins, one, other)
+    turn = jnp.arcsin(z) - jnp.arcsin(ring / away * z)
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    touched = ring / away * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
+    point = jnp.where(free, 0.0, jnp.where(parallel | lost, middle, touched))
+    # The length of a point is not zero: MJX takes the root of its square.
+    return jnp.where(free, -1.0, mjMINVAL)[None], jnp.tile(point, 2)
+
+
+def _apart(z: Array, a: Array, b: Array, angle: Array) -> Array:
+    return jnp.arcsin(a * z) + jnp.arcsin(b * z) - 2.0 * jnp.arcsin(z) + angle
+
+
+def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Scalar, Truth]:
+    """z at which `_apart` vanishes, and whether MJX would give up on the way there."""
+    fixed = jax.lax.stop_gradient((a, b, angle))
+
+    def slope(z: Array) -> Array:
+        return sum(f / jnp.sqrt(jnp.maximum(1.0 - (f * z) ** 2, mjMINVAL)) for f in fixed[:2]) - 2.0 / jnp.sqrt(
+            jnp.maximum(1.0 - z * z, mjMINVAL)
+        )
+
+    def next_round(_: Count, at: tuple[Array, Array]) -> tuple[Array, Array]:
+        z, lost = at
+        value, rise = _apart(z, *fixed), slope(z)
+        moved = jnp.where(jnp.abs(value) <= tolerance, z, z - value / jnp.where(rise == 0.0, mjMINVAL, rise))
+        lost |= (rise > -mjMINVAL) | (moved > z)
+        moved = jnp.clip(moved, 0.0, first)
+        return moved, lost | (_apart(moved, *fixed) > tolerance)
+
+    start = jnp.asarray(first, angle.dtype)
+    z, lost = jax.lax.fori_loop(0, rounds, next_round, (start, _apart(start, *fixed) > 0.0))
+    z = jnp.where(lost, 0.5, z)
+    return z - _apart(z, a, b, angle) / slope(z), lost
+
+
+def _length(vector: Point) -> Scalar:
+    """Of a vector, at least 1e-15, so that it has a derivative everywhere."""
+    return jnp.sqrt(jnp.maximum(vector @ vector, mjMINVAL**2))
+
+
+def _or_else(replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scalar) -> tuple[Ends, Scalar]:
+    """What was given, or such ends about a circle of radius 1."""
+    return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(replace, 1.0, radius)
+
+
+def arc(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:
+    """As MJX's `_length_circle`: length of the arc from one point to the other, the way round that `index` says."""
+    cross = one[1] * other[0] - one[0] * other[1]
+    angle = jnp.arctan2(jnp.abs(cross), one @ other)
+    far = ((cross > 0.0) & (index != 0)) | ((cross < 0.0) & (index == 0))
+    return radius * jnp.where(far, 2.0 * jnp.pi - angle, angle)

@@ -1,0 +1,159 @@
+"""The step for any model: what it brings and refuses, tendons wound round something, and its own check."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import nermo_mjx.dynamics
+from nermo_mjx.dynamics import checking, differentiable, tree
+from nermo_mjx.dynamics.jacobians import with_point_jacobians
+from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.runtime import compiler_options
+
+ROOM = Path(nermo_mjx.dynamics.__file__).parent
+BALL = """
+<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body pos="0 0 .0995"><freejoint/><geom size=".1"/></body>
+</worldbody></mujoco>
+"""
+
+
+def test_the_room_imports_nothing_of_the_robot() -> None:
+    """No file of it, not even where a function is called."""
+    allowed = {"nermo_mjx.shapes", "nermo_mjx.dynamics"}
+    for path in ROOM.glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            ours = {name for name in names if name.startswith("nermo_mjx")}
+            assert all(any(name == one or name.startswith(f"{one}.") for one in allowed) for name in ours), path
+
+
+@pytest.mark.process
+def test_importing_the_step_brings_nothing_of_the_robot() -> None:
+    code = (
+        "import sys; from nermo_mjx.physics import forward, step; import nermo_mjx.dynamics as room;"
+        "[getattr(room, name) for name in room.__all__];"
+        "print([name for name in sys.modules if name.startswith('nermo_mjx.')])"
+    )
+    brought = ast.literal_eval(subprocess.run([sys.executable, "-c", code], text=True, capture_output=True).stdout)
+    others = ("nermo_mjx.dynamics", "nermo_mjx.physics", "nermo_mjx.shapes", "nermo_mjx.version")
+    assert {name for name in brought if not name.startswith(others)} == set()
+    assert not [name for name in brought if name.startswith("nermo_mjx.physics.")]
+
+
+def test_what_it_refuses_is_said_in_a_sentence() -> None:
+    ball = mujoco.MjModel.from_xml_string(BALL)
+    model = mjx.put_model(ball)
+    data = mjx.make_data(model)
+    still = mjx.put_model(mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>'))
+    batch = jax.vmap(lambda height: data.replace(qpos=data.qpos.at[2].set(height)))(jnp.arange(2.0))
+    discrete = model.tree_replace({"opt.integrator": mjx.IntegratorType.DISCRETE})
+    for given, message in (
+        ((discrete, data), r"^integrator is DISCRETE: allowed is one of EULER, RK4, IMPLICITFAST, which MJX has\.$"),
+        ((still, mjx.make_data(still)), r"^the model has no joints: allowed is one that can move"),
+        ((model, batch), r"^qpos has the shape \(2, 7\): allowed is \(7,\), that of one world; use jax\.vmap"),
+    ):
+        for function in (nermo_mjx.dynamics.step, nermo_mjx.dynamics.forward):
+            with pytest.raises(ValueError, match=message):
+                function(*given)
+
+
+@pytest.mark.process
+def test_what_is_none_of_mjx_is_refused() -> None:
+    """In a process without the tests' own check of types."""
+    code = f"""
+import mujoco
+from mujoco import mjx
+from nermo_mjx.physics import step
+ball = mujoco.MjModel.from_xml_string('''{BALL}''')
+model = mjx.put_model(ball)
+for given in ((ball, mjx.make_data(model)), (model, mujoco.MjData(ball))):
+    try:
+        step(*given)
+    except ValueError as error:
+        print(error)
+"""
+    said = subprocess.run([sys.executable, "-c", code], text=True, capture_output=True).stdout.splitlines()
+    assert said[-2:] == [
+        "model is of mujoco.MjModel: allowed is an mjx.Model, as of mjx.put_model.",
+        "data is of mujoco.MjData: allowed is an mjx.Data, as of mjx.make_data or mjx.put_data.",
+    ]
+
+
+#: Ends of one tendon lie on both sides of a cylinder; another runs past one, begins inside of one, and comes through.
+WOUND = """
+<mujoco><default><geom contype="0" conaffinity="0" mass="1"/></default><worldbody>
+  <geom name="drum" type="cylinder" size=".1 .2" euler="90 0 0"/><geom name="ball" size=".1" pos="0 .5 0"/>
+  <geom name="hub" type="cylinder" size=".05 .2" euler="90 0 0" pos=".1 0 0"/>
+  <site name="above" pos="-.1 0 .2"/><site name="over" pos="0 .4 .4"/><site name="through" pos="0 0 0"/>
+  <site name="in_hub" pos=".1 0 0"/><site name="from" pos="-.5 0 .11"/><site name="inner" pos=".1 0 .01"/>
+  <body pos=".4 0 .1"><joint axis="0 1 0"/><joint type="slide" axis="0 1 0"/><geom size=".05" pos="0 0 -.1"/>
+    <site name="a" pos="0 0 -.12"/><site name="b" pos="0 .3 .4"/></body>
+</worldbody><tendon>
+  <spatial><site site="from"/><geom geom="drum" sidesite="above"/><site site="a"/></spatial>
+  <spatial><site site="from"/><geom geom="ball" sidesite="over"/><site site="b"/></spatial>
+  <spatial><site site="inner"/><geom geom="hub" sidesite="above"/><site site="a"/></spatial>
+  <spatial><site site="from"/><geom geom="drum" sidesite="through"/><site site="a"/></spatial>
+  <spatial><site site="above"/><geom geom="hub" sidesite="in_hub"/><site site="b"/></spatial>
+</tendon></mujoco>
+"""
+
+
+@pytest.mark.compiles
+def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
+    """Also those that touch nothing, or in one point: the derivative of MJX's own is NaN there. The oracle is C."""
+    model = mujoco.MjModel.from_xml_string(WOUND)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.05, 0.02
+    mujoco.mj_forward(model, data)
+    arms = np.zeros((model.ntendon, model.nv))
+    mujoco.mju_sparse2dense(arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+    with jax.enable_x64(True):
+        device = mjx.put_model(model)
+        blank = mjx.make_data(device)
+
+        @with_point_jacobians
+        def lengths(qpos: Any) -> Any:
+            found: Any = mjx.tendon(device, tree.com_pos(device, tree.kinematics(device, blank.replace(qpos=qpos))))
+            return found.ten_length, (found.ten_length, found._impl.ten_J)
+
+        slopes, (length, moments) = jax.jit(jax.jacrev(lengths, has_aux=True))(jnp.asarray(data.qpos))
+    np.testing.assert_allclose(length, data.ten_length, rtol=1e-9)
+    np.testing.assert_allclose(moments, arms, atol=1e-9)
+    np.testing.assert_allclose(slopes, arms, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With ours all is well; without the solution's derivative, as if contacts had none, it is not."""
+    model = mujoco.MjModel.from_xml_string(BALL)
+    data, options = mujoco.MjData(model), dict(compiler_options())
+    data.qvel[:2] = 1.0, 0.3  # it slides
+    assert checking.check_gradient(model, data, steps=2, options=options).error < 1e-6
+    cut = differentiable._solution
+    monkeypatch.setattr(differentiable, "_solution", lambda *given: jax.lax.stop_gradient(cut(*given)))
+    found = checking.check_gradient(model, data, steps=2, options=options)
+    assert found.is_finite
+    assert found.error > 0.1
+    assert found.spread < 1e-5
+
+
+def test_the_differences_choose_their_width_and_the_gradient_has_no_say() -> None:
+    """Of the pair that agrees best, the one that agrees better with its other neighbour."""
+    found = checking.GradientCheck(
+        group=np.zeros(2, int), gradient=np.array([5.0, 5.0]),
+        differences=np.array([[1.1, 2.0], [1.001, 2.0], [1.0, 2.0], [0.9, 2.0]]), end=np.zeros(1),
+    )  # fmt: skip
+    assert checking.WIDTHS[found.chosen] == 1e-5
+    assert found.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))
+    assert not np.isfinite(checking.distance(found.group, np.array([np.nan, 0.0]), found.differences[0]))

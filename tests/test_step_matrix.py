@@ -1,0 +1,63 @@
+"""The quickest of MuJoCo's own models through the step, as the benchmark has them; and its page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from nermo_mjx.bench import step_matrix, step_models, step_page
+
+MODELS = dict(step_models.installed_models())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mjx/actuator/arm21", "mjx/tendon/armature", "mjx/quadratic_frictionloss"])
+def test_the_gradient_is_that_of_the_differences(name: str) -> None:
+    """An arm, a tendon with armature, and a body that slides with contacts and dry friction; states agree with C."""
+    found = step_matrix.measure(MODELS[name], "gradient", {})
+    assert found["finite"]
+    assert found["spread"] < 1e-5
+    assert found["error"] < 1e-4
+    assert found["end_off_c"] < 1e-9
+    assert (found["contacts"] > 0) == (name == "mjx/quadratic_frictionloss")
+
+
+def test_mujocos_models_of_mjx_are_there() -> None:
+    assert {"mjx/humanoid/humanoid", "mjx/shadow_hand/scene_right", "mjx/tendon/wrap_sidesite"} <= MODELS.keys()
+    assert "mjx/shadow_hand/right_hand" not in MODELS, "a part of its scene"
+
+
+MISSING = """
+<mujoco><asset><mesh name="skin" file="skin.obj"/></asset><worldbody><geom type="plane" size="1 1 .1"/>
+<body pos="0 0 .1"><freejoint/>{inertia}<geom size=".1"/><geom type="mesh" mesh="skin" {collides}/></body></worldbody>
+</mujoco>
+"""
+
+
+def test_a_mesh_that_is_missing_is_left_out_where_it_is_only_drawn(tmp_path: Path) -> None:
+    path, inertia = tmp_path / "robot.xml", '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    path.write_text(MISSING.format(inertia=inertia, collides='contype="0" conaffinity="0"'))
+    assert step_models.load(path).ngeom == 2
+    for given in ((inertia, ""), ("", 'contype="0" conaffinity="0"')):
+        path.write_text(MISSING.format(inertia=given[0], collides=given[1]))
+        with pytest.raises(ValueError, match="mesh 'skin' is not there, and it collides or has a mass"):
+            step_models.load(path)
+
+
+def test_lines_become_a_table(tmp_path: Path) -> None:
+    """A model's parts are one row; what is off is bold; what was not measured has its reason."""
+    first = {"nv": 2, "contacts": 1, "rows": 4, "finite": True, "spread": 1e-9, "end_off_c": 0.0}
+    lines = [
+        {"model": "a", "part": "gradient", **first, "error": 2e-8},
+        {"model": "b", "part": "gradient", **first, "error": 3e-2},
+        {"model": "a", "part": "plain", "plain": "refuses: while_loop"},
+        {"model": "c", "part": "gradient", "failed": "ValueError: no file"},
+    ]
+    (tmp_path / "lines.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    text = step_page.page(tmp_path / "lines.jsonl")
+    assert "2 models; the gradients of 2 are finite, and 1 are within 0.0001" in text
+    assert "| a | 2 | 1, 4 | 2e-08 | 1e-09 | 0e+00 |  | refuses: while_loop |" in text
+    assert "| b | 2 | 1, 4 | **3e-02** |" in text
+    assert "| c | ValueError: no file |" in text
