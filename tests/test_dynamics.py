@@ -22,7 +22,7 @@ from nermo_mjx.runtime import compiler_options
 
 ROOM = Path(nermo_mjx.dynamics.__file__).parent
 BALL = """
-<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body pos="0 0 .0995"><freejoint/><geom size=".1"/></body>
+<mujoco><worldbody><geom type="plane" size="1 1 .1"/><body pos="0 0 .0993"><freejoint/><geom size=".1"/></body>
 </worldbody></mujoco>
 """
 

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.learn.acting import Acting
 from nermo_mjx.learn.loop import EpisodeLoop, Observed
 from nermo_mjx.learn.task import Episodes, Outcome, Task
 from nermo_mjx.physics import Variation, resolve_engine
 from nermo_mjx.physics.c_driven import CDriven
 from nermo_mjx.physics.c_engine import CEngine
-from nermo_mjx.physics.precision import full_precision
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import check_controller
