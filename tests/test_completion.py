@@ -74,7 +74,7 @@ def test_the_command_prints_what_the_shell_needs(shell: str) -> None:
 def test_names_written_out_for_the_shell_are_those_of_the_package() -> None:
     """After a parameter, metric or scene is added, `nermo_mjx/cli/choices.py` lists it, too."""
     from nermo_mjx.plotting.files import FORMATS
-    from nermo_mjx.robot.files import scenes
+    from nermo_mjx.robot.scene import scenes
     from nermo_mjx.rollout import METRICS, all_parameters
 
     assert set(choices.PARAMETERS) == set(all_parameters())

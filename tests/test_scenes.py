@@ -12,9 +12,11 @@ from published_maze import BOXES
 
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.files import mjcf_directory, scenes
+from nermo_mjx.robot.files import mjcf_directory
+from nermo_mjx.robot.scene import scenes
+from nermo_mjx.robot.terrains import TERRAINS
 
-SCENES = ("balance_stand", "flat", "maze", "quarter_circles", "straight_line")
+SCENES = ("balance_stand", "flat", "maze", "quarter_circles", "straight_line", *TERRAINS)
 #: A box that stands alone in its row, unturned: its middle.
 LONELY = 19
 #: How deep a visible part may be inside a box before something reports it [m]: the soft paw around the sole's sphere.

@@ -19,7 +19,10 @@ PILOTS = ("straight", "arc", "open_loop")
 OVERLAYS = ("gait", "servos", "support")
 VIEWS = ("three_quarter", "high", "side", "top", "front", "rear")
 FORMATS = ("png", "svg")
-SCENES = ("balance_stand", "flat", "maze", "quarter_circles", "straight_line")
+SCENES = (
+    "balance_stand", "flat", "maze", "quarter_circles", "straight_line", "planks", "ramp", "logs", "stairs",
+    "spiral_stairs", "rough", "slalom",
+)  # fmt: skip
 METRICS = (
     "speed", "distance", "duration", "lateral_drift", "roll_mean", "roll_std", "roll_min", "roll_max", "pitch_mean",
     "pitch_std", "pitch_min", "pitch_max", "yaw_mean", "yaw_std", "yaw_min", "yaw_max", "cross_track_peak",
@@ -42,5 +45,6 @@ PARAMETERS = (
     "contact.time_constant", "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee",
     "stiffness.rear_knee", "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle",
     "damping.spine", "damping.pulley", "mass.front", "mass.rear", "ground.gravity", "ground.slope", "ground.direction",
-    "start.x", "start.y", "start.yaw", "start.phase",
+    "terrain.height", "terrain.spacing", "terrain.width", "terrain.radius", "terrain.slope", "terrain.gap",
+    "terrain.offset", "terrain.shift", "terrain.side", "start.x", "start.y", "start.yaw", "start.phase",
 )  # fmt: skip

@@ -189,9 +189,8 @@ class EpisodeLoop:
         observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)
         exact = jnp.concatenate([self.observer.readings(sensors), self.observer.told(told, sensors)])
         left = 1.0 - state.loop.tick / self.ticks
-        privileged = observing.privileged(
-            exact, sensors, self.robot.terrain.height, now.readings[2], left, params.drawn, self.has_path
-        )
+        ground = functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
+        privileged = observing.privileged(exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path)
         return observation.astype(jnp.float32), privileged.astype(jnp.float32)
 
     def _status(self, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:

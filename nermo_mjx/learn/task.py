@@ -20,6 +20,7 @@ from nermo_mjx.learn.rewards import Term
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, identified
 from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
+from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.loop import LoopParameters
 from nermo_mjx.rollout.metrics import Ending
 from nermo_mjx.rollout.parameters import Window
@@ -130,6 +131,10 @@ class Task:
                     near = nearest(name, list(known))
                     hint = f": did you mean {near!r}?" if near else "."
                     raise ParameterError(f"{section} has {name!r}, which is no parameter{hint}")
+                if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
+                    raise ParameterError(
+                        f"{section} has {name!r}, which the scene {setup.scene!r} has not: leave it out."
+                    )
                 if name in body:
                     raise ParameterError(f"{section} has {name!r}, which the identified bodies bring: leave one out.")
         for name in self.randomize:
@@ -211,8 +216,10 @@ class Episodes:
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
         world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
         control = Acted(self._commanded(world.control, given.command), self.controller.parameters.action)
-        loop = LoopParameters(control, world.start, Window(begin=0.0, end=1e6, distance=1e6), world.model.servo.speed)
-        first = StartPose(self.robot, self.controller).qpos(control, world.start)
+        window = Window(begin=0.0, end=1e6, distance=1e6)
+        terrain = world.model.terrain if self.robot.terrain.has_shape else None
+        loop = LoopParameters(control, world.start, window, world.model.servo.speed, terrain)
+        first = StartPose(self.robot, self.controller).qpos(control, world.start, terrain)
         number = jax.random.randint(seed, (), 0, 1 << 24)
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))
         return parameters, jax.tree.map(_real, world.model), first

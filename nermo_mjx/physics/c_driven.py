@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.physics.c_engine import LANES, CEngine, CSession, _Block
+from nermo_mjx.physics.variation import vary
 
 
 class CDriven(CSession):
@@ -64,10 +65,7 @@ def _observed(block: _Block) -> Any:
 def _restarted(block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
     batch, lanes = block.batch, np.pad(np.arange(len(ids)), (0, LANES - len(ids)), mode="edge")
     batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-    for name, values in fields.items():
-        batch.expand(name)[ids] = values
-    if "body_mass" in fields:
-        batch.set_const()
+    block.models = vary(batch, block.engine.robot.physical, fields, block.models, ids)
     block.qpos[ids] = qpos
     batch.forward(ids)
     at_rest = np.array(batch.bind("sensordata"))[ids]

@@ -23,6 +23,7 @@ from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.packed_loop import PackedLoop
+from nermo_mjx.physics.variation import vary
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import start_jax, thread_count
 from nermo_mjx.shapes import Array
@@ -172,10 +173,7 @@ class _Block:
         self.engine, self.worlds = engine, len(qpos)
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.robot.physical, self.worlds, nthread=threads)
-        for name, values in fields.items():
-            self.batch.expand(name)[...] = values
-        if "body_mass" in fields:
-            self.batch.set_const()
+        self.models = vary(self.batch, engine.robot.physical, fields)
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.qpos[...] = qpos
         at_rest = self.batch.bind("sensordata")

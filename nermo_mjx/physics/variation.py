@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from mujoco.batch import Batch
 
 from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
@@ -21,6 +22,7 @@ from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
+from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array
 
@@ -32,6 +34,7 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "damping": ("dof_damping",),
     "mass": ("body_mass", "body_inertia"),
     "ground": ("opt.gravity",),
+    "terrain": ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "hfield_data"),
 }
 #: Constants that MuJoCo derives from masses (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
@@ -66,6 +69,8 @@ class Variation:
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
+        self._scene = str(robot.config.scene)
+        self._terrain = np.array([model.geom(name).id for name in geom_names(self._scene)], int)
         self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
         self._front = np.array([i > 0 and is_front(model.body(i).name) for i in range(model.nbody)])
 
@@ -113,7 +118,29 @@ class Variation:
             "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
             "body_mass": mass * scale, "body_inertia": jnp.asarray(model.body_inertia, float) * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
+            **self._shaped(p.terrain),
         }  # fmt: skip
+
+    def _shaped(self, shape: TerrainShape) -> dict[str, Float[Array, ...]]:
+        """Fields of the geoms that a terrain's shape moves; none in another scene."""
+        model, geoms = self.model, self._terrain
+        if not len(geoms):
+            return {}
+        kind = TERRAINS[self._scene]
+        pos, quat, size = (jnp.asarray(each, float) for each in kind.layout(shape, jnp))
+        moved = {"geom_pos": pos, "geom_quat": quat}
+        if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
+            # As shares of the height that was compiled: MJX knows that one when it traces.
+            highest = model.hfield_size[model.geom_dataid[geoms[0]], 2]
+            moved.pop("geom_quat")
+            heights = {"hfield_data": jnp.asarray(field_shares().ravel(), float) * (shape.height / highest)}
+        else:
+            bound = jnp.linalg.norm(size, axis=-1) if kind.geom == mujoco.mjtGeom.mjGEOM_BOX else size.sum(axis=-1)
+            moved |= {"geom_size": size, "geom_rbound": bound}
+            heights = {}
+        return heights | {
+            name: jnp.asarray(getattr(model, name), float).at[geoms].set(value) for name, value in moved.items()
+        }
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
         """The fields that the named parameters reach, (worlds, ...) each; the others keep the model's values.
@@ -132,7 +159,7 @@ class Variation:
         start_jax()
         with jax.enable_x64(True):
             fields = self._batched(leaves)
-        return {name: np.asarray(fields[name], float) for name in reached}
+        return {name: np.asarray(fields[name], float) for name in reached if name in fields}
 
     def differentiable(self, parameters: ModelParameters, named: Iterable[str]) -> dict[str, Float[Array, ...]]:
         """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses.
@@ -163,10 +190,72 @@ def _reached(named: Iterable[str]) -> list[str]:
 
 
 def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
-    """A copy of the robot's model with the named body parameters, for rendering or for any `mj_` function."""
-    model = copy.copy(robot.model)
-    parameters = replace_quantities(ModelParameters(), values)
-    for name, field in Variation(robot).batch(parameters, 1, values).items():
-        operator.attrgetter(name)(model)[...] = field[0]
+    """A copy of the robot's whole model with the named body parameters, for rendering or for any `mj_` function."""
+    model, variation = copy.copy(robot.model), Variation(robot)
+    parameters = replace_quantities(ModelParameters(), terrain_values(str(robot.config.scene)) | dict(values))
+    for name, field in variation.batch(parameters, 1, values).items():
+        if name.startswith("geom_"):
+            # Geoms have other ids than in the model that engines step; all else has the same.
+            names = geom_names(str(robot.config.scene))
+            ours, theirs = ([one.geom(each).id for each in names] for one in (model, variation.model))
+            getattr(model, name)[ours] = field[0][theirs]
+        elif name == "hfield_data":
+            set_heights(model, robot.model, field[0])
+        else:
+            operator.attrgetter(name)(model)[...] = field[0]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
+
+
+def set_heights(model: mujoco.MjModel, compiled: mujoco.MjModel, data: Float[np.ndarray, " points"]) -> None:
+    """Write the heights of the only height field: MuJoCo expects contacts up to the height that the field has.
+
+    Args:
+        model: to write into.
+        compiled: the model that it is a copy of.
+        data: shares of the height in that one.
+    """
+    highest = max(float(data.max()), 1e-9)
+    model.hfield_data[:] = data / highest
+    model.hfield_size[0, 2] = compiled.hfield_size[0, 2] * highest
+
+
+def vary(
+    batch: Batch,
+    model: mujoco.MjModel,
+    fields: Mapping[str, np.ndarray],
+    models: list[mujoco.MjModel] | None = None,
+    worlds: np.ndarray | None = None,
+) -> list[mujoco.MjModel] | None:
+    """Give worlds of a batch of MuJoCo's C engine their own fields, and the constants that follow from masses.
+
+    Args:
+        batch: of n worlds.
+        model: of the batch.
+        fields: (k, ...) each.
+        models: what this function returned before for the same batch.
+        worlds: which, (k,); all of them by default.
+
+    Returns:
+        The worlds' own models, where a field is one that a batch does not have for each world; else None.
+    """
+    chosen = np.arange(batch.nsim) if worlds is None else worlds
+    if "hfield_data" not in fields:
+        for name, values in fields.items():
+            batch.expand(name)[chosen] = values
+        if "body_mass" in fields:
+            batch.set_const()
+        return None
+    models = [copy.copy(model) for _ in range(batch.nsim)] if models is None else models
+    data = mujoco.MjData(model)
+    for row, world in enumerate(chosen):
+        own = models[world]
+        for name, values in fields.items():
+            if name == "hfield_data":
+                set_heights(own, model, values[row])
+            else:
+                operator.attrgetter(name)(own)[...] = values[row]
+        if "body_mass" in fields:
+            mujoco.mj_setConst(own, data)
+    batch.set_models(models)
+    return models

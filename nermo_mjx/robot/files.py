@@ -16,8 +16,8 @@ def mjcf_directory() -> Path:
     return inside if inside.is_dir() else package.parent / "mjcf"
 
 
-def scenes() -> tuple[str, ...]:
-    """Names of the scenes that come with the package."""
+def scene_files() -> tuple[str, ...]:
+    """Names of the scenes of `mjcf/scenes`."""
     return tuple(sorted(path.stem for path in (mjcf_directory() / "scenes").glob("*.xml")))
 
 

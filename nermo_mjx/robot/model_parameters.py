@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from nermo_mjx.robot.quantity import group, parameter_tree, quantity
+from nermo_mjx.robot.terrains import TerrainShape
 
 
 @parameter_tree
@@ -102,3 +103,4 @@ class ModelParameters:
     damping: Damping = group(Damping)
     mass: Mass = group(Mass)
     ground: Ground = group(Ground)
+    terrain: TerrainShape = group(TerrainShape)

@@ -215,7 +215,7 @@ def _compile(config: RobotConfig) -> _Compiled:
     except ValueError as error:  # a scene of one's own with the name of a part
         why = str(error).splitlines()[0].removeprefix("Error: ")
         raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None
-    terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground))
+    terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground), str(config.scene))
     return _Compiled(spec, model, _joint_index(model), terrain)
 
 

@@ -17,10 +17,11 @@ from typing import Any, Final, NoReturn, TypeAlias
 
 import mujoco
 
-from nermo_mjx.robot.files import load_file, scenes
+from nermo_mjx.robot.files import load_file, scene_files
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_quantities
+from nermo_mjx.robot.terrains import TERRAINS, add_terrain
 
 Scene: TypeAlias = str | os.PathLike[str] | mujoco.MjSpec
 #: Default classes of the geoms that the robot stands on, and of those that stop it; a class inside of one counts, too.
@@ -29,7 +30,11 @@ OBSTACLE: Final = "obstacle"
 #: A geom of this name is ground, whatever its class.
 FLOOR: Final = "floor"
 #: What ground can be: MuJoCo knows how a sphere touches it in every engine, and `terrain.Terrain` how high it is.
-GROUND_TYPES: Final = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_HFIELD)
+GROUND_TYPES: Final = (
+    mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_HFIELD,
+)  # fmt: skip
+#: The file of `mjcf/scenes/common` into which a terrain is put.
+_GROUNDS: Final = "scenes/common/terrain"
 #: What moves, acts or reads: positions, controls and sensors are the robot's alone.
 _FOREIGN: Final = {
     "joints": "a joint", "actuators": "an actuator", "sensors": "a sensor", "tendons": "a tendon",
@@ -46,6 +51,11 @@ class SceneGeoms:
 
     ground: tuple[str, ...]
     obstacles: tuple[str, ...]
+
+
+def scenes() -> tuple[str, ...]:
+    """Names of the scenes that come with the package: files of `mjcf/scenes`, and terrains."""
+    return (*scene_files(), *TERRAINS)
 
 
 def resolve_scene(scene: Scene) -> str:
@@ -86,6 +96,11 @@ def scene_name(scene: str) -> str:
 
 def load_scene(scene: str) -> mujoco.MjSpec:
     """The specification of a scene as `resolve_scene` keeps it, editable."""
+    if scene in TERRAINS:
+        spec = load_file(_GROUNDS)
+        add_terrain(spec, scene)
+        spec.modelname = scene
+        return spec
     return mujoco.MjSpec.from_string(scene) if is_mjcf(scene) else load_file(f"scenes/{scene}")
 
 
@@ -162,7 +177,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
     for geom in ground:
         if geom.type not in GROUND_TYPES:
             kind = geom.type.name.removeprefix("mjGEOM_").lower()
-            refuse(f"has the ground {geom.name!r}, a {kind}; allowed is a plane, a box or an hfield")
+            refuse(f"has the ground {geom.name!r}, a {kind}; allowed is a plane, a box, a capsule or an hfield")
     _find_files(spec)
     # What stands still belongs to the world, so that the robot's bodies are all there are.
     spec.compiler.fusestatic = True

@@ -129,7 +129,8 @@ class Rollout:
         params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)
         loop, ticks = self._loop_parameters(params, self.seconds(values, policy))
-        first = self.start.qpos(params.control, params.start) if qpos is None else jnp.asarray(qpos, float)
+        own = self.start.qpos(params.control, params.start, loop.terrain) if qpos is None else qpos
+        first = jnp.asarray(own, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))
 
@@ -159,7 +160,8 @@ class Rollout:
         """Parameters of the loop, and the number of ticks that covers a run of so many seconds."""
         begin, end = self.length.seconds(_real(self.controller.cycle_rate(params.control)))
         window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
-        loop = LoopParameters(params.control, params.start, window, params.model.servo.speed)
+        terrain = params.model.terrain if self.robot.terrain.has_shape else None
+        loop = LoopParameters(params.control, params.start, window, params.model.servo.speed, terrain)
         return loop, math.ceil(seconds / self.controller.dt - 1e-6) + 1
 
     def seconds(self, values: Mapping[str, ArrayLike], policy: Any = None) -> float:

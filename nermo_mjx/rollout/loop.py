@@ -13,6 +13,7 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.control.state import canonical, with_dtypes_of
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
+from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.parameters import Start, Window
@@ -22,12 +23,20 @@ from nermo_mjx.shapes import Array, Count, Scalar
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopParameters:
-    """Parameters of one world's loop; `servo_speed` is how fast a servo's target may change [rad/s]."""
+    """Parameters of one world's loop.
+
+    Attributes:
+        control: of the controller.
+        start, window: of the run.
+        servo_speed: how fast a servo's target may change [rad/s].
+        terrain: shape of the ground, in a scene that has one; None for the ground that was compiled.
+    """
 
     control: Any
     start: Start
     window: Window
     servo_speed: Any
+    terrain: TerrainShape | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -97,7 +106,7 @@ class ClosedLoop:
             stance = controller.stance(state.control)
         return metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
-            stance, self.robot.terrain.height(position[0], position[1]), self.own,
+            stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own,
         )  # fmt: skip
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:

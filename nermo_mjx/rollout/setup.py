@@ -23,6 +23,7 @@ from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
+from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.catalogue import METRICS, Metric
 from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
 from nermo_mjx.rollout.parameters import WorldParameters
@@ -196,6 +197,7 @@ class Setup:
         """Parameters before a user names any."""
         controller = self._without_robot
         world = WorldParameters(control=controller.parameters)
+        world = replace_quantities(world, terrain_values(str(self.scene)))
         world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
         if not isinstance(controller, Controller):
             return world

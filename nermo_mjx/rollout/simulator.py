@@ -131,9 +131,10 @@ class Simulator:
         params, worlds = _batched(self.parameters(values, policy), self.setup.world({}), values)
         window = _window(run or Run(), params, self.controller, worlds)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
+        terrain = params.model.terrain if self.robot.terrain.has_shape else None
         return Batch(
-            params=_single(LoopParameters(params.control, params.start, window, params.model.servo.speed)),
-            qpos=self.start.batch(params.control, params.start),
+            params=_single(LoopParameters(params.control, params.start, window, params.model.servo.speed, terrain)),
+            qpos=self.start.batch(params.control, params.start, terrain),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,

@@ -16,6 +16,7 @@ from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.parameters import Start
 from nermo_mjx.shapes import Array
@@ -38,8 +39,14 @@ class StartPose:
     robot: Robot
     controller: ControllerLike
 
-    def qpos(self, control: Any, start: Start) -> Float[Array, " nq"]:
-        """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y."""
+    def qpos(self, control: Any, start: Start, terrain: TerrainShape | None = None) -> Float[Array, " nq"]:
+        """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y.
+
+        Args:
+            control: the controller's parameters.
+            start: where, and in which phase.
+            terrain: shape of the ground, see `Terrain.height`.
+        """
         servo = self.controller.initial_servo(control, start.phase)
         legs = four_legs()
         eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
@@ -52,7 +59,8 @@ class StartPose:
         # Each foot has its own ground; the body is as high as the one that needs it highest.
         x, y, _ = jnp.moveaxis(feet_positions(bend, pose.foot), -1, 0)
         cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-        beneath = self.robot.terrain.height(start.x + cosine * x - sine * y, start.y + sine * x + cosine * y)
+        place = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
+        beneath = self.robot.terrain.height(*place, terrain)
         height = jnp.max(sole - DEPTH - (axis_height + pose.foot[:, 1]) + beneath)
 
         joints, half = self.robot.joints, yaw / 2
@@ -63,9 +71,9 @@ class StartPose:
         qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle)
         return qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
 
-    def batch(self, control: Any, start: Start) -> np.ndarray:
+    def batch(self, control: Any, start: Start, terrain: TerrainShape | None = None) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
-        return np.asarray(self._batched(control, start), float)
+        return np.asarray(self._batched(control, start, terrain), float)
 
     @functools.cached_property
     def _batched(self) -> Lanes:

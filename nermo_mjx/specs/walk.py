@@ -17,11 +17,11 @@ from nermo_mjx.control.parameters import PROFILES, STEERING
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAITS
 from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
-from nermo_mjx.robot.files import scenes
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.robot.scene import resolve_scene
+from nermo_mjx.robot.scene import resolve_scene, scenes
+from nermo_mjx.robot.terrains import TERRAINS, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
@@ -213,6 +213,8 @@ class WalkSpec:
 
 def unread(setup: Setup, name: str) -> tuple[str, str] | None:
     """The choice, and what it would have to be, without which nothing reads a parameter; None if it is read."""
+    if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
+        return "scene", next(scene for scene, kind in TERRAINS.items() if name in kind.reads)
     choice, wanted = _NEEDS.get(name, ("", "")) if setup.controller is None else ("", "")
     return (choice, wanted) if choice and wanted not in getattr(setup, choice).split("+") else None
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-import operator
 
 import mujoco
 
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.quantity import quantities, replace_quantities
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.terrains import terrain_values
 
 
 def robot_of(recording: Recording) -> Robot:
@@ -33,17 +32,10 @@ def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     Returns:
         `robot.model` itself if the recording's parameters change nothing about the body.
     """
-    from nermo_mjx.physics.variation import Variation  # JAX takes a second to start
+    from nermo_mjx.physics.variation import compile_model  # JAX takes a second to start
 
     known = {name: about.default for name, about in quantities(ModelParameters)}
+    known |= terrain_values(str(robot.config.scene))
     given = recording.metadata.get("parameters") or {}
     changed = {name: value for name, value in given.items() if name in known and value not in (None, known[name])}
-    if not changed:
-        return robot.model
-    fields = Variation(robot).batch(replace_quantities(ModelParameters(), changed), 1, changed)
-    model = copy.copy(robot.model)
-    # Pairs, joints, bodies and actuators have the same ids in the whole model and in the one that engines step.
-    for name, values in fields.items():
-        operator.attrgetter(name)(model)[:] = values[0]
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
+    return compile_model(robot, changed) if changed else robot.model

@@ -1,0 +1,268 @@
+"""Terrains whose shape is a matter of parameters: a world of a batch has its own.
+
+Each is a scene by its name. It begins 0.15 m ahead of the robot's start, and the way leads along -y; about the spiral
+stair it is the circle to the left. What stands where follows from `TerrainShape` alone, in the scene that is compiled,
+in the model fields of a batch (`physics.variation`), and for whoever asks how high the ground is (`terrain`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+import mujoco
+import numpy as np
+
+from nermo_mjx.robot.quantity import parameter_tree, quantity
+
+#: Where a terrain begins ahead of the robot's start [m], and half of how wide it is.
+BEGIN: Final = 0.15
+HALF_WIDTH: Final = 0.4
+#: What is buried of steps and ramps [m], so that no foot finds a gap beneath.
+BURIED: Final = 0.1
+#: Radius and half height of the poles of the slalom [m].
+POLE: Final = (0.01, 0.08)
+#: The field of rough ground: half lengths across and along the way [m], distance of its points, and its centre.
+FIELD_SIZE: Final = (0.6, 2.4)
+FIELD_STEP: Final = 0.03
+FIELD_CENTRE: Final = -2.0
+
+
+@parameter_tree
+class TerrainShape:
+    """What a terrain looks like; each scene reads some of it (`TERRAINS`), and has defaults of its own."""
+
+    height: Any = quantity(0.01, unit="m", low=0.0, high=0.05, doc="of a plank, log, step, or of rough ground")
+    spacing: Any = quantity(0.2, unit="m", low=0.05, high=1.0, doc="way from one plank, log, step or gate to the next")
+    width: Any = quantity(0.1, unit="m", low=0.01, high=0.3, doc="of a plank, along the way")
+    radius: Any = quantity(0.1, unit="m", low=0.05, high=2.0, doc="of a log, or of the way up the spiral stair")
+    slope: Any = quantity(math.radians(10.0), unit="rad", low=0.0, high=0.6, doc="of the ramp")
+    gap: Any = quantity(0.2, unit="m", low=0.05, high=1.0, doc="between the two poles of a gate")
+    offset: Any = quantity(0.06, unit="m", low=-0.3, high=0.3, doc="of the slalom's gates from the middle")
+    shift: Any = quantity(0.0, unit="m", low=-1.0, high=1.0, doc="how much farther ahead the terrain begins")
+    side: Any = quantity(0.0, unit="m", low=-0.4, high=0.4, doc="how far to the left rough ground is moved")
+
+
+class Layout(NamedTuple):
+    """Places of the geoms of a terrain: (k, 3), (k, 4) and (k, 3), as MuJoCo has them."""
+
+    pos: Any
+    quat: Any
+    size: Any
+
+
+@dataclasses.dataclass(frozen=True)
+class TerrainKind:
+    """A terrain by its name.
+
+    Attributes:
+        doc: one line on what it is.
+        geom: type of its geoms.
+        count: how many.
+        layout: from a shape and `numpy` or `jax.numpy` to a `Layout`.
+        defaults: of the shape, where they are not those of `TerrainShape`; they name what the terrain reads.
+        obstacle: whether it stops the robot, instead of carrying it.
+        material: of its geoms.
+    """
+
+    doc: str
+    geom: mujoco.mjtGeom
+    count: int
+    layout: Callable[[TerrainShape, Any], Layout]
+    defaults: Mapping[str, float]
+    obstacle: bool = False
+    material: str = "wood"
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of the parameters that it reads."""
+        return tuple(f"terrain.{name}" for name in self.defaults)
+
+
+def _stacked(xp: Any, *columns: Any) -> Any:
+    """Columns of k numbers each, or one number for all, as an array (k, columns)."""
+    return xp.stack(xp.broadcast_arrays(*(xp.asarray(column) for column in columns)), axis=-1)
+
+
+def _level(xp: Any, count: int) -> Any:
+    return xp.asarray(np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)))
+
+
+def _along(shape: TerrainShape, count: int) -> Any:
+    """Ways from the start to the beginnings of so many elements."""
+    return BEGIN + shape.shift + shape.spacing * np.arange(count)
+
+
+def _planks(shape: TerrainShape, xp: Any) -> Layout:
+    y = -(_along(shape, 14) + 0.5 * shape.width)
+    pos = _stacked(xp, 0.0, y, shape.height - 0.5 * BURIED)
+    return Layout(pos, _level(xp, 14), _stacked(xp, np.full(14, HALF_WIDTH), 0.5 * shape.width, 0.5 * BURIED))
+
+
+def _logs(shape: TerrainShape, xp: Any) -> Layout:
+    pos = _stacked(xp, 0.0, -(_along(shape, 18) + 0.5 * shape.spacing), shape.height - shape.radius)
+    half = math.sqrt(0.5)
+    quat = xp.asarray(np.tile([half, 0.0, half, 0.0], (18, 1)))
+    return Layout(pos, quat, _stacked(xp, np.full(18, 1.0) * shape.radius, HALF_WIDTH, 0.0))
+
+
+def _ramp(shape: TerrainShape, xp: Any) -> Layout:
+    """A plane that rises from the floor, and the platform that it leads to."""
+    half, top, thick = 1.0, 1.0, 0.5 * BURIED
+    cosine, sine, begin = xp.cos(shape.slope), xp.sin(shape.slope), BEGIN + shape.shift
+    along, up = begin + half * cosine + thick * sine, half * sine - thick * cosine
+    end = begin + 2.0 * half * cosine
+    pos = xp.stack([
+        _stacked(xp, 0.0, -along, up), _stacked(xp, 0.0, -(end + top), 2.0 * half * sine - thick),
+    ])  # fmt: skip
+    # About x, so that -y rises.
+    turned = _stacked(xp, xp.cos(-0.5 * shape.slope), xp.sin(-0.5 * shape.slope), 0.0, 0.0)
+    quat = xp.stack([turned, xp.asarray([1.0, 0.0, 0.0, 0.0])])
+    size = xp.asarray([[HALF_WIDTH, half, thick], [HALF_WIDTH, top, thick]])
+    return Layout(pos, quat, size)
+
+
+def _stairs(shape: TerrainShape, xp: Any) -> Layout:
+    """Seven steps; the last is the platform."""
+    number, platform = np.arange(7), 1.0
+    half = xp.where(number < 6, 0.5 * shape.spacing, 0.5 * platform)
+    y = -(_along(shape, 7) + half)
+    pos = _stacked(xp, 0.0, y, shape.height * (number + 1) - BURIED)
+    return Layout(pos, _level(xp, 7), _stacked(xp, HALF_WIDTH, half, BURIED))
+
+
+def _spiral(shape: TerrainShape, xp: Any) -> Layout:
+    """Steps about the point (radius, 0), as far apart as `spacing` on the way, which is the circle to the left."""
+    number, width = np.arange(15), 0.3
+    angle = (BEGIN + shape.shift + shape.spacing * (number + 0.5)) / shape.radius
+    x, y = shape.radius * (1.0 - xp.cos(angle)), -shape.radius * xp.sin(angle)
+    pos = _stacked(xp, x, y, shape.height * (number + 1) - BURIED)
+    quat = _stacked(xp, xp.cos(0.5 * angle), 0.0, 0.0, xp.sin(0.5 * angle))
+    # As deep as the outer end needs; inside, steps overlap and the higher one counts.
+    deep = 0.5 * shape.spacing * (1.0 + 0.5 * width / shape.radius)
+    return Layout(pos, quat, _stacked(xp, np.full(15, 0.5 * width), deep, BURIED))
+
+
+def _rough(shape: TerrainShape, xp: Any) -> Layout:
+    pos = _stacked(xp, shape.side, FIELD_CENTRE - shape.shift, 0.0)[None]
+    return Layout(pos, _level(xp, 1), xp.asarray([[*FIELD_SIZE, 1.0]]))
+
+
+def _slalom(shape: TerrainShape, xp: Any) -> Layout:
+    """Six gates of two poles, the left one first."""
+    centres, radius = gates(shape, xp), POLE[0]
+    apart = 0.5 * shape.gap + radius
+    x = xp.stack([centres[:, 0] + apart, centres[:, 0] - apart], axis=-1).reshape(-1)
+    pos = _stacked(xp, x, xp.repeat(centres[:, 1], 2), POLE[1])
+    return Layout(pos, _level(xp, 12), xp.asarray(np.tile([*POLE, 0.0], (12, 1))))
+
+
+def gates(shape: TerrainShape, xp: Any = np) -> Any:
+    """Centres of the slalom's six gates (6, 2) [m], what way points lead through."""
+    side = np.where(np.arange(6) % 2 == 0, 1.0, -1.0)
+    return _stacked(xp, side * shape.offset, -(_along(shape, 6) + 0.5 * shape.spacing))
+
+
+_BOX, _CAPSULE = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
+#: Every terrain, by the name of its scene.
+TERRAINS: Final[Mapping[str, TerrainKind]] = {
+    "planks": TerrainKind("planks across the way", _BOX, 14, _planks,
+                          {"height": 0.01, "spacing": 0.2, "width": 0.1, "shift": 0.0}),
+    "ramp": TerrainKind("a ramp, and the platform that it leads to", _BOX, 2, _ramp,
+                        {"slope": math.radians(10.0), "shift": 0.0}),
+    "logs": TerrainKind("round logs across the way, sunk into the floor", _CAPSULE, 18, _logs,
+                        {"height": 0.01, "spacing": 0.15, "radius": 0.1, "shift": 0.0}),
+    "stairs": TerrainKind("seven steps up to a platform", _BOX, 7, _stairs,
+                          {"height": 0.01, "spacing": 0.15, "shift": 0.0}),
+    "spiral_stairs": TerrainKind("fifteen steps up, about a point to the left", _BOX, 15, _spiral,
+                                 {"height": 0.01, "spacing": 0.15, "radius": 0.5, "shift": 0.0}),
+    "rough": TerrainKind("random rough ground, a height field", mujoco.mjtGeom.mjGEOM_HFIELD, 1, _rough,
+                         {"height": 0.01, "shift": 0.0, "side": 0.0}, material="soil"),
+    "slalom": TerrainKind("gates of two poles, to the left and to the right in turn", _CAPSULE, 12, _slalom,
+                          {"spacing": 0.4, "gap": 0.2, "offset": 0.06, "shift": 0.0}, obstacle=True),
+}  # fmt: skip
+
+
+def terrain_values(scene: str) -> dict[str, float]:
+    """The parameters `terrain.*` of a scene, where it reads them."""
+    kind = TERRAINS.get(scene)
+    return {} if kind is None else {f"terrain.{name}": value for name, value in kind.defaults.items()}
+
+
+def geom_names(scene: str) -> tuple[str, ...]:
+    """Names of the geoms that a terrain's parameters move; none in another scene."""
+    return tuple(f"{scene}_{i}" for i in range(TERRAINS[scene].count)) if scene in TERRAINS else ()
+
+
+def _waves() -> tuple[np.ndarray, ...]:
+    """Of the waves that rough ground is made of: wave numbers across and along the way [rad/m], phases [rad], heights.
+
+    They are from 0.1 to 0.5 m long, the short ones lower, in directions and phases without order. These come from the
+    golden ratio: a generator's stream may change with a release of NumPy, and with it what a scene is.
+    """
+    number, golden = np.arange(16), 0.5 * (np.sqrt(5.0) - 1.0)
+    length = 0.1 * 5.0 ** (number / 15.0)
+    direction, phase = 2.0 * np.pi * ((golden * number) % 1.0), 2.0 * np.pi * ((golden * number**2) % 1.0)
+    number_of_waves = 2.0 * np.pi / length
+    return number_of_waves * np.cos(direction), number_of_waves * np.sin(direction), phase, length
+
+
+def field_share(column: Any, row: Any, xp: Any = np) -> Any:
+    """Height of rough ground at points of its field over the parameter `height`, in [0, 1].
+
+    Args:
+        column, row: of the points, which broadcast.
+        xp: `numpy` or `jax.numpy`.
+    """
+    low, high = _field_range()
+    return (_sum_of_waves(column, row, xp) - low) / (high - low)
+
+
+def _sum_of_waves(column: Any, row: Any, xp: Any) -> Any:
+    across, along, phase, height = (each.astype(np.result_type(column * 1.0)) for each in _waves())
+    turn = FIELD_STEP * (column[..., None] * across + row[..., None] * along) + phase
+    return xp.sum(height * xp.sin(turn), axis=-1)
+
+
+@functools.cache
+def _field_range() -> tuple[float, float]:
+    columns, rows = _field_points()
+    total = _sum_of_waves(columns, rows, np)
+    return float(total.min()), float(total.max())
+
+
+def _field_points() -> tuple[np.ndarray, np.ndarray]:
+    columns, rows = (round(2.0 * half / FIELD_STEP) + 1 for half in FIELD_SIZE)
+    column, row = np.meshgrid(np.arange(columns, dtype=float), np.arange(rows, dtype=float))
+    return column, row
+
+
+def field_shares() -> np.ndarray:
+    """The shares of all points of the field, (rows, columns)."""
+    return np.clip(field_share(*_field_points()), 0.0, 1.0)
+
+
+def add_terrain(spec: mujoco.MjSpec, scene: str, values: Mapping[str, float] | None = None) -> None:
+    """Put the geoms of a terrain into a scene.
+
+    Args:
+        spec: of the floor; it has the default classes `ground` and `obstacle`.
+        scene: name of the terrain.
+        values: of its shape, by their names without `terrain.`; the others are its defaults.
+    """
+    kind = TERRAINS[scene]
+    shape = TerrainShape(**(dict(kind.defaults) | dict(values or {})))
+    layout = kind.layout(shape, np)
+    if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
+        shares = field_shares()
+        size = [*FIELD_SIZE, max(float(shape.height), 1e-6), BURIED]
+        spec.add_hfield(name=scene, nrow=shares.shape[0], ncol=shares.shape[1], size=size, userdata=shares.ravel())
+    classname = spec.find_default("obstacle" if kind.obstacle else "ground")
+    for name, pos, quat, size in zip(geom_names(scene), *layout, strict=True):
+        geom = spec.worldbody.add_geom(classname, name=name, type=kind.geom, pos=pos, quat=quat, size=size)
+        geom.material = kind.material
+        if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
+            geom.hfieldname, geom.size = scene, np.zeros(3)
