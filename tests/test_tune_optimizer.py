@@ -1,4 +1,4 @@
-"""Optimizers and schedules of optax by name."""
+"""Optimizers and schedules of optax by name, and Adam whose rate follows the objective."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,8 @@ def walk(optimizer, steps=12):
     chosen, u = optimizer.build(), jnp.array([[0.5, -0.3], [1.0, 2.0]])
     state, path = jax.vmap(chosen.init)(u), []
     for _ in range(steps):
-        step, state = jax.vmap(chosen.update)(jnp.array([[3.0, -4.0], [0.3, 0.4]]), state, u)
+        slope = jnp.array([[3.0, -4.0], [0.3, 0.4]])
+        step, state = jax.vmap(lambda g, s, u: chosen.update(g, s, u, value=jnp.sum(g * u)))(slope, state, u)
         u = u + step
         path.append(np.asarray(u))
     return np.stack(path)
@@ -94,7 +95,7 @@ def test_each_start_is_clipped_by_itself():
 def test_what_cannot_work_is_refused_in_a_sentence(given, parts):
     """Before anything simulates: unknown names with the nearest, wrong options, optimizers that need more."""
     with pytest.raises(ParameterError) as caught:
-        Optimizer(**given)
+        Optimizer(**{"name": "adam", **given})
     message = str(caught.value)
     assert [part for part in parts if part not in message] == [], message
     assert "\n" not in message
@@ -107,3 +108,58 @@ def test_schedules_are_those_of_optax():
         schedules()
     )
     assert not {"join_schedules", "scale_by_schedule", "incremental_update"} & set(schedules())
+
+
+def rough(seed):
+    """A bowl in two dimensions, level far off, with teeth on its slope that are as steep as itself."""
+    rng = np.random.default_rng(seed)
+    way, at = 2 * np.pi / 0.15 * rng.standard_normal((6, 2)), rng.uniform(0, 2 * np.pi, 6)
+    height = 0.02 / np.linalg.norm(way, axis=1)
+
+    def value(u):
+        return -0.1 * jnp.exp(-0.5 * (u[0] ** 2 + 3.0 * u[1] ** 2)) + (height * jnp.sin(way @ u + at)).sum()
+
+    return jax.jit(jax.value_and_grad(value))
+
+
+def lowest(optimizer, function, steps=20, falls=lambda u: False):
+    """The lowest value of `steps` evaluations from a corner, and where they were."""
+    chosen, u, path, values = optimizer.build(), jnp.array([1.2, -0.8]), [], []
+    state, update = chosen.init(u), jax.jit(lambda g, s, u, v: chosen.update(g, s, u, value=v))
+    for _ in range(steps):
+        value, slope = function(u)
+        value, slope = (jnp.asarray(jnp.inf), jnp.zeros(2)) if falls(u) else (value, slope)
+        values.append(float(value))
+        path.append(np.asarray(u))
+        step, state = update(slope, state, u, value)
+        u = u + step
+    return min(values), np.stack(path)
+
+
+def test_a_rate_that_follows_the_objective_finds_the_bottom_of_rough_bowls():
+    """From a first rate of 0.03 or of 1, to 2 % of their depth; Adam with either is left on the slope, or beyond."""
+    bowls = [rough(seed) for seed in range(3)]
+    for rate in (0.03, 0.3, 1.0):
+        controlled = Optimizer("controlled_adam", {"rate": rate})
+        assert max(lowest(controlled, bowl, 30)[0] for bowl in bowls) < -0.098
+    for rate in (0.03, 1.0):
+        assert max(lowest(Optimizer("adam", {"learning_rate": rate}), bowl, 30)[0] for bowl in bowls) > -0.095
+
+
+def test_a_step_into_a_fall_is_taken_back():
+    """The next point is nearer to the best one, in the same direction, and what follows stays out."""
+    bowl = jax.jit(jax.value_and_grad(lambda u: -u[0]))
+    best, path = lowest(Optimizer("controlled_adam"), bowl, 30, falls=lambda u: u[0] > 2.0)
+    fell = np.flatnonzero(path[:, 0] > 2.0)
+    assert len(fell)
+    assert best < -1.9
+    after = path[fell[fell < 29] + 1, 0]
+    assert (after < path[fell[fell < 29], 0]).all()
+    np.testing.assert_allclose(path[:, 1], -0.8)
+
+
+def test_a_controlled_rate_has_no_rate_to_give():
+    """Its one option is the first one."""
+    with pytest.raises(ParameterError, match=r"learning_rate is not an option of controlled_adam; allowed are"):
+        Optimizer("controlled_adam", {"learning_rate": 0.1})
+    assert Optimizer("controlled_adam", {"rate": 0.1}).written() == {"name": "controlled_adam", "rate": 0.1}

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from sweep_fake import FakeSimulator
-from tune_fake import BEST, SPEC, FakeProblem
+from tune_fake import BEST, SPEC, FakeProblem, FakeWalker
 
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
@@ -451,3 +451,62 @@ def test_progress_tells_how_far_and_how_good(tmp_path, reference):
     assert best[-1] == reference.best["objective"]
     assert set(seen[-1].metrics) == {"speed", "roll_std"}
     assert seen[-1].simulated_seconds == reference.best["simulated_seconds"]
+
+
+# --- the end
+
+
+def test_a_tuning_stops_when_nothing_more_is_gained(tmp_path):
+    """Long before its iterations are done, with a sentence; the same call adds nothing, and a longer patience adds."""
+    change = {"iterations": 200, "patience": 3, "optimizer": "controlled_adam", "starts": 1}
+    first, _ = tune(tmp_path, change)
+    done = first.best["iterations"]
+    assert 5 < done < 60
+    assert first.best["complete"]
+    assert f"stopped after {done} of 200 iterations: the last 3 gained less than 1% of all" in first.best["stopped"]
+    lowest = np.minimum.accumulate(first.history.column("objective").to_numpy())
+    gained = lowest[0] - lowest[-1]
+    assert lowest[-4] - lowest[-1] <= 0.01 * gained < lowest[-5] - lowest[-2]
+    again, _ = tune(tmp_path, change)
+    assert again.iterations_run == 0
+    longer, _ = tune(tmp_path, change | {"patience": 8})
+    assert longer.iterations_run > 0
+    assert longer.history.column("objective").to_pylist()[: done + 1] == first.history.column("objective").to_pylist()
+
+
+def test_one_start_that_still_gains_goes_on(tmp_path):
+    """A tuning of two starts ends when neither gains; one of both that always falls is not waited for."""
+    change = {"iterations": 60, "patience": 3, "optimizer": "controlled_adam"}
+    result, _ = tune(tmp_path / "both", change)
+    value = result.history.column("objective").to_numpy().reshape(-1, 2)
+    lowest = np.minimum.accumulate(value)
+    gained = lowest[0].min() - lowest[-1].min()
+    assert (lowest[-4] - lowest[-1] <= 0.01 * gained).all()
+    assert (lowest[-5] - lowest[-2] > 0.01 * gained).any()
+    lost, _ = tune(tmp_path / "lost", change, falls=lambda points: jnp.arange(len(points)) == 1)
+    assert lost.best["stopped"]
+    assert lost.best["start"] == 0
+
+
+def test_a_generation_stops_as_a_whole(tmp_path):
+    """Of CMA-ES the best of all points counts."""
+    change = {name: value for name, value in SPEC.items() if name not in ("starts", "optimizer")}
+    change |= {"method": {"cma": {"population": 8}}, "iterations": 100, "patience": 4}
+    tuning = Tuning.from_dict(change)
+    result = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
+    assert result.best["stopped"]
+    assert result.best["iterations"] < 60
+
+
+def test_start_and_best_are_walked_again_from_unseen_starts(tmp_path):
+    """By the engine c, eight times each from the same starts; the file has both figures."""
+    tuning = Tuning.from_dict(SPEC)
+    walker = FakeWalker(falls=lambda values: values["start.yaw"] > 0.005)
+    result = run_tuning(tuning, tmp_path, problem=FakeProblem(tuning), simulator=walker)
+    found = json.loads((tmp_path / "best.json").read_text())["verified"]
+    assert found == result.best["verified"]
+    assert (found["engine"], found["walks"], walker.again, walker.batches) == ("c", 8, [16], [])
+    assert found["start"]["walks_ok"] == found["best"]["walks_ok"] < 8
+    for point, given in (("start", result.start), ("best", result.best)):
+        assert found[point]["metrics"]["speed"] == pytest.approx(given["metrics"]["speed"], rel=1e-5)
+        assert found[point]["objective"] == pytest.approx(given["objective"], rel=1e-5)

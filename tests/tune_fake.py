@@ -98,13 +98,14 @@ class FakeWalker:
     """A simulator of what pictures show, with the metrics of `FakeProblem`; recorded, the robot glides along.
 
     Attributes:
-        batches: (number of worlds, recorded) of each call.
+        batches: (number of worlds, recorded) of each call that pictures make.
+        again: number of worlds of each call from other starts, as what is best is walked again.
         falls: tells from named values which worlds fall.
         error: raised in each call, if it is one.
     """
 
     def __init__(self, falls=lambda values: False, error=None):
-        self.batches, self.falls, self.error = [], falls, error
+        self.batches, self.again, self.falls, self.error = [], [], falls, error
 
     def run(self, values, run, record=False, *, progress=None):
         if self.error is not None:
@@ -112,7 +113,10 @@ class FakeWalker:
         sizes = {len(column) for column in values.values()}
         assert len(sizes) == 1, "every parameter comes as an array of one length"
         n = sizes.pop()
-        self.batches.append((n, record))
+        if "start.yaw" in values:
+            self.again.append(n)
+        else:
+            self.batches.append((n, record))
         if progress:
             progress(1.0)
         amplitude, phase = values["spine.amplitude"], values.get("spine.phase", np.full(n, BEST[1]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,8 @@ Examples:
 """
 #: Metrics of the point that are named while it goes on; more would not fit a line.
 _NAMED = 3
+#: Points that are walked again by another engine.
+_AGAIN = ("start", "best")
 
 
 @click.command("tune", epilog=EPILOG)
@@ -163,11 +166,18 @@ def _content(result: TuningResult) -> dict[str, Any]:
 def _print(result: TuningResult) -> None:
     best = result.best
     columns = [("", "left"), ("start", "right"), ("best", "right"), ("change", "right"), ("", "left")]
+    again = best.get("verified")
+    if again:
+        columns[-1:-1] = [(f"{name}, {again['engine']}", "right") for name in _AGAIN]
     where = f" of start {best['start']}" if result.tuning.starts > 1 else ""
     print_table(f"Iteration {best['iteration']}{where} is the best", columns, _rows(result))
     wall = result.history.column("wall_seconds")[-1].as_py()
     effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
+    if again:
+        click.echo(_walked_again(again))
     click.echo(f"{best['iterations']} iterations ({effort})")
+    if best["stopped"]:
+        click.echo(best["stopped"])
     if not result.start["ok"]:
         click.echo("From the given start, the robot did not walk to the end.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
@@ -188,9 +198,31 @@ def _rows(result: TuningResult) -> list[list[str]]:
         ends = start[kind][name], best[kind][name]
         change = _shortest(result.tuning, name, ends[1] - ends[0])
         (before, after, change), unit = _shown(result.tuning, name, (*ends, change))
-        rows.append([name, *_cells(before, after, change), unit])
+        rows.append([name, *_cells(before, after, change), *_again(result, name, kind), unit])
     ends = start["objective"], best["objective"]
-    return [*rows, ["objective", *_cells(*ends, ends[1] - ends[0]), "lower is better"]]
+    return [*rows, ["objective", *_cells(*ends, ends[1] - ends[0]), *_again(result, "objective"), "lower is better"]]
+
+
+def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
+    """A row's cells of what start and best gave when they were walked again; none if they were not."""
+    if "verified" not in result.best:
+        return []
+    cells = []
+    for each in (result.best["verified"][point] for point in _AGAIN):
+        found = None if each is None else each.get(name) if not kind else each.get(kind, {}).get(name)
+        number = None if found is None else _shown(result.tuning, name, (found,))[0][0] if kind else found
+        cells.append("" if number is None else _digits(number))
+    return cells
+
+
+def _walked_again(again: Mapping[str, Any]) -> str:
+    """What the columns of the engine `c` are."""
+    fell = sum(again["walks"] - (each or {"walks_ok": 0})["walks_ok"] for each in (again[point] for point in _AGAIN))
+    fallen = f", of which {fell} did not come to their end" if fell else ""
+    many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from starts that it has not seen"
+    best = again["best"]
+    apart = f"; the best gave {best['lowest']:.4g} to {best['highest']:.4g}" if best and again["walks"] > 1 else ""
+    return f"Engine {again['engine']}: {many}{fallen}{apart}."
 
 
 def _shortest(tuning: Tuning, name: str, change: float) -> float:

@@ -93,6 +93,14 @@ class Rollout:
         self.variation = Variation(self.robot)
         self.start = StartPose(self.robot, self.controller)
 
+    @property
+    def identity(self) -> str | None:
+        """All that decides this walk, beside what it is called with; None where code of the user's has a part in it."""
+        if self.setup.controller is not None or self.setup.command is not None or self.setup.metrics:
+            return None
+        chosen = self.setup.fields(), self.setup.waypoints, self.robot.config, self.robot.fingerprint
+        return repr((*chosen, self.length, self.slowest, self.engine.devices.count))
+
     def __call__(
         self,
         values: Mapping[str, ArrayLike] | None = None,

@@ -114,7 +114,7 @@ def has_background(tuning: Tuning) -> bool:
 
 def key(tuning: Tuning, others: Mapping[str, float]) -> str:
     """A hash of all that decides the grid: not how it is walked on, so not optimizer, estimator, starts and seed."""
-    walk = dataclasses.replace(tuning, optimizer=Optimizer(), estimator=Estimator(), starts=1, seed=0)
+    walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
     nodes: Sequence[list[float]] = [values.tolist() for values in grid_axes(tuning).values()]
     return hashlib.sha256(json.dumps([walk.digest(), nodes, dict(others)]).encode()).hexdigest()[:16]
 

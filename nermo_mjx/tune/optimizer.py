@@ -1,4 +1,5 @@
-"""Any optimizer of optax by name, with its options and schedules by name; tried out before anything long begins."""
+"""Adam with a controlled rate, or any optimizer of optax by name, with its options and schedules by name; tried out
+before anything long begins."""
 
 from __future__ import annotations
 
@@ -16,7 +17,10 @@ import optax
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import describe, did_you_mean
+from nermo_mjx.tune.controlled_adam import controlled_adam
 
+#: The optimizer whose learning rate needs no hand, because it is told the objective's value.
+CONTROLLED: Final = "controlled_adam"
 #: The learning rate of an optimizer that is named without one, in coordinates u (`nermo_mjx.tune.bounds`) a step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
@@ -27,7 +31,8 @@ class Optimizer:
     """An optimizer by name.
 
     Attributes:
-        name: of a function of optax that has a learning rate: `adam`, `sgd`, `lion`, ...
+        name: `controlled_adam` (`nermo_mjx.tune.controlled_adam`), or of a function of optax that has a learning rate:
+            `adam`, `sgd`, `lion`, ...
         options: keyword arguments of that function. A schedule stands as {name: cosine_decay_schedule, option: value},
             or as {cosine: {option: value}}.
         clip: a longer gradient (2-norm over the parameters of one start) is shortened to this; None leaves it.
@@ -37,19 +42,24 @@ class Optimizer:
             (`optimizer.name`, `optimizer.learning_rate`, ...) and is one sentence.
     """
 
-    name: str = "adam"
+    name: str = CONTROLLED
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     clip: float | None = None
 
     def __post_init__(self) -> None:
-        if "learning_rate" not in self.options:
+        if self.name != CONTROLLED and "learning_rate" not in self.options:
             object.__setattr__(self, "options", {"learning_rate": LEARNING_RATE, **self.options})
         if self.clip is not None and not 0.0 < self.clip < float("inf"):
             raise ParameterError(f"optimizer.clip is {self.clip:g}: allowed is (0, inf).")
         _try_out(self)
 
-    def build(self) -> optax.GradientTransformation:
-        """The pair of pure functions `init` and `update`, for the vector u of one start."""
+    @property
+    def reads_values(self) -> bool:
+        """Whether it is told what each point was worth, so that a fall is something that it can answer."""
+        return self.name == CONTROLLED
+
+    def build(self) -> optax.GradientTransformationExtraArgs:
+        """The pair of pure functions `init` and `update`, for the vector u of one start; `update` is given `value`."""
         make = optimizers().get(self.name)
         if make is None:
             raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {', '.join(optimizers())}"
@@ -57,7 +67,8 @@ class Optimizer:
         values = {key: _schedule(key, value) if isinstance(value, Mapping) else value
                   for key, value in self.options.items()}  # fmt: skip
         chosen = _call("optimizer", self.name, make, values)
-        return chosen if self.clip is None else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
+        chosen = chosen if self.clip is None else optax.chain(optax.clip_by_global_norm(self.clip), chosen)
+        return optax.with_extra_args_support(chosen)
 
     def written(self) -> dict[str, Any]:
         """As it stands in a tuning file."""
@@ -65,8 +76,9 @@ class Optimizer:
 
 
 def optimizers() -> dict[str, Callable[..., optax.GradientTransformation]]:
-    """The optimizers of optax that have a learning rate, by name."""
-    return {name: each for name, each in _functions() if "learning_rate" in inspect.signature(each).parameters}
+    """`controlled_adam`, and the optimizers of optax that have a learning rate, by name."""
+    known = {name: each for name, each in _functions() if "learning_rate" in inspect.signature(each).parameters}
+    return {CONTROLLED: controlled_adam, **known}
 
 
 def schedules() -> dict[str, Callable[..., optax.Schedule]]:
@@ -135,7 +147,9 @@ def _try_out(optimizer: Optimizer) -> None:
             state = jax.vmap(chosen.init)(point)
             before = jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state)
             for _ in range(2):
-                step, state = jax.vmap(chosen.update)(jnp.ones_like(point), state, point)
+                step, state = jax.vmap(lambda *given: chosen.update(*given[:3], value=given[3]))(
+                    jnp.ones_like(point), state, point, point.sum(axis=1)
+                )
         except Exception as error:
             raise ParameterError(f"optimizer.name is {optimizer.name!r}, which does not work from gradients alone: "
                                  f"{_line(error)}.") from None  # fmt: skip

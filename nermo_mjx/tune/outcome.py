@@ -11,6 +11,7 @@ import numpy as np
 from nermo_mjx.specs.reading import dump
 from nermo_mjx.tune.history import Log, columns
 from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.stopping import is_done, why_done
 
 #: Runs of tuned.yaml: they start a little apart, so that the sweep shows whether the best stands on a knife's edge.
 REPEATS: Final = 3
@@ -21,7 +22,7 @@ def best_of(tuning: Tuning, log: Log) -> dict[str, Any] | None:
 
     `parameters` and `metrics` by name in SI units and radians; `objective`; `iteration` and `start` that it is from;
     `simulated_seconds` of the whole tuning and `simulated_seconds_to_best`, gradients at their cost in forward runs;
-    `iterations` done, and whether the tuning is `complete`.
+    `iterations` done, whether the tuning is `complete`, and why it `stopped` before its iterations were done, or null.
     """
     names = [column.name for column in columns(tuning, log.metrics)]
     value = log.rows[:, :, names.index("objective")]
@@ -38,7 +39,8 @@ def best_of(tuning: Tuning, log: Log) -> dict[str, Any] | None:
         "simulated_seconds": float(log.rows[-1, 0, names.index("simulated_seconds")]),
         "simulated_seconds_to_best": row["simulated_seconds"],
         "iterations": len(log) - 1,
-        "complete": len(log) > tuning.iterations,
+        "complete": is_done(tuning, log),
+        "stopped": why_done(tuning, log),
     }
 
 

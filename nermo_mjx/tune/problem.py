@@ -4,6 +4,7 @@ they may be compared with."""
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,11 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.programs import Program
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout.derivative import choose_mode, cost, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
-from nermo_mjx.runtime import compiler_options, cpu_batch_limit
+from nermo_mjx.runtime import cpu_batch_limit
 from nermo_mjx.tune.evaluation import Evaluation
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR
 from nermo_mjx.tune.spec import Tuning
@@ -46,9 +48,10 @@ class WalkProblem:
         self.reference = reference
         if reference is None and tuning.recording is not None:
             self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
-        self._value = jax.jit(jax.vmap(self._walk), compiler_options=compiler_options())
+        identity = self._identity()
+        self._value = Program(jax.vmap(self._walk), identity and f"value {identity}")
         gradient = jax.vmap(value_and_gradient(self._walk, self.mode))
-        self._gradient = jax.jit(gradient, compiler_options=compiler_options())
+        self._gradient = Program(gradient, identity and f"{self.mode} {identity}")
 
     def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
         """For another machine, where the recording is not, and all else is made again."""
@@ -66,6 +69,15 @@ class WalkProblem:
             return Evaluation(value, None, metrics, _walked(value, metrics))
         value, slope, metrics = self._gradient(points)
         return Evaluation(value, slope, metrics, _walked(value, metrics) & jnp.isfinite(slope).all(axis=-1))
+
+    def _identity(self) -> str | None:
+        """All that decides a walk, see `Rollout.identity`, its objective and what it is compared with."""
+        walk, against = self.rollout.identity, self.reference
+        if walk is None:
+            return None
+        recorded = against and [hashlib.sha256(each.tobytes()).hexdigest() for each in (against.qpos, against.weight)]
+        lowest = self.simulated_seconds
+        return repr((walk, dict(self.tuning.constants), self.names, self.tuning.objective, lowest, recorded))
 
     def _walk(self, point: Float[Array, " p"]) -> tuple[Float[Array, ""], dict[str, Array]]:
         """Objective and metrics of one walk."""

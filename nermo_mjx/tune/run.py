@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
 from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers, WorkersLost
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune.directory import Directory
@@ -27,7 +29,9 @@ from nermo_mjx.tune.pictures import Painter, Pictures
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.spreading import SharedProblem
 from nermo_mjx.tune.state import TuneState
+from nermo_mjx.tune.stopping import is_done
 from nermo_mjx.tune.tuner import Tuner
+from nermo_mjx.tune.verifying import verified
 
 
 class TuningInterrupted(KeyboardInterrupt):
@@ -99,16 +103,19 @@ def run_tuning(
 ) -> TuningResult:
     """Tune parameters by gradient, or by another method, into a directory, or go on with what it holds.
 
-    A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led; every evaluation is
-    one batch of starts x (1 + samples) worlds. After each, the state is stored: whoever kills the process loses the
-    iteration in flight, and the tuning that goes on ends with the same numbers, bit for bit, on the same machine.
+    A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
+    more is gained (`nermo_mjx.tune.stopping`); every evaluation is one batch of starts x (1 + samples) worlds. After
+    each, the state is stored: whoever kills the process loses the iteration in flight, and the tuning that goes on ends
+    with the same numbers, bit for bit, on the same machine. What is best is walked again by the engine `c`, from starts
+    that the tuning has not seen (`nermo_mjx.tune.verifying`).
 
     Args:
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
         out: the directory; see `nermo_mjx.tune.directory`.
         problem: stands in for the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
         simulator: stands in for `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
-            the paths, and the video. Where only a problem stands in, there are neither.
+            the paths, and the video; and start and best, from starts that the tuning has not seen
+            (`nermo_mjx.tune.verifying`). Where only a problem stands in, there is none of it.
         progress: called before the first evaluation and after each.
         drawing: called with what is being drawn in the end, and the share of it.
         warn: called with a sentence on each thing that is moved aside.
@@ -127,7 +134,7 @@ def run_tuning(
     with Directory(out, tuning, warn or (lambda _: None)) as directory, _explained(directory) as interruption:
         state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)
-        goes_on = log is None or len(log) <= tuning.iterations
+        goes_on = not is_done(tuning, log)
         code = directory.take_code(log, accept=accept_new_code) if goes_on else ""
         report = progress or (lambda _: None)
         report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
@@ -138,7 +145,7 @@ def run_tuning(
         tuning = directory.tuning
         if goes_on:
             directory.begin_session(resumed)
-        while log is None or len(log) <= tuning.iterations:
+        while not is_done(tuning, log):
             began = time.perf_counter()
             state, found = tuner.step(state)
             if found.lost.all() and not np.isfinite(state.best_value).any():
@@ -149,13 +156,25 @@ def run_tuning(
             with interruption.shielded():
                 best = directory.keep(state, log)
             report(_reached(tuning, resumed, len(log), found.value, found.metrics, best))
+        assert log is not None
         best = directory.publish(log)
         if best is None:
             raise TuningFailed(f"{directory.out}: the robot walked to the end at no point of this tuning: choose other "
                                "starts or bounds.")  # fmt: skip
         start, history = start_of(tuning, log), history_table(tuning, log)
-        painter = Painter(directory, _walker(tuning, problem, simulator), drawing or (lambda what, share: None))
+        drawing, walker = drawing or (lambda what, share: None), _walker(tuning, problem, simulator)
+        notes: tuple[str, ...] = ()
+        if walker is not None:
+            drawing("engine c", 0.0)
+            points = {"start": start["parameters"], "best": best["parameters"]}
+            try:
+                best |= {"verified": verified(tuning, points, walker())}
+                directory.write("best.json", to_json(best))
+            except ParameterError as error:
+                notes = (f"Start and best are not walked again: {error}",)
+        painter = Painter(directory, walker, drawing)
         pictures = painter.paint(history, start, best)
+        pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
         return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
 
 

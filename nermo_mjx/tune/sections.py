@@ -15,7 +15,7 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, o
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import MEASURED, Choice, Finite, Numbers, Positive, Whole, check_value
 from nermo_mjx.tune.objective import AIMS, OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term, objective_metrics
-from nermo_mjx.tune.optimizer import LEARNING_RATE, Optimizer, optimizers
+from nermo_mjx.tune.optimizer import CONTROLLED, LEARNING_RATE, Optimizer, optimizers
 from nermo_mjx.tune.sampling import COMMON, Estimator
 
 #: Parameters that come back to the same place, and after how much.
@@ -101,13 +101,13 @@ class TermFields(Fields):
 
 
 class OptimizerFields(Fields):
-    """An optimizer of optax by name, with its options; optax knows which there are."""
+    """Adam with a controlled rate, or an optimizer of optax by name, with its options; optax knows which there are."""
 
     expected: ClassVar = "a name or {name: adam, learning_rate: 0.1}"
     short: ClassVar = ({"enum": [*optimizers()]},)
     __pydantic_extra__: dict[str, float | bool | str | dict[str, Any]]
     model_config = ConfigDict(extra="allow")
-    name: str = chosen("adam", optimizers(), "of a function of optax")
+    name: str = chosen("adam", optimizers(), "controlled_adam, or a function of optax")
     learning_rate: Positive | dict[str, Any] = Field(
         LEARNING_RATE, description="in coordinates u a step; or a schedule such as {cosine: {init_value: 0.1, "
                                    "decay_steps: 40}}")  # fmt: skip
@@ -249,8 +249,8 @@ def read_recording(doc: Document, given: Any, objective: Objective, *, needed: b
 
 def read_optimizer(doc: Document) -> Optimizer:
     """The optimizer, whose options are those of the file as they stand there."""
-    given = doc.data.get("optimizer", "adam")
-    options = {"name": "adam", "learning_rate": LEARNING_RATE, **OptimizerFields.written_out(given)}
+    given = doc.data.get("optimizer", CONTROLLED)
+    options = {"name": "adam", **OptimizerFields.written_out(given)}
     clip = float(options.pop("clip")) if "clip" in options else None
     try:
         return Optimizer(options.pop("name"), options, clip)

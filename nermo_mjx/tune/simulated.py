@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -50,12 +51,12 @@ class SimulatedProblem:
         """See `evaluation.Problem.evaluate`."""
         at = np.asarray(points, float)
         if not gradient:
-            value, metrics, ok = self._walk(at)
+            value, metrics, ok = self.walk(at)
             return _evaluation(value, None, metrics, ok)
         n, p = at.shape
         apart = self._apart(p)
         worlds, reach = self._within(at[:, None] + apart)
-        value, metrics, ok = self._walk(worlds.reshape(-1, p))
+        value, metrics, ok = self.walk(worlds.reshape(-1, p))
         value, ok = value.reshape(n, -1), ok.reshape(n, -1)
         # Of each parameter two worlds with different values of it: either neighbour, or one and the point itself.
         high = 1 + np.arange(p)
@@ -84,10 +85,16 @@ class SimulatedProblem:
         reach = np.where(periodic, worlds, np.clip(worlds, low, high))
         return np.where(periodic, low + np.mod(worlds - low, high - low), reach), reach
 
-    def _walk(self, points: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
-        """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each."""
+    def walk(
+        self, points: np.ndarray, others: Mapping[str, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+        """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each.
+
+        Args:
+            others: parameters beside the tuned ones, name -> (n,).
+        """
         values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
-        values |= {name: points[:, i] for i, name in enumerate(self.names)}
+        values |= {name: points[:, i] for i, name in enumerate(self.names)} | dict(others or {})
         how: dict[str, Any] = {"record": True} if self.reference is not None else {}
         result = self.simulator.run(values, self.tuning.run, **how)
         metrics = {name: np.asarray(column, float) for name, column in result.metrics.items()}

@@ -32,10 +32,14 @@ from nermo_mjx.tune.sections import Tuned
 
 #: How a derivative is taken: by parameter count, by tangents, or by cotangents.
 MODES: Final = ("auto", "forward", "reverse")
+#: How many iterations may gain next to nothing before a tuning stops, where its file does not say.
+PATIENCE: Final = 6
 #: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
 #: Fields that do not change what an iteration computes: a tuning may go on with others.
-FREE: Final = ("iterations", "plots", "video")
+FREE: Final = ("iterations", "patience", "plots", "video")
+#: Fields that a tuning has as they stand in its file.
+_PLAIN: Final = ("starts", "iterations", "patience", "seed", "mode", "plots", "video")
 
 
 class TuningFile(WalkFields):
@@ -55,6 +59,9 @@ class TuningFile(WalkFields):
     estimator: sections.EstimatorFields = Field(sections.EstimatorFields(exact=None), description="of gradients")
     starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned side by side")
     iterations: Annotated[int, Whole(1, 1_000_000)] = Field(40, description="steps")
+    patience: Annotated[int, Whole(1, 1_000_000)] = Field(
+        PATIENCE, description="iterations in a row that may gain next to nothing before the tuning stops"
+    )
     seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of the other starts, and of perturbations")
     mode: Annotated[str, Choice(MODES)] = Field("auto", description="how a derivative is taken")
     plots: bool = Field(True, description="whether figures are made in the end")
@@ -80,6 +87,7 @@ class Tuning(WalkSpec):
         optimizer, estimator: how an iteration steps, and from which gradient.
         starts: points that are tuned side by side in one batch; the first is the given one, the others are drawn.
         iterations: steps; there is one evaluation more, of what the last step led to.
+        patience: iterations that may gain next to nothing before it stops, see `nermo_mjx.tune.stopping`.
         seed: of the other starts, and of the estimator's perturbations.
         mode: how derivatives are taken: `auto`, `forward` or `reverse`.
         plots, video: whether figures, and a video of the best, are made in the end.
@@ -92,6 +100,7 @@ class Tuning(WalkSpec):
     estimator: Estimator = dataclasses.field(default_factory=Estimator)
     starts: int = 1
     iterations: int = 40
+    patience: int = PATIENCE
     seed: int = 0
     mode: str = "auto"
     plots: bool = True
@@ -152,7 +161,7 @@ class Tuning(WalkSpec):
         data |= self.method.written()
         data["optimizer"] = self.optimizer.written()
         data["estimator"] = self.estimator.written()
-        data |= {name: getattr(self, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")}
+        data |= {name: getattr(self, name) for name in _PLAIN}
         return {name: value for name, value in data.items() if methods.reads(self.method.name, name)}
 
     def to_yaml(self, folder: Path | None = None) -> str:
@@ -219,7 +228,7 @@ def _read(doc: Document, *, recorded: bool = True) -> Tuning:
         optimizer=sections.read_optimizer(doc),
         estimator=sections.read_estimator(file.estimator),
         method=method,
-        **{name: getattr(file, name) for name in ("starts", "iterations", "seed", "mode", "plots", "video")},
+        **{name: getattr(file, name) for name in _PLAIN},
     )
     if method.name == "cma":
         tuning = dataclasses.replace(tuning, starts=method.population)

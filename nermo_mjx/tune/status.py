@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shlex
 import zipfile
@@ -32,7 +33,12 @@ def status(out: Path) -> Status:
             done = pq.read_metadata(out / FILE).num_rows
         except (OSError, pa.ArrowException, ValueError):
             notes.append(f"{FILE} is damaged; it is made again of the checkpoints.")
-    complete = rows is not None and done >= rows and (out / "best.json").exists()
+    best = None
+    with contextlib.suppress(OSError, ValueError):
+        best = json.loads((out / "best.json").read_text(encoding="utf-8"))
+    if isinstance(best, dict) and best.get("stopped"):
+        rows, notes = done, [*notes, best["stopped"]]
+    complete = rows is not None and done >= rows and best is not None
     go_on = ["plot", str(out)] if complete else ["tune", str(out / "tuning.yaml"), "--out", str(out)]
     return Status("evaluations", done, rows, complete, f"nermo-mjx {shlex.join(go_on)}", engine=engine_of(out),
                   notes=tuple(notes))  # fmt: skip

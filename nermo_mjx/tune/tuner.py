@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -97,7 +98,7 @@ class Tuner:
         """The state after the iteration, the gradient it stepped along (to u), whether each point is ok, and its dx/du.
 
         A start of which no world walked to the end has no gradient: it goes half the way back to its best point, and
-        its optimizer waits.
+        its optimizer waits; an optimizer that is told the value answers for itself.
         """
         at = self._coordinates(state)
         value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])
@@ -107,12 +108,15 @@ class Tuner:
         found = estimate(self.tuning.estimator, self._noise(state), value, gradient, ok)
         better = ok[:, 0] & (value[:, 0] < state.best_value)
         best_u = jnp.where(better[:, None], state.u, state.best_u)
-        step, optimizer = jax.vmap(self.optimizer.update)(found.gradient, state.optimizer, state.u)
-        forward = confine(self.bounds, state.u + step)
         lost = found.lost
+        # What a smoothed gradient is the gradient of: the mean over the worlds; of an exact one, the point itself.
+        level = jnp.where(lost, jnp.inf, jnp.where(ok, value, 0.0).sum(axis=1) / jnp.maximum(ok.sum(axis=1), 1))
+        step, optimizer = jax.vmap(self._updated)(found.gradient, state.optimizer, state.u, level)
+        forward = confine(self.bounds, state.u + step)
+        waits = lost & (not self.tuning.optimizer.reads_values)
         after = TuneState(
-            u=jnp.where(lost[:, None], 0.5 * (state.u + best_u), forward),
-            optimizer=jax.tree.map(lambda new, old: jnp.where(_like(lost, new), old, new), optimizer, state.optimizer),
+            u=jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward),
+            optimizer=jax.tree.map(lambda new, old: jnp.where(_like(waits, new), old, new), optimizer, state.optimizer),
             iteration=state.iteration + 1,
             key=state.key,
             best_u=best_u,
@@ -120,6 +124,11 @@ class Tuner:
             best_iteration=jnp.where(better, state.iteration, state.best_iteration),
         )
         return after, found, ok[:, 0], slope(self.bounds, state.u)
+
+    def _updated(self, gradient: Array, optimizer: Any, u: Array, value: Array) -> tuple[Array, Any]:
+        """Step and state of one start's optimizer."""
+        step, after = self.optimizer.update(gradient, optimizer, u, value=value)
+        return step, after
 
 
 def _like(flags: Bool[Array, " starts"], leaf: Array) -> Bool[Array, " starts *1"]:

@@ -115,7 +115,7 @@ def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None
 
 def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
     """All that decides the table: not how a tuner would go, so not optimizer, estimator, starts and seed."""
-    walk = dataclasses.replace(tuning, optimizer=Optimizer(), estimator=Estimator(), starts=1, seed=0)
+    walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
     about = walk.identity()
     lines = {"points": points, "span": span, "centres": CENTRES, "widths": list(WIDTHS)}
     return {

@@ -1,0 +1,157 @@
+"""Programs of JAX whose tracing outlives the process: what was traced once is read from a file the next time.
+
+JAX's own cache keeps what XLA compiled, and has to be asked with the whole program: a walk and its derivative are
+traced for 10 to 25 s before they are found there. `Program` keeps the traced program, too (`jax.export`: StableHLO,
+a megabyte), under all that decides it. The file holds no machine code: XLA compiles it, or JAX's cache has it
+compiled. Whoever traces a program compiles it by way of the file's content as well, so that numbers are the same to
+the last bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import importlib.metadata
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+from jax import export
+
+from nermo_mjx.runtime import cache_directory, compiler_options
+
+#: Largest size of all files together; the longest unused are removed.
+MOST_BYTES: Final = 256 * 1024**2
+_HEAD: Final = b"nermo-mjx program 1\n"
+_SUFFIX: Final = ".program"
+#: Settings of JAX that decide how a function is traced.
+_SETTINGS: Final = (
+    "jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
+    "jax_default_prng_impl", "jax_threefry_partitionable", "jax_debug_nans", "jax_debug_infs", "jax_enable_checks",
+)  # fmt: skip
+_VERSIONS: Final = ("jax", "jaxlib", "mujoco", "mujoco-mjx")
+
+
+class Program:
+    """A function as `jax.jit` would have it, for arguments and results of arrays in tuples, lists and dicts."""
+
+    def __init__(self, function: Callable[..., Any], identity: str | None) -> None:
+        """
+        Args:
+            function: pure.
+            identity: all that decides what it computes, beside this package's sources, the versions of JAX and MuJoCo,
+                and the shapes of its arguments; None where that is not known, as of code of a user's: nothing is kept.
+        """
+        self._jitted = jax.jit(function, compiler_options=compiler_options())
+        self._identity = identity
+        self._compiled: dict[Any, Callable[..., Any]] = {}
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._identity is None or _setting("jax_disable_jit"):
+            return self._jitted(*arguments)
+        structure = jax.tree.structure(arguments)
+        shapes = tuple((leaf.shape, str(leaf.dtype)) for leaf in jax.tree.leaves(arguments))
+        if (structure, shapes) not in self._compiled:
+            self._compiled[structure, shapes] = self._made(arguments, f"{structure} {shapes}")
+        return self._compiled[structure, shapes](*arguments)
+
+    def _made(self, arguments: Any, shapes: str) -> Callable[..., Any]:
+        """The compiled program for such arguments, as kept or traced."""
+        folder = _folder()
+        if folder is None:
+            return self._jitted
+        path = folder / f"{_digest(self._identity, shapes)}{_SUFFIX}"
+        kept = _read(path)
+        if kept is None:
+            try:
+                kept = export.export(self._jitted)(*arguments)
+                _write(path, bytes(kept.serialize()))
+            except (ImportError, NotImplementedError, ValueError) as refused:  # what this JAX or platform cannot keep
+                logging.getLogger(__name__).info("%s is not kept: %s", path.name, refused)
+                return self._jitted
+        return jax.jit(kept.call, compiler_options=compiler_options())
+
+
+def _folder() -> Path | None:
+    """Where programs are kept; None if the user wants no cache, or it cannot be written."""
+    if not _setting("jax_enable_compilation_cache") or os.environ.get("JAX_COMPILATION_CACHE_DIR") == "":
+        return None
+    folder = cache_directory() / "traced"
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    return folder if os.access(folder, os.W_OK | os.X_OK) else None
+
+
+def _digest(*identity: Any) -> str:
+    """Names what is traced here: other code, another version, setting or platform gives another name."""
+    settings = [(name, str(_setting(name))) for name in _SETTINGS]
+    found = (_sources(), _versions(), settings, jax.default_backend(), jax.device_count(), *identity)
+    return hashlib.sha256(repr(found).encode()).hexdigest()[:32]
+
+
+def _setting(name: str) -> Any:
+    """A setting of JAX as it is here and now; None if this JAX has none of that name."""
+    return getattr(jax.config, name, None)
+
+
+@functools.cache
+def _versions() -> tuple[str, ...]:
+    return tuple(importlib.metadata.version(package) for package in _VERSIONS)
+
+
+@functools.cache
+def _sources() -> str:
+    """Digest of all of this package's sources, as they are when the first program is asked for."""
+    package, total = Path(__file__).parent, hashlib.blake2b(digest_size=16)
+    for path in sorted(package.rglob("*.py")):
+        total.update(f"{path.relative_to(package).as_posix()}\0".encode())
+        total.update(path.read_bytes())
+    return total.hexdigest()
+
+
+def _read(path: Path) -> export.Exported | None:
+    """The program of a file; None if there is none, or if it is not as it was written."""
+    with contextlib.suppress(OSError):
+        content = path.read_bytes()
+        head, content = content[: len(_HEAD) + 32], content[len(_HEAD) + 32 :]
+        if head == _HEAD + hashlib.sha256(content).digest():
+            with contextlib.suppress(Exception):  # whatever JAX says about a file that it does not know
+                found = export.deserialize(bytearray(content))
+                os.utime(path)
+                return found
+    return None
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Keep a program, whole or not at all; a disk that is full or read-only only costs the time to trace it again."""
+    with contextlib.suppress(OSError):
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+            try:
+                file.write(_HEAD + hashlib.sha256(content).digest() + content)
+                file.close()
+                os.replace(file.name, path)
+            except OSError:
+                os.unlink(file.name)
+                raise
+        _prune(path.parent)
+
+
+def _prune(folder: Path) -> None:
+    """Remove what was longest not used, until the rest fits."""
+    total = 0
+    for _, size, path in sorted(_files(folder), reverse=True):
+        total += size
+        if total > MOST_BYTES:
+            path.unlink(missing_ok=True)
+
+
+def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
+    for path in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # another process has removed it
+            about = path.stat()
+            yield about.st_mtime, about.st_size, path

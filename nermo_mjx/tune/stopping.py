@@ -1,0 +1,47 @@
+"""When a tuning is at its end: its iterations are done, or the last of them gained next to nothing."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from nermo_mjx.tune.history import Log, columns
+from nermo_mjx.tune.spec import Tuning
+
+#: Share of all that was gained which counts as nothing.
+NOTHING: Final = 0.01
+
+
+def is_done(tuning: Tuning, log: Log | None) -> bool:
+    """Whether there is nothing left to do."""
+    return log is not None and (len(log) > tuning.iterations or stalled(tuning, log))
+
+
+def why_done(tuning: Tuning, log: Log) -> str | None:
+    """Why the tuning ended before its iterations were done, as a sentence; None if it did not."""
+    if len(log) > tuning.iterations or not stalled(tuning, log):
+        return None
+    return (f"It stopped after {len(log) - 1} of {tuning.iterations} iterations: the last {tuning.patience} gained "
+            f"less than {NOTHING:.0%} of all that was gained; a longer patience goes on.")  # fmt: skip
+
+
+def stalled(tuning: Tuning, log: Log) -> bool:
+    """Whether the last `patience` iterations gained next to nothing, at each start.
+
+    What counts is the lowest objective so far: of each start, or of all points together where they are a generation.
+    All that was gained is the way from the first iteration that walked to the best of all.
+    """
+    if len(log) <= tuning.patience:
+        return False
+    place = [column.name for column in columns(tuning, log.metrics)].index("objective")
+    value = np.where(np.isfinite(log.rows[:, :, place]), log.rows[:, :, place], np.inf)
+    value = value if tuning.method.has_gradient else value.min(axis=1, keepdims=True)
+    lowest = np.minimum.accumulate(value)
+    walked = np.asarray(np.isfinite(lowest).any(axis=1))
+    if not walked[-1 - tuning.patience]:
+        return False
+    gained = lowest[int(walked.argmax())].min() - lowest[-1].min()
+    before, now = lowest[-1 - tuning.patience], lowest[-1]
+    lately = np.where(np.isfinite(now), before - np.where(np.isfinite(now), now, 0.0), 0.0)
+    return bool((lately <= NOTHING * gained).all())
