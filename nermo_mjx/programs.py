@@ -74,7 +74,11 @@ class Program:
             except (ImportError, NotImplementedError, ValueError) as refused:  # what this JAX or platform cannot keep
                 logging.getLogger(__name__).info("%s is not kept: %s", path.name, refused)
                 return self._jitted
-        return jax.jit(kept.call, compiler_options=compiler_options())
+        # Compiled here, once: what it gives is bound to its device, and `jit` would compile again for such arguments.
+        program: Callable[..., Any] = (
+            jax.jit(kept.call, compiler_options=compiler_options()).lower(*arguments).compile()
+        )
+        return program
 
 
 def _folder() -> Path | None:

@@ -1,5 +1,6 @@
 """A traced program outlives its process, and is never another one's."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -42,6 +43,19 @@ def test_a_program_is_traced_once_for_all_processes(folder):
     assert (function.times, len(list(folder.iterdir()))) == (1, 1)
     assert run("a", function, 4) == ([0.0, 2.0, 4.0, 6.0], 6.0)
     assert (function.times, len(list(folder.iterdir()))) == (2, 2)
+
+
+def test_what_it_gave_may_be_given_to_it_without_compiling_again(folder):
+    """A tuner's next points come out of what the program gave for the last ones."""
+    compiled = []
+    jax.monitoring.register_event_duration_secs_listener(
+        lambda event, seconds, **about: compiled.append(event) if "backend_compile" in event else None
+    )
+    program = Program(Traced(), "a")
+    y, _ = program(jnp.arange(3.0))
+    before = len(compiled)
+    program(y)
+    assert (before > 0, len(compiled)) == (True, before)
 
 
 @pytest.mark.parametrize("change", ["identity", "source", "version", "setting"])
