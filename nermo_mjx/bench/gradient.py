@@ -13,7 +13,8 @@ from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.timing import compare, compile_cold
 from nermo_mjx.rollout.derivative import Function, value_and_gradient
 from nermo_mjx.rollout.differentiable import Rollout
-from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.length import Run
+from nermo_mjx.rollout.setup import Setup
 
 #: What is differentiated: mean speed by the two parameters of the stride extension.
 NAMES: Final = ("spine.amplitude", "spine.phase")

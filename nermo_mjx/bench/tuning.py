@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.length import Run
+from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Simulator
 from nermo_mjx.tune.bounds import from_unconstrained, to_unconstrained
 from nermo_mjx.tune.problem import WalkProblem

@@ -20,10 +20,11 @@ from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.length import Run
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
-from nermo_mjx.rollout.setup import Run, Setup, with_own
+from nermo_mjx.rollout.setup import Setup, with_own
 from nermo_mjx.rollout.start import StartPose
 from nermo_mjx.shapes import Array, Scalar
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot.quantity import ParameterError, values_of
+from nermo_mjx.rollout.length import Run
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.rollout.saving import Series
-from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.runs.text import plain
 

@@ -20,12 +20,13 @@ from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.lanes import Lanes
+from nermo_mjx.rollout.length import Run
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.result import History, RunResult
 from nermo_mjx.rollout.saving import Keeper, Saving
-from nermo_mjx.rollout.setup import Run, Setup, with_own, without_presettings
+from nermo_mjx.rollout.setup import Setup, with_own, without_presettings
 from nermo_mjx.rollout.start import StartPose
 
 #: Ticks between two reports of progress.

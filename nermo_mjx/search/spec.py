@@ -16,7 +16,8 @@ from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.rollout import all_parameters
-from nermo_mjx.rollout.setup import Run, Setup
+from nermo_mjx.rollout.length import Run
+from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.search import sections
 from nermo_mjx.search.sections import Aim
 from nermo_mjx.specs.controllers import controller_identity, parameters_of

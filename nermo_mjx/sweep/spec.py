@@ -8,29 +8,28 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nermo_mjx.robot import identified
-from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Saving
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import read
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
-from nermo_mjx.specs.walk import WalkSpec, check_sources, unread
-from nermo_mjx.specs.workspace import check_workspace
-from nermo_mjx.sweep.asked import AskedComparison, Value, read_comparison
+from nermo_mjx.specs.walk import WalkSpec, unread
+from nermo_mjx.sweep.asked import AskedComparison, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, read_axis, read_draw
-from nermo_mjx.sweep.beside import Keep, check_keep, read_saving
-from nermo_mjx.sweep.file import LARGEST_SWEEP, SweepFile
+from nermo_mjx.sweep.beside import Keep, read_saving
+from nermo_mjx.sweep.file import SweepFile
 from nermo_mjx.sweep.listing import RowList, listed_rows
 from nermo_mjx.sweep.row_tables import RowTable, read_row_table
 from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
 from nermo_mjx.sweep.structures import Structure, check_repeats, combinations_of, read_structures
+from nermo_mjx.sweep.together import check_together, narrowest, values_of
 
 #: Fields that no row depends on.
 _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
@@ -240,7 +239,7 @@ def _read(doc: Document) -> Sweep:
     if table is None:
         check_repeats(doc, chosen, found)
     different = {tuple(each.labels.items()): each for each in found}
-    structures, parameters = tuple(different.values()), _narrowest(found)
+    structures, parameters = tuple(different.values()), narrowest(found)
     rows = None
     if table is not None:
         place = {labels: at for at, labels in enumerate(different)}
@@ -273,20 +272,9 @@ def _read(doc: Document) -> Sweep:
         save=read_saving(doc, file.save, first.setup),
         keep=None if file.keep is None else Keep(**file.keep.model_dump()),
     )
-    _check_together(doc, sweep)
-    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, _values(sweep)))
+    check_together(doc, sweep)
+    sweep = dataclasses.replace(sweep, comparison=read_comparison(doc, file.compare, values_of(sweep)))
     return sweep if sweep.repeats == 1 else dataclasses.replace(sweep, draws=(*sweep.draws, *start_draws(sweep)))
-
-
-def _values(sweep: Sweep) -> dict[str, list[Value] | None]:
-    """The values of each varied column; None where they are drawn between bounds."""
-    values: dict[str, list[Value] | None] = {
-        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
-    }
-    for axis in sweep.axes:
-        values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
-    rows = {} if sweep.rows is None else sweep.rows.values
-    return values | {name: np.unique(column[~np.isnan(column)]).tolist() for name, column in rows.items()}
 
 
 def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
@@ -297,52 +285,6 @@ def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
         if doc.data.get(other) not in (None, {}):
             doc.fail((other,), "is given beside 'rows', which are all variants: leave out one of them.")
     return read_row_table(doc, file.rows)
-
-
-def _narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
-    """Every parameter, with the range that it has in all structures: the time step is one of its bounds."""
-    each = {walk.setup.timestep: walk.parameters for walk in reversed(structures)}
-    return {
-        name: dataclasses.replace(about, low=max(other[name].low for other in each.values()),
-                                  high=min(other[name].high for other in each.values()))
-        for name, about in structures[0].parameters.items()
-    }  # fmt: skip
-
-
-def _check_together(doc: Document, sweep: Sweep) -> None:
-    """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
-    section = "vary" if sweep.rows is None else "rows"
-    varied, drawn = list(sweep.varied), [draw.name for draw in sweep.draws]
-    setups = [each.setup for each in sweep.structures]
-    for walk in sweep.structures:
-        check_sources(doc, walk, {section: varied, "randomize": drawn}, bodies=sweep.body_parameters, setups=setups)
-    if not (varied or sweep.labelled or sweep.draws or sweep.bodies or sweep.repeats > 1):
-        doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
-    if not sweep.axes and sweep.sampler not in ("grid", "rows"):
-        doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
-    check_keep(doc, sweep.keep, sweep.metrics)
-    rows = sweep.variants * sweep.repeats
-    if rows > LARGEST_SWEEP:
-        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
-                             "such as sample: {sobol: 4096}.")  # fmt: skip
-    tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
-    if sweep.rows is None:
-        tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
-    for setup in {(each.gait, each.routing): each for each in setups}.values():
-        check_workspace(doc, setup, sweep.fixed, tried)
-    if sweep.rows is not None:
-        _check_rows(doc, sweep, sweep.rows)
-
-
-def _check_rows(doc: Document, sweep: Sweep, rows: RowList) -> None:
-    """Fail where the values of a row do not go together."""
-    for at, walk in enumerate(sweep.structures):
-        values = {name: column[rows.structure == at] for name, column in rows.values.items()
-                  if unread(walk.setup, name) is None}  # fmt: skip
-        try:
-            walk.setup.check(walk.setup.world(walk.constants | values))
-        except ParameterError as error:
-            doc.fail(("rows",), f"has values that do not go together: {error}")
 
 
 def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
