@@ -12,7 +12,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import METRICS
 from nermo_mjx.cli.completing import names
-from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
+from nermo_mjx.cli.output import print_table, stdout_reserved, tell_report
 
 if TYPE_CHECKING:
     from nermo_mjx.sweep.comparing import Comparison
@@ -57,21 +57,9 @@ def command(
     with stdout_reserved():
         from nermo_mjx.sweep.comparing import compare
         from nermo_mjx.sweep.comparing.figures import figures_of
-        from nermo_mjx.sweep.reports import write_report
 
         found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
-        files, moved = list[Path](), ""
-        if out is not None:
-            files, moved = write_report(out, "comparison", found.table, found.about(), figures_of(found.table))
-    say = sayer("compare", quiet)
-    if say is not None and moved:
-        say(moved)
-    if as_json:
-        print_json({**found.about(), "files": files})
-    elif not quiet:
-        _print(found)
-        for file in files:
-            click.echo(f"wrote {file}")
+    tell_report("compare", "comparison", found, figures_of, out, _print, as_json=as_json, quiet=quiet)
 
 
 def _split(text: str) -> tuple[str, str]:

@@ -6,9 +6,15 @@ import contextlib
 import json
 import sys
 from collections.abc import Callable, Iterator
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from nermo_mjx.plotting.files import Figures
+
+Found = TypeVar("Found")
 
 
 def print_json(value: Any) -> None:
@@ -29,6 +35,29 @@ def stdout_reserved() -> Iterator[None]:
 def sayer(command: str, quiet: bool) -> Callable[[str], None] | None:
     """What prints a sentence about a command's work on standard error; None if it is to be quiet."""
     return None if quiet else lambda sentence: click.echo(f"{command}: {sentence}", err=True)
+
+
+def tell_report(
+    command: str, kind: str, found: Found, figures: Callable[[Any], Figures], out: Path | None,
+    tell: Callable[[Found], None], *, as_json: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Write the table of what was found, and its figures, where `out` is given, and print it: as JSON or by `tell`."""
+    report: Any = found
+    files, moved = list[Path](), ""
+    if out is not None:
+        from nermo_mjx.sweep.reports import write_report
+
+        with stdout_reserved():
+            files, moved = write_report(out, kind, report.table, report.about(), figures(report.table))
+    say = sayer(command, quiet)
+    if say is not None and moved:
+        say(moved)
+    if as_json:
+        print_json({**report.about(), "files": files})
+    elif not quiet:
+        tell(found)
+        for file in files:
+            click.echo(f"wrote {file}")
 
 
 def print_table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> None:

@@ -10,7 +10,7 @@ import click
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import METRICS
 from nermo_mjx.cli.completing import names
-from nermo_mjx.cli.output import print_json, print_table, sayer, stdout_reserved
+from nermo_mjx.cli.output import print_table, stdout_reserved, tell_report
 
 if TYPE_CHECKING:
     from nermo_mjx.sweep.sensitivity import Sensitivity
@@ -36,23 +36,11 @@ def command(path: Path, metric: str, out: Path | None, as_json: bool, quiet: boo
     another random sample the first ones.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.reports import write_report
         from nermo_mjx.sweep.sensitivity import sensitivity
         from nermo_mjx.sweep.sensitivity_figure import figures_of
 
         found = sensitivity(path, metric)
-        files, moved = list[Path](), ""
-        if out is not None:
-            files, moved = write_report(out, "sensitivity", found.table, found.about(), figures_of(found.table))
-    say = sayer("sensitivity", quiet)
-    if say is not None and moved:
-        say(moved)
-    if as_json:
-        print_json({**found.about(), "files": files})
-    elif not quiet:
-        _print(found)
-        for file in files:
-            click.echo(f"wrote {file}")
+    tell_report("sensitivity", "sensitivity", found, figures_of, out, _print, as_json=as_json, quiet=quiet)
 
 
 def _print(found: Sensitivity) -> None:
