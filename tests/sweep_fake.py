@@ -17,6 +17,8 @@ SPEC = {
     "plots": False,
     "vary": {"frequency": list(FREQUENCIES), "spine.amplitude": list(AMPLITUDES), "spine.phase": list(PHASES)},
 }
+#: Seconds that nobody waits: the process is ended by then.
+HELD = 120.0
 
 
 def speed(frequency, amplitude=0.0, phase=0.0):
@@ -32,11 +34,14 @@ class FakeSimulator:
         stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
         fail_at: raises `error` in this call.
         delay: seconds that each call takes.
+        hold_at: this call waits for the signal that ends the process, however slow the machine is.
     """
 
-    def __init__(self, stop_at=None, delay=0.0, engine="fake", falls_above=np.inf, log=None, fail_at=None, error=None):
+    def __init__(self, stop_at=None, delay=0.0, engine="fake", falls_above=np.inf, log=None, fail_at=None, error=None,
+                 hold_at=None):  # fmt: skip
         self.batches, self.stop_at, self.delay, self.engine = [], stop_at, delay, engine
         self.falls_above, self.log, self.fail_at, self.error = falls_above, log, fail_at, error
+        self.hold_at = hold_at
 
     def run(self, values, run, *, progress=None, notify=None):
         if len(self.batches) == self.stop_at:
@@ -50,7 +55,7 @@ class FakeSimulator:
         if self.log:
             with open(self.log, "a") as file:
                 file.write(f"{n}\n")
-        time.sleep(self.delay)
+        time.sleep(HELD if len(self.batches) - 1 == self.hold_at else self.delay)
         frequency = values.get("frequency", np.full(n, 0.67))
         result = speed(frequency, values.get("spine.amplitude", 0.0), values.get("spine.phase", 0.0))
         result = result + values.get("start.x", 0.0) + 0.01 * (values.get("contact.friction", 1.0) - 1.0)
@@ -65,12 +70,12 @@ class FakeSimulator:
         )
 
 
-def work(out, log="", chunk=4, delay=0.25):
+def work(out, log="", chunk=4, delay=0.0, hold_at=None):
     """A process to be killed: runs the sweep, and ends as the command does."""
     from nermo_mjx.sweep import SweepError, SweepInterrupted, run_sweep
 
     try:
-        simulator = FakeSimulator(delay=delay, log=log)
+        simulator = FakeSimulator(delay=delay, log=log, hold_at=hold_at)
         run_sweep(SPEC, out, chunk=chunk, simulator=simulator)
         code = 0
     except SweepInterrupted as stopped:
@@ -83,7 +88,7 @@ def work(out, log="", chunk=4, delay=0.25):
     os._exit(code)  # no waiting for threads
 
 
-# sweep_fake.py OUT LOG
+# sweep_fake.py OUT LOG: waits in its fourth chunk.
 if __name__ == "__main__":
     Path(sys.argv[2]).write_text("")
-    work(*sys.argv[1:])
+    work(*sys.argv[1:], hold_at=3)

@@ -2,6 +2,7 @@
 
 import json
 import math
+import types
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from nermo_mjx.search.optimizers import make_optimizer
 from nermo_mjx.search.scoring import Scores, ranked_cost
 from nermo_mjx.search.space import Space
 from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep.pace import PROBE
 
 MEGA = ATLAS | {"method": {"cma_mega": {"emitters": 2}}, "budget": 100}
 
@@ -114,12 +116,14 @@ def test_gradients_are_those_of_the_walk():
     np.testing.assert_allclose(slope, ((found[::2] - found[1::2]) / (2 * h)).T, rtol=0.1, atol=2e-3)
 
 
-def test_what_a_search_costs_is_counted_by_hand():
-    """120 evaluations of two seconds in batches of 12, at what the fake takes for them."""
-    cost = cost_of(Search.from_dict(SPEED), "c", simulator=FakeSimulator(delay=0.01))
+def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
+    """120 evaluations of two seconds in batches of 12, by a simulator that makes 50 simulated seconds a second."""
+    clock = iter([3.0, 3.0 + 12 * PROBE / 50.0])
+    monkeypatch.setattr("nermo_mjx.sweep.pace.time", types.SimpleNamespace(perf_counter=lambda: next(clock)))
+    cost = cost_of(Search.from_dict(SPEED), "c", simulator=FakeSimulator())
     assert (cost.batch, cost.batches, cost.evaluations, cost.runs) == (12, 10, 120, 120)
     assert cost.simulated_seconds == pytest.approx(240.0)
-    assert 0.2 < cost.wall_seconds < 20.0
+    assert cost.wall_seconds == pytest.approx(240.0 / 50.0)
 
 
 @pytest.mark.parametrize(

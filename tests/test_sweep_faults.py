@@ -265,10 +265,14 @@ def test_an_interruption_that_something_swallows_still_counts(tmp_path):
 def test_chunks_are_written_while_the_next_one_is_simulated(tmp_path, monkeypatch):
     """In another thread, one at a time, and never more than one behind."""
     write, threads, behind = Store.write_chunk, set(), []
-    simulator = FakeSimulator(delay=0.01)
+    simulator = FakeSimulator()
 
     def slow(*args):
+        """Takes until the next chunk has begun, and some time in which the one after that must not."""
         threads.add(threading.current_thread())
+        until = time.monotonic() + 10.0
+        while len(simulator.batches) < min(len(behind) + 2, 9) and time.monotonic() < until:
+            time.sleep(0.001)
         time.sleep(0.03)
         behind.append(len(simulator.batches) - len(behind))
         return write(*args)

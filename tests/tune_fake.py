@@ -11,6 +11,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from sweep_fake import HELD
 
 from nermo_mjx.robot import load_robot
 from nermo_mjx.tune import Evaluation, Tuning
@@ -51,13 +52,15 @@ class FakeProblem:
         batches: (number of worlds, with gradient) of each call; compiled: how often the program was traced.
         falls: tells from points (n, p) which worlds fall; their numbers are NaN.
         stop_at: raises `KeyboardInterrupt` in this call (counted from 0).
+        hold_at: this call waits for the signal that ends the process, however slow the machine is.
         delay: seconds that each call takes; log: a file that gets a line a call, the process and the number of worlds.
     """
 
     simulated_seconds, gradient_cost = 5.0, 3.0
 
-    def __init__(self, tuning, falls=nobody, stop_at=None, delay=0.0, log=None):
+    def __init__(self, tuning, falls=nobody, stop_at=None, delay=0.0, log=None, hold_at=None):
         self._made_of = tuning, falls, stop_at, delay, log
+        self.hold_at = hold_at
         self.names, self.objective, self.stop_at, self.delay, self.log = (
             tuning.names, tuning.objective, stop_at, delay, log,
         )  # fmt: skip
@@ -90,7 +93,7 @@ class FakeProblem:
         if self.log:
             with open(self.log, "a") as file:
                 file.write(f"{os.getpid()} {len(points)}\n")
-        time.sleep(self.delay)
+        time.sleep(HELD if len(self.batches) - 1 == self.hold_at else self.delay)
         return self._program(points, gradient)
 
 
@@ -142,7 +145,7 @@ if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
 
     Path(sys.argv[2]).write_text("")
     try:
-        run_tuning(SPEC, sys.argv[1], problem=FakeProblem(Tuning.from_dict(SPEC), delay=0.1, log=sys.argv[2]))
+        run_tuning(SPEC, sys.argv[1], problem=FakeProblem(Tuning.from_dict(SPEC), log=sys.argv[2], hold_at=3))
     except TuningInterrupted as stopped:
         print(stopped, flush=True)
         os._exit(3)
