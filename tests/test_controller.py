@@ -59,8 +59,17 @@ def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
 
 def walk(controller, params, ticks=TICKS, phase=0.0, position=(0.0, 0.0, 0.05)):
     """State and servo angles at each tick, for a robot whose sensors stand still."""
+    return _walk(controller, ticks)(params, phase, sensors_at(position))
 
-    @jax.jit
+
+@functools.cache
+def program(controller, name):
+    """A method of a controller, jitted: by itself each of its operations would be compiled alone."""
+    return jax.jit(getattr(controller, name))
+
+
+@functools.cache
+def _walk(controller, ticks):
     def run(params, phase, sensors):
         def step(state, _):
             state, servo = controller.update(params, state, sensors)
@@ -68,7 +77,7 @@ def walk(controller, params, ticks=TICKS, phase=0.0, position=(0.0, 0.0, 0.05)):
 
         return jax.lax.scan(step, controller.init(params, sensors, phase), None, length=ticks)[1]
 
-    return run(params, phase, sensors_at(position))
+    return jax.jit(run)
 
 
 # -- feet ----------------------------------------------------------------------------------------------------------
@@ -112,8 +121,18 @@ def test_the_foot_path_is_continuous_whatever_the_command_does(erratic, seed, ga
 
 def steepest(points):
     """Largest slopes (..., 2) of the paths through points (..., 3, 2), in y and z [m per half-cycle]."""
-    slopes = jax.vmap(jax.jacfwd(trajectory.weights))(jnp.linspace(0.0, 1.0, 101))  # (101, 3, 2)
-    return functools.reduce(np.maximum, (np.abs(np.einsum("ka,...ka->...a", slope, points)) for slope in slopes))
+    each = [np.ascontiguousarray(points[..., axis]) for axis in range(2)]
+    most = np.zeros((2, *points.shape[:-2]))
+    for slope in _slopes():
+        for axis in range(2):
+            np.maximum(most[axis], np.abs(each[axis] @ slope[:, axis]), out=most[axis])
+    return np.moveaxis(most, 0, -1)
+
+
+@functools.cache
+def _slopes():
+    """Of the points' weights along the path (101, 3, 2)."""
+    return np.asarray(jax.vmap(jax.jacfwd(trajectory.weights))(jnp.linspace(0.0, 1.0, 101)), float)
 
 
 @functools.cache
@@ -210,17 +229,25 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
             np.testing.assert_allclose(slopes[..., i], expected, atol=1e-6, err_msg=names[i])
 
 
+@functools.cache
+def _start(controller):
+    def run(params, phase):
+        start = controller.init(params, sensors_at(), phase)
+        return start, controller.initial_servo(params, phase), controller.servo_angles(start)
+
+    return jax.jit(run)
+
+
 @pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])
 @pytest.mark.parametrize("phase", [0.0, 0.3, 0.77])
 def test_the_first_posture_is_the_gaits_own(gait, phase):
     """Cycles later the feet are where they started, to the rounding of 200 steps of the phase."""
     params = control_parameters(gait, frequency=1.0, stride=1.0)
     controller = published_controller(pilot="open_loop")
-    start = controller.init(params, sensors_at(), phase)
+    start, first, now = _start(controller)(params, phase)
     states, _ = walk(controller, params, ticks=200, phase=phase)
     np.testing.assert_allclose(states.foot[199], start.foot, atol=2e-6)
-    first = controller.initial_servo(params, phase)
-    jax.tree.map(np.testing.assert_array_equal, first, controller.servo_angles(start))
+    jax.tree.map(np.testing.assert_array_equal, first, now)
 
 
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
@@ -299,8 +326,9 @@ def test_spine_based_steering_bends_the_spine_and_leaves_the_strides():
 def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
     feet = trajectory.neutral_feet(control_parameters().stance)
     all_down, lifted = jnp.ones(4, bool), jnp.asarray([True, True, False, True])
-    assert fusion.balance(Spine(), MASSES, feet, all_down) == pytest.approx(0.0, abs=1e-9)
-    angle = joint_angle(fusion.balance(Spine(), MASSES, feet, lifted))
+    balance = jax.jit(lambda stance: fusion.balance(Spine(), MASSES, feet, stance))
+    assert balance(all_down) == pytest.approx(0.0, abs=1e-9)
+    angle = joint_angle(balance(lifted))
     assert 0.0 < abs(float(angle)) <= 0.1 + 1e-6
 
 
@@ -350,8 +378,8 @@ def test_a_robot_beside_its_line_is_steered_back_without_a_kick_at_the_start():
 def test_the_change_of_the_error_is_counted_per_published_pilot_tick(profile, ticks):
     """300 per metre and 1/50 s of the controller's clock, of which a pilot tick at clock ratio 0.4 takes 2.5."""
     params, controller = control_parameters(profile=profile, **PUBLISHED_GAINS), published_controller(control_rate=50.0)
-    state = controller.init(params, sensors_at())
-    state, _ = controller.update(params, state, sensors_at((1e-3, 0.0, 0.05)))
+    state = program(controller, "init")(params, sensors_at())
+    state, _ = program(controller, "update")(params, state, sensors_at((1e-3, 0.0, 0.05)))
     assert state.turn_rate == pytest.approx(-(40e-3 + 300e-3 / ticks), rel=1e-5)
 
 
@@ -363,9 +391,7 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
     A PD has no integral: a circle of radius R needs the turn rate 0.15/R, which takes a steady error of 0.15/R/40.
     """
     values = {"pilot.radius": radius, "pilot.direction": side, **PUBLISHED_GAINS}
-    error = unicycle(
-        published_controller(pilot=pilot), control_parameters(**values), lambda turn_rate: turn_rate / 0.15
-    )
+    error = unicycle(published_controller(pilot=pilot), control_parameters(**values), curvature=obeys)
     steady = -side * 0.15 / radius / 40.0 if pilot == "arc" else 0.0
     np.testing.assert_allclose(error[-500:], steady, atol=2e-3)
 
@@ -375,9 +401,7 @@ def test_a_unicycle_that_obeys_the_turn_rate_comes_to_the_path(pilot, radius, si
 def test_a_unicycle_that_turns_as_expected_stays_on_its_arc(steering, radius):
     """Where the published PD would need an error of 16 mm (legs, 0.5 m) to turn at all."""
     params = control_parameters(steering=steering, **{"pilot.radius": radius, "pilot.direction": -1.0})
-    grip = params.pilot.grip
-    robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
-    error = unicycle(published_controller(pilot="arc"), params, robot, 0.0)
+    error = unicycle(published_controller(pilot="arc"), params, params.pilot.grip, 0.0)
     np.testing.assert_allclose(error, 0.0, atol=2e-3)
 
 
@@ -389,9 +413,7 @@ def test_guidance_finds_out_how_much_the_robot_really_turns(steering, share):
     After 9.6 m, ten times the look-ahead.
     """
     params = control_parameters(steering=steering, **{"pilot.radius": 1.0})
-    grip = share * params.pilot.grip
-    robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
-    error = unicycle(published_controller(pilot="arc"), params, robot, seconds=120)
+    error = unicycle(published_controller(pilot="arc"), params, share * params.pilot.grip, seconds=120)
     np.testing.assert_allclose(error[-500:], 0.0, atol=1e-3)
     assert np.abs(error).max() < 0.07
 
@@ -400,9 +422,7 @@ def test_guidance_finds_out_how_much_the_robot_really_turns(steering, share):
 def test_a_robot_that_turns_less_than_expected_keeps_to_a_narrow_bend(steering):
     """15 % less, on 0.5 m: within half of the 25 mm that count as followed; with the look-ahead of a line up to 26."""
     params = control_parameters(steering=steering, **{"pilot.radius": 0.5})
-    grip = 0.85 * params.pilot.grip
-    robot = lambda turn_rate: grip * turning.path_curvature(params, turn_rate)  # noqa: E731
-    error = unicycle(published_controller(pilot="arc"), params, robot, 0.0, seconds=30)
+    error = unicycle(published_controller(pilot="arc"), params, 0.85 * params.pilot.grip, 0.0, seconds=30)
     assert np.abs(error).max() < 0.0125
 
 
@@ -435,11 +455,13 @@ def test_the_observers_have_their_poles_where_their_bandwidth_says(bandwidth, fr
 def test_no_bandwidth_of_the_declared_range_is_unstable(bandwidth):
     """From 1 cm beside the line, where bandwidth 5 led 28 m away within 20 s before the poles were placed."""
     params = control_parameters(**{"pilot.bandwidth": bandwidth})
-    grip = params.pilot.grip
-    error = unicycle(
-        published_controller(), params, lambda rate: grip * turning.path_curvature(params, rate), beside=0.01
-    )
+    error = unicycle(published_controller(), params, params.pilot.grip, beside=0.01)
     assert np.abs(error).max() < 0.02
+
+
+@jax.jit
+def _walked(params, states):
+    return jax.vmap(lambda s: turning.walked(params, s.gait.points, s.stance, s.turn_rate))(states)
 
 
 @pytest.mark.parametrize("gait", GAIT_PATTERNS)
@@ -448,7 +470,7 @@ def test_the_turn_expected_of_the_strides_is_that_of_the_turn_rate_held_long_eno
     params = control_parameters(gait, steering="mix", frequency=0.5)
     table = tabulated([0.0, 10.0], 1.0, [0.0, 0.8], hold=True)
     states, _ = walk(published_controller(pilot="external", command=table), params, ticks=1600)
-    speed, yaw_rate = jax.vmap(lambda s: turning.walked(params, s.gait.points, s.stance, s.turn_rate))(states)
+    speed, yaw_rate = _walked(params, states)
     curvature = turning.path_curvature(params, jnp.asarray([0.8]))[0]
     np.testing.assert_allclose(yaw_rate[-400:] / speed[-400:], curvature, rtol=1e-4)
     np.testing.assert_allclose(yaw_rate[:990], 0.0, atol=1e-6)
@@ -463,44 +485,57 @@ def test_guidance_does_not_steer_against_the_sway(steering, harmonic):
     The published gains answer to such a sway with a turn rate of 0.7 and more.
     """
     params = control_parameters(steering=steering, frequency=0.5)
-    controller = published_controller()
-    time = np.arange(2000) / 100
-
-    def step(state, x):
-        state, _ = controller.update(
-            params, state, dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
-        )
-        return state, (state.turn_rate, state.pilot.guidance.course[0])
-
-    start = controller.init(params, sensors_at())
-    sway = jnp.asarray(0.01 * np.cos(2 * np.pi * harmonic * 0.5 * time + 0.3), jnp.float32)
-    _, (turn, error) = jax.jit(lambda start: jax.lax.scan(step, start, sway))(start)
+    sway = 0.01 * np.cos(2 * np.pi * harmonic * 0.5 * np.arange(2000) / 100 + 0.3)
+    turn, error = _swayed(published_controller())(params, jnp.asarray(sway, jnp.float32))
     curvature = turning.path_curvature(params, turn[-400:])
     assert np.abs(curvature).max() < 0.05
     assert np.abs(error[-400:]).max() < 3e-4
 
 
-def unicycle(controller, params, curvature, beside=0.03, seconds=40):
-    """Cross-track error of a unicycle at 0.08 m/s from `beside` [m] left of the start."""
-    speed, dt = 0.08, 0.01
+@functools.cache
+def _swayed(controller):
+    def run(params, sway):
+        def step(state, x):
+            seen = dataclasses.replace(sensors_at(), position=jnp.stack([x, 0.0, 0.0]))
+            state, _ = controller.update(params, state, seen)
+            return state, (state.turn_rate, state.pilot.guidance.course[0])
+
+        return jax.lax.scan(step, controller.init(params, sensors_at()), sway)[1]
+
+    return jax.jit(run)
+
+
+def obeys(params, turn_rate):
+    """Curvature of a circle of 0.15 m at turn rate 1 [1/m]."""
+    return turn_rate / 0.15
+
+
+def unicycle(controller, params, share=1.0, beside=0.03, seconds=40, curvature=turning.path_curvature):
+    """Cross-track error of a unicycle at 0.08 m/s from `beside` [m] left of the start; it turns by `share` of that."""
+    return np.asarray(_unicycle(controller, curvature)(params, share, beside))[: 100 * seconds]
+
+
+@functools.cache
+def _unicycle(controller, curvature):
+    speed, dt, ticks = 0.08, 0.01, 12_000
 
     def seen_at(x, y, yaw):
         position, level = jnp.stack([x, y, jnp.zeros(())]), jnp.zeros(())
         turned = jnp.stack([jnp.cos(yaw / 2), level, level, jnp.sin(yaw / 2)])
         return dataclasses.replace(sensors_at(), position=position, orientation=turned)
 
-    @jax.jit
-    def run(place):
+    def run(params, share, beside):
         def step(carry, _):
             state, x, y, yaw = carry
             state, _ = controller.update(params, state, seen_at(x, y, yaw))
-            yaw = yaw + dt * speed * curvature(state.turn_rate)
+            yaw = yaw + dt * speed * share * curvature(params, state.turn_rate)
             return (state, x + dt * speed * jnp.sin(yaw), y - dt * speed * jnp.cos(yaw), yaw), state.pilot.point.error
 
-        start = controller.init(params, seen_at(*place, jnp.zeros(())))
-        return jax.lax.scan(step, (start, *place, jnp.zeros(())), None, length=100 * seconds)[1]
+        zero = jnp.zeros(())
+        start = controller.init(params, seen_at(beside, zero, zero))
+        return jax.lax.scan(step, (start, beside, zero, zero), None, length=ticks)[1]
 
-    return np.asarray(run((jnp.asarray(beside), jnp.asarray(0.0))))
+    return jax.jit(run)
 
 
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
@@ -509,8 +544,8 @@ def test_an_arc_starts_in_the_posture_of_its_guidance(steering, side):
     """So that nothing jumps at the first tick of a robot that stands on its path."""
     params = control_parameters(steering=steering, **{"pilot.radius": 0.5, "pilot.direction": side})
     controller = published_controller(pilot="arc")
-    start = controller.init(params, sensors_at())
-    after, _ = controller.update(params, start, sensors_at())
+    start = program(controller, "init")(params, sensors_at())
+    after, _ = program(controller, "update")(params, start, sensors_at())
     assert side * float(start.turn_rate) > 0.4
     assert after.turn_rate == pytest.approx(float(start.turn_rate), abs=1e-6)
     assert after.spine == pytest.approx(float(start.spine), abs=1e-6)
@@ -518,7 +553,7 @@ def test_an_arc_starts_in_the_posture_of_its_guidance(steering, side):
 
 def test_the_published_pilot_has_no_guidance():
     params = control_parameters(profile="as_published", **{"pilot.radius": 0.5})
-    assert published_controller(pilot="arc").init(params, sensors_at()).turn_rate == 0.0
+    assert program(published_controller(pilot="arc"), "init")(params, sensors_at()).turn_rate == 0.0
 
 
 # -- the program ---------------------------------------------------------------------------------------------------
