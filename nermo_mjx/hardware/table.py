@@ -178,7 +178,7 @@ def _steady(
     # In double precision, so that the phase is exact after many cycles.
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
-        state = controller.init(exact, _still(n_servos), phase)
+        state = _begin(made, n_servos, exact, phase)  # which no rate changes
         before = None
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
             state, angles = _run(controller, n_servos, exact, state, rows, within)
@@ -187,6 +187,12 @@ def _steady(
                 return found
             before = found
     raise ParameterError("the controller does not settle into a periodic gait with these parameters.")
+
+
+@jax.jit(static_argnums=(0, 1))
+def _begin(controller: Controller, n_servos: int, params: ControlParameters, phase: float) -> Any:
+    """The state at the start; operation by operation it would take seconds."""
+    return controller.init(params, _still(n_servos), phase)
 
 
 @jax.jit(static_argnums=(0, 1, 4, 5))
