@@ -179,7 +179,14 @@ class Measured:
     differences: np.ndarray
 
 
-@pytest.fixture(scope="module", params=MODELS.values(), ids=MODELS.keys())
+#: What another of them shows almost alike: another integrator of the same joint, another cone of the same contacts.
+LONG = ("a pendulum at its limit, RK4", "a sphere and a box on a plane, pyramidal")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(case, id=name, marks=[pytest.mark.long] * (name in LONG)) for name, case in MODELS.items()],
+)
 def small(request):
     case: Small = request.param
     with jax.enable_x64(True):

@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from nermo_mjx.cli import main
 from nermo_mjx.experiments import maze, straight_line, turning
+from nermo_mjx.experiments.cases import Case
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -22,9 +23,28 @@ def line() -> Outcome:
     return straight_line.run(Settings(("exact",), repeats=1, engine="c"))
 
 
+def turned(*frequencies: float) -> Outcome:
+    """Turning, with the cases of some frequencies that the tests below read."""
+
+    def read(case: Case) -> bool:
+        labels = case.labels
+        lock_elsewhere = labels["radius"] == turning.FULL_LOCK and labels["frequency"] != 0.67
+        return labels["frequency"] in frequencies and labels["stride"] == turning.STRIDE and not lock_elsewhere
+
+    every = turning.cases()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(turning, "cases", lambda quick=False: tuple(filter(read, every)))
+        return turning.run(Settings(("exact",), repeats=1, engine="c"))
+
+
 @pytest.fixture(scope="module")
 def turns() -> Outcome:
-    return turning.run(Settings(("exact",), repeats=1, engine="c"))
+    return turned(0.67, 0.8)
+
+
+@pytest.fixture(scope="module")
+def slow_turns() -> Outcome:
+    return turned(0.5, 0.67)
 
 
 @pytest.fixture(scope="module")
@@ -138,10 +158,22 @@ def quarter(turns: Outcome, column: str, gait: str, frequency: float, radius: fl
 
 
 @pytest.mark.parametrize("radius", turning.RADII)
-@pytest.mark.parametrize("frequency", FREQUENCIES)
 @pytest.mark.parametrize("gait", turning.GAITS)
+@pytest.mark.parametrize("frequency", [0.67, 0.8])
 def test_spine_based_turning_is_fastest_and_mix_based_between(turns, gait, frequency, radius):
     """Wherever the spine-based robot follows the path."""
+    check_speeds(turns, gait, frequency, radius)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("radius", turning.RADII)
+@pytest.mark.parametrize("gait", turning.GAITS)
+def test_spine_based_turning_is_fastest_and_mix_based_between_at_half_a_hertz(slow_turns, gait, radius):
+    """The slowest of the three frequencies, whose paths take as long to walk as those of both others."""
+    check_speeds(slow_turns, gait, 0.5, radius)
+
+
+def check_speeds(turns: Outcome, gait: str, frequency: float, radius: float) -> None:
     if not quarter(turns, "followed", gait, frequency, radius, "spine"):
         pytest.skip("not followed with the spine alone")
     leg, mix, spine = (quarter(turns, "speed", gait, frequency, radius, name) for name in ("leg", "mix", "spine"))
@@ -154,14 +186,30 @@ def test_the_paths_that_are_followed_are_the_published_ones(turns):
     Here it is followed, within 25 mm as all others are. The lateral walk at 0.8 Hz comes nearest to being lost,
     too, but by both.
     """
-    circles = turns.where(side="left", stride=0.8) & (np.asarray(turns.columns["radius"], float) > 0)
-    names = ("gait", "frequency", "strategy", "radius")
-    cases = list(zip(*(turns.columns[name][circles].tolist() for name in names), strict=True))
-    followed = dict(zip(cases, turns.columns["followed"][circles].tolist(), strict=True))
-    error = dict(zip(cases, turns.columns["cross_track_peak"][circles].tolist(), strict=True))
+    cases, followed, error = circles(turns)
     published = ("lat", 0.8, "spine", 0.5)
     assert [case for case in cases if not followed[case] and case != published] == []
     assert max((case for case in cases if case[3] == 0.5), key=error.__getitem__)[:2] == published[:2]
+
+
+@pytest.mark.long
+def test_at_half_a_hertz_all_paths_are_followed(turns, slow_turns):
+    """And none comes as near to being lost as the lateral walk at 0.8 Hz."""
+    cases, followed, error = circles(slow_turns)
+    assert all(followed.values())
+    nearest = max(value for case, value in circles(turns)[2].items() if case[3] == 0.5)
+    assert max(error[case] for case in cases if case[3] == 0.5) < nearest
+
+
+def circles(turns: Outcome) -> tuple[list[tuple], dict[tuple, bool], dict[tuple, float]]:
+    """The left circles by gait, frequency, strategy and radius; which were followed, and how nearly."""
+    chosen = turns.where(side="left") & (np.asarray(turns.columns["radius"], float) > 0)
+    names = ("gait", "frequency", "strategy", "radius")
+    cases = list(zip(*(turns.columns[name][chosen].tolist() for name in names), strict=True))
+    followed, error = (
+        dict(zip(cases, turns.columns[name][chosen].tolist(), strict=True)) for name in ("followed", "cross_track_peak")
+    )
+    return cases, followed, error
 
 
 def test_full_lock_by_the_spine_has_both_theories_beside_it(turns):
@@ -224,11 +272,11 @@ def test_a_robot_that_walks_into_a_box_is_seen_to_touch_it(labyrinth):
 # --- all of them, as a user runs them
 
 
-def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path):
-    """`experiment all --quick`, both profiles; the figures that a quick run can measure are there."""
-    result = CliRunner().invoke(
-        main, ["experiment", "all", "--quick", "--engine", "c", "--out", str(tmp_path), "--json"]
-    )
+@pytest.mark.parametrize("profiles", [("--profile", "exact"), pytest.param((), marks=pytest.mark.long)], ids=str)
+def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profiles):
+    """`experiment all --quick`; the figures that a quick run can measure are there."""
+    words = ["experiment", "all", "--quick", *profiles, "--engine", "c", "--out", str(tmp_path), "--json"]
+    result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)
     assert {line["experiment"] for line in report["lines"]} == {"straight-line", "turning", "balance", "maze", "body"}

@@ -59,8 +59,15 @@ def six_walks(**fixed: float) -> dict[str, np.ndarray]:
 # --- the same gait
 
 
-@pytest.mark.parametrize("spine", ["none", "stride_extension"])
-@pytest.mark.parametrize("turn_rate", [0.0, 0.7])
+@pytest.mark.parametrize(
+    ("spine", "turn_rate"),
+    [
+        ("stride_extension", 0.0),
+        ("none", 0.7),
+        pytest.param("none", 0.0, marks=pytest.mark.long),
+        pytest.param("stride_extension", 0.7, marks=pytest.mark.long),
+    ],
+)
 def test_fast_keeps_every_gait_metric_within_its_bound(simulator, spine, turn_rate):
     """Three gaits at both ends of the published frequencies, with and without spine, straight and in a turn.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -28,73 +28,81 @@ HELD = ("stablehlo.while", "cusolver")
 SHARE = 1e-6
 
 
-@dataclasses.dataclass(frozen=True)
-class Walked:
-    """Mean speed of one gait cycle and its slopes (8,) in both modes; the C engine's speed and slopes (8,).
+class Walk:
+    """One gait cycle: its speed and the slopes (8,) of that in each mode, and the C engine's; each computed when asked.
 
-    `lowered` is what the programs of both modes hold of `HELD`, lowered for GPUs and TPUs.
+    `ahead` and `reverse` end with what their program holds of `HELD`, lowered for GPUs and TPUs.
     """
 
-    value: float
-    ahead: np.ndarray
-    reverse: np.ndarray
-    in_c: float
-    differences: np.ndarray
-    lowered: dict[str, set[str]]
+    def __init__(self, cone: str) -> None:
+        self.setup = Setup(spine="stride_extension", cone=cone)
+        with jax.enable_x64(True):
+            self.rollout = Rollout(self.setup, ONE_CYCLE, slowest=0.8)
+        self.first = np.array(list(POINT.values()))
 
+    def speed(self, point):
+        return self.rollout(dict(zip(POINT, point, strict=True)))["speed"]
 
-def lowered_for_all(program, point):
-    """What the program holds of `HELD`; JAX refuses an operation that GPUs or TPUs lack."""
-    text = program.trace(point).lower(lowering_platforms=("cuda", "tpu")).as_text()
-    return {word for word in HELD if word in text}
+    @functools.cached_property
+    def ahead(self) -> tuple[float, np.ndarray, set[str]]:
+        def with_slopes(point):
+            """Value and slopes of one pass: `jacfwd` beside the speed would compile the walk twice."""
+            return jax.vmap(lambda way: jax.jvp(self.speed, (point,), (way,)), out_axes=(None, 0))(jnp.eye(len(point)))
+
+        (value, slopes), held = self._run(with_slopes)
+        return float(value), np.asarray(slopes), held
+
+    @functools.cached_property
+    def reverse(self) -> tuple[np.ndarray, set[str]]:
+        slopes, held = self._run(jax.grad(self.speed))
+        return np.asarray(slopes), held
+
+    def _run(self, function):
+        with jax.enable_x64(True):
+            program, point = jax.jit(function, compiler_options=compiler_options()), jnp.asarray(self.first)
+            result = program(point)
+            # From the trace that is there: tracing takes ten times as long as lowering.
+            text = program.trace(point).lower(lowering_platforms=("cuda", "tpu")).as_text()
+        return result, {word for word in HELD if word in text}
+
+    @functools.cached_property
+    def in_c(self) -> tuple[float, np.ndarray]:
+        points = self.first + self.first * SHARE * np.concatenate([np.zeros((1, 8)), np.eye(8), -np.eye(8)])
+        with jax.enable_x64(True):
+            simulator = Simulator(self.setup, "c")
+            # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.
+            simulator.robot.physical.opt.tolerance = 0.0
+            run = simulator.run(dict(zip(POINT, points.T, strict=True)), ONE_CYCLE)
+        speed, *ends = run.metrics["speed"]
+        high, low = np.split(np.array(ends), 2)
+        return float(speed), (high - low) / (2 * SHARE * self.first)
 
 
 @pytest.fixture(scope="module", params=["elliptic", pytest.param("pyramidal", marks=pytest.mark.long)])
-def walked(request):
-    setup = Setup(spine="stride_extension", cone=request.param)
-    first = np.array(list(POINT.values()))
-    with jax.enable_x64(True):
-        rollout = Rollout(setup, ONE_CYCLE, slowest=0.8)
-
-        def speed(point):
-            return rollout(dict(zip(POINT, point, strict=True)))["speed"]
-
-        def with_slopes(point):
-            """Value and slopes of one pass: `jacfwd` beside the speed would compile the walk twice."""
-            return jax.vmap(lambda way: jax.jvp(speed, (point,), (way,)), out_axes=(None, 0))(jnp.eye(len(first)))
-
-        functions, options = {"forward": with_slopes, "reverse": jax.grad(speed)}, compiler_options()
-        programs = {mode: jax.jit(function, compiler_options=options) for mode, function in functions.items()}
-        value, ahead = programs["forward"](jnp.asarray(first))
-        reverse = programs["reverse"](jnp.asarray(first))
-        # From the traces that are there: tracing takes ten times as long as lowering.
-        lowered = {mode: lowered_for_all(program, jnp.asarray(first)) for mode, program in programs.items()}
-        points = first + first * SHARE * np.concatenate([np.zeros((1, 8)), np.eye(8), -np.eye(8)])
-        simulator = Simulator(setup, "c")
-        # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.
-        simulator.robot.physical.opt.tolerance = 0.0
-        run = simulator.run(dict(zip(POINT, points.T, strict=True)), ONE_CYCLE)
-    in_c, *ends = run.metrics["speed"]
-    high, low = np.split(np.array(ends), 2)
-    differences = (high - low) / (2 * SHARE * first)
-    return Walked(float(value), np.asarray(ahead), np.asarray(reverse), float(in_c), differences, lowered)
+def walk(request):
+    return Walk(request.param)
 
 
-def test_both_modes_agree(walked):
+@pytest.mark.long  # test_own_controller.py has reverse mode through a walk, test_differentiable_step.py both modes
+def test_both_modes_agree(walk):
     """Forward and reverse mode differ by the rounding of two programs, which a walk amplifies."""
-    np.testing.assert_allclose(walked.reverse, walked.ahead, rtol=1e-8)
+    np.testing.assert_allclose(walk.reverse[0], walk.ahead[1], rtol=1e-8)
 
 
-def test_the_speed_is_that_of_the_c_engine(walked):
-    assert walked.value == pytest.approx(walked.in_c, rel=1e-6)
+@pytest.mark.long
+def test_reverse_mode_can_be_lowered_for_gpus_and_tpus(walk):
+    assert walk.reverse[-1] == set(HELD)
 
 
-def test_the_gradient_is_that_of_the_c_engine(walked):
+def test_the_speed_is_that_of_the_c_engine(walk):
+    assert walk.ahead[0] == pytest.approx(walk.in_c[0], rel=1e-6)
+
+
+def test_the_gradient_is_that_of_the_c_engine(walk):
     """Central differences of another implementation, which knows nothing of the rule for contacts."""
-    np.testing.assert_allclose(walked.ahead, walked.differences, rtol=1e-4)
+    np.testing.assert_allclose(walk.ahead[1], walk.in_c[1], rtol=1e-4)
 
 
-@pytest.mark.parametrize("mode", ["forward", "reverse"])
-def test_the_gradient_can_be_lowered_for_gpus_and_tpus(walked, mode):
+def test_forward_mode_can_be_lowered_for_gpus_and_tpus(walk):
     """For both at once; in float32, and as `bench gpu-plan` has it, with `pytest -m long` (test_gpu_plan.py)."""
-    assert walked.lowered[mode] == set(HELD)
+    assert walk.ahead[-1] == set(HELD)
