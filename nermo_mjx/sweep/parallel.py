@@ -51,6 +51,7 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     scale, extend = colour_scale(z.values)
     if extend != "neither":
         end = scale.vmax if extend == "max" else scale.vmin
+        assert end is not None
         note += f"; {z.name} {'above' if extend == 'max' else 'below'} {z.shown(float(end))} is drawn there"
     axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
     figure = blank(1.5 + 1.35 * len(axes), 4.7)
