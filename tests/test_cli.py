@@ -117,8 +117,10 @@ def test_examples_in_the_help_are_valid_commands() -> None:
 
 
 def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
-    from nermo_mjx.control.fusion import MODES
+    from nermo_mjx.control.free_stepping import FREE
+    from nermo_mjx.control.fusion import SPINES
     from nermo_mjx.control.parameters import PROFILES, STEERING
+    from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
     from nermo_mjx.physics.engine import ENGINES
     from nermo_mjx.robot import GAITS
@@ -127,7 +129,8 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     assert set(choices.GAITS) == set(GAITS)
-    assert set(choices.SPINE_MODES) == {"none", *MODES}
+    assert choices.SPINE_MODES == SPINES
+    assert (*FORMS, FREE) == choices.TRAJECTORIES
     assert set(choices.STEERINGS) == set(STEERING)
     assert set(choices.PROFILES) == set(PROFILES)
     assert set(choices.ENGINES) == set(ENGINES)

@@ -217,7 +217,7 @@ def test_each_part_of_the_published_controller_can_be_replaced() -> None:
     assert params.gait.duty == pytest.approx(0.68)
     state = waving.init(params, Setup().load().sensors(np.zeros(Setup().load().model.nsensordata)), 0.5)
     assert float(state.spine) == pytest.approx(0.1)
-    assert float(waving.servo_angles(state).spine) == pytest.approx(0.1)
+    assert float(waving.servo_angles(params, state).spine) == pytest.approx(0.1)
 
 
 # --- in files

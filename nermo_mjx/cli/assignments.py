@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from nermo_mjx.cli.group import WrongUse
@@ -13,7 +13,30 @@ if TYPE_CHECKING:
 LISTED = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
 
 
-def assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple[str, float]:
+def assigned(texts: Iterable[str], known: Mapping[str, Quantity], unknown: str) -> dict[str, float]:
+    """Names and numbers of every NAME=X, of which a NAME may be a pattern; ranges are not checked. The last one counts.
+
+    Args:
+        texts: as given.
+        known, unknown: see `_assignment`.
+
+    Raises:
+        WrongUse: a text is something else.
+    """
+    from nermo_mjx.specs.patterns import is_pattern, matches
+
+    values: dict[str, float] = {}
+    for text in texts:
+        pattern, equals, number = text.partition("=")
+        names = matches(pattern.strip(), known) if equals and is_pattern(pattern) else [pattern]
+        if not names:
+            raise WrongUse(f"--set {text}: {pattern.strip()} matches no parameter; `nermo-mjx sweep --list-parameters` "
+                           "prints all.")  # fmt: skip
+        values |= dict(_assignment(name + equals + number, known, unknown) for name in names)
+    return values
+
+
+def _assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple[str, float]:
     """Name and number of NAME=X; its range is not checked.
 
     Args:

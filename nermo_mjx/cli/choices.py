@@ -11,7 +11,11 @@ ROBOTS = ("nermo_lite",)
 TAILS = ("rigid", "articulated")
 PHYSICS = ("reference", "fast")
 GAITS = ("trt", "trt1", "lat")
-SPINE_MODES = ("none", "stride_extension", "balance")
+SPINE_MODES = (
+    "none", "stride_extension", "balance", "harmonics", "stride_extension+balance", "stride_extension+harmonics",
+    "balance+harmonics", "stride_extension+balance+harmonics",
+)  # fmt: skip
+TRAJECTORIES = ("cubic", "linear", "parabolic", "free")
 STEERINGS = ("leg", "spine", "mix")
 PROFILES = ("exact", "as_published")
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze", "body")
@@ -23,6 +27,7 @@ SCENES = (
     "balance_stand", "flat", "maze", "quarter_circles", "straight_line", "planks", "ramp", "logs", "stairs",
     "spiral_stairs", "rough", "slalom",
 )  # fmt: skip
+PAIRS_AND_LIMBS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_right")
 METRICS = (
     "speed", "distance", "duration", "lateral_drift", "roll_mean", "roll_std", "roll_min", "roll_max", "pitch_mean",
     "pitch_std", "pitch_min", "pitch_max", "yaw_mean", "yaw_std", "yaw_min", "yaw_max", "cross_track_peak",
@@ -37,6 +42,10 @@ PARAMETERS = (
     "offset.rear_left", "offset.rear_right", "stance.front_y", "stance.front_z", "stance.rear_y", "stance.rear_z",
     "stance.swing_amplitude", "stance.stance_amplitude", "stance.max_stride", "spine.amplitude", "spine.phase",
     "spine.max_servo_angle", "spine.fusion_exponent", "spine.offset_compensation", "spine.balance_lift",
+    *(f"spine.harmonics.{part}{order}" for order in range(1, 7) for part in ("cos", "sin")),
+    *(f"limb.{what}.{limb}" for what in ("stride", "lift", "duty", "phase") for limb in PAIRS_AND_LIMBS),
+    *(f"foot.{limb}.{axis}{point}" for limb in PAIRS_AND_LIMBS for axis in "yz" for point in range(1, 9)),
+    *(f"trim.{servo}.{limb}" for servo in ("hip", "knee") for limb in PAIRS_AND_LIMBS), "trim.spine",
     "turning.exponent", "turning.leg", "turning.spine", "pilot.guidance", "pilot.look_ahead", "pilot.damping",
     "pilot.bandwidth", "pilot.grip", "pilot.error_gain", "pilot.change_gain", "pilot.output_limit",
     "pilot.turn_rate", "pilot.radius", "pilot.direction", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",

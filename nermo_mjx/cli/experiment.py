@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.assignments import assignment
+from nermo_mjx.cli.assignments import assigned
 from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
 from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Stages, duration
@@ -87,7 +87,7 @@ def _values(assignments: tuple[str, ...]) -> dict[str, float]:
 
     known = dict(quantities(WorldParameters))
     unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
-    return dict(assignment(text, known, unknown) for text in assignments)
+    return assigned(assignments, known, unknown)
 
 
 def _print(result: ExperimentsResult) -> None:

@@ -22,6 +22,7 @@ from nermo_mjx.cli.choices import (
     SCENES,
     SPINE_MODES,
     STEERINGS,
+    TRAJECTORIES,
     VIEWS,
 )
 from nermo_mjx.cli.completing import FileKind, assignments, names
@@ -146,6 +147,7 @@ def gait(function: F) -> F:
         choice("--steering", STEERINGS, "What turns the robot."),
         number("--offset-compensation", "Rear legs take up the hip's rise; a share, or all if no number is given.",
                is_flag=False, flag_value=1.0, metavar="[X]"),
+        choice("--trajectory", TRAJECTORIES, "Form of the foot path; free: with movable points."),
         choice("--profile", PROFILES, "Controller as described, or as published."),
     ]  # fmt: skip
     for option in reversed(listed):

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from nermo_mjx.cli.assignments import LISTED, assignment
+from nermo_mjx.cli.assignments import LISTED, assigned
 from nermo_mjx.cli.group import WrongUse
 
 if TYPE_CHECKING:
@@ -21,7 +21,8 @@ PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
     "turn_rate": ("pilot.turn_rate", ("pilot", "open_loop")),
     "offset_compensation": ("spine.offset_compensation", None),
 }
-SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "controller", "metrics")
+SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory",
+                 "controller", "metrics")  # fmt: skip
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
 
 
@@ -77,12 +78,12 @@ def plan(
         flag = f"--{option.replace('_', '-')}"
         if name not in known:
             raise WrongUse(f"{flag} sets {name}, which is no parameter of {setup.controller}.")
-        if setup.controller is None and needs is not None and getattr(setup, needs[0]) != needs[1]:
+        if setup.controller is None and needs is not None and needs[1] not in getattr(setup, needs[0]).split("+"):
             raise WrongUse(
                 f"{flag} does nothing with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
             )
         values[name] = options[option]
-    values |= dict(assignment(text, known, LISTED) for text in assignments)
+    values |= assigned(assignments, known, LISTED)
     for name, value in values.items():
         known[name].check(name, value)
     parameters = {name: float(value) for name, value in values_of(setup.world(values))}

@@ -6,9 +6,10 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from nermo_mjx.control.parameters import Gait
-from nermo_mjx.shapes import PerLimb, Scalars, TruthPerLimb
+from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Scalars, TruthPerLimb
 
 #: Shortest share of the cycle a half-cycle may take inside a traced program; `Gait.duty` is checked where it is built.
 SHORTEST_HALF = 1e-3
@@ -49,8 +50,17 @@ def limb_states(gait: Gait, phase: Scalars) -> LimbStates:
         gait: `offset` of shape (..., 4), `duty` of shape (...).
         phase: of the gait cycle, in [0, 1).
     """
-    duty = jnp.clip(jnp.asarray(gait.duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)[..., None]
-    local = wrap(jnp.asarray(phase)[..., None] - gait.offset)
+    return limbs_at(stance_share(gait.duty)[..., None], gait.offset, phase)
+
+
+def stance_share(duty: Broadcastable) -> Broadcastable:
+    """The duty factor, neither half-cycle shorter than `SHORTEST_HALF`."""
+    return jnp.clip(jnp.asarray(duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)
+
+
+def limbs_at(duty: Float[Array, "*#batch limbs"], offset: PerLimb, phase: Scalars) -> LimbStates:
+    """As `limb_states`, with a duty factor of each limb, or one (..., 1) of all."""
+    local = wrap(jnp.asarray(phase)[..., None] - offset)
     stance = local < duty
     progress = jnp.where(stance, local / duty, (local - duty) / (1.0 - duty))
     return LimbStates(stance, jnp.minimum(progress, 1.0))

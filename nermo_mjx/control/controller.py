@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.control import build, clock, fusion, pilot, trajectory
 from nermo_mjx.control.course import course_through
+from nermo_mjx.control.free_stepping import FREE, FreeStepping
 from nermo_mjx.control.fusion import SpineLike, SpineModes
 from nermo_mjx.control.parameters import ControlParameters, choice, with_gait_factor
 from nermo_mjx.control.path import PATHS, PathPoint
@@ -88,7 +89,7 @@ class Controller:
 
     def initial_servo(self, params: ControlParameters, phase: Scalar | float = 0.0) -> ServoAngles:
         """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
-        return self.servo_angles(self._start(params, phase))
+        return self.servo_angles(params, self._start(params, phase))
 
     def update(
         self, params: ControlParameters, state: ControllerState, sensors: Sensors
@@ -105,11 +106,13 @@ class Controller:
             tick=tick, time=tick * self.dt, pilot=memory, drive=drive, gait=gait, foot=foot, spine=spine
         )  # fmt: skip
         after = with_dtypes_of(state, after)
-        return after, self.servo_angles(after)
+        return after, self.servo_angles(params, after)
 
-    def servo_angles(self, state: ControllerState) -> ServoAngles:
+    def servo_angles(self, params: ControlParameters, state: ControllerState) -> ServoAngles:
         """Servo angles for the commanded feet and spine; neck and tail look straight ahead and back."""
-        return leg_servos(state.foot, state.spine, self.routing)
+        servos = leg_servos(state.foot, state.spine, self.routing)
+        trim = getattr(self.gait, "trim", None)
+        return servos if trim is None else trim(params, servos)
 
     def cycle_rate(self, params: ControlParameters) -> Any:
         """Gait cycles a simulated second [1/s]."""
@@ -129,8 +132,10 @@ class Controller:
         return with_gait_factor(values)
 
     def check(self, params: ControlParameters) -> None:
-        """Refuse strides that the legs cannot reach; see `build.check_workspace`."""
+        """Refuse strides that the legs cannot reach, see `build.check_workspace`, and limbs that always or never stand."""
         build.check_workspace(params, routing=self.routing)
+        if isinstance(self.gait, FreeStepping):
+            self.gait.check(params)
 
     def _start(self, params: ControlParameters, phase: Scalar | float) -> ControllerState:
         memory, drive = self.pilot.start(params)
@@ -173,12 +178,14 @@ def published_controller(
     Stepping(form='cubic')
 
     Args:
-        spine: auxiliary modes, "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names).
+        spine: auxiliary modes, "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple
+            of names).
         pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" asks
             `command`. All but the last command `gait.speed`.
         waypoints: (x, y) of the points that the pilot "waypoints" passes [m], see `course.course_through`.
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
-        trajectory: form of the foot path, "cubic", "linear" or "parabolic".
+        trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with numbers of
+            each limb and movable points, see `free_stepping`.
         routing: knee tendon routing of the legs.
         masses: two-mass model of the assembled robot, for the mode "balance".
         control_rate, pilot_rate: see `Controller`.
@@ -186,8 +193,9 @@ def published_controller(
     Raises:
         ParameterError: an unknown name, or choices that do not fit together.
     """
+    stepping = FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory)
     return Controller(
-        named_pilot(pilot, waypoints, command), Stepping(trajectory), SpineModes(spine, masses), routing, control_rate,
+        named_pilot(pilot, waypoints, command), stepping, SpineModes(spine, masses), routing, control_rate,
         pilot_rate,
     )  # fmt: skip
 

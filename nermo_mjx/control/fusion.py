@@ -7,6 +7,7 @@ Positive spine servo and joint angles turn left (`robot/parameters.py`). (5.33)'
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any, Final, Protocol, runtime_checkable
 
 import jax
@@ -14,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import ControlParameters, Spine, choice
+from nermo_mjx.control.parameters import HARMONICS, ControlParameters, Spine, choice
 from nermo_mjx.control.power import signed_power
 from nermo_mjx.kinematics.balance import balance_angle
 from nermo_mjx.kinematics.body import hip_height_offset
@@ -24,8 +25,10 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Array, Scalar, Scalars
 
 #: Auxiliary modes; several may be on together, and their sum is clipped.
-MODES = ("stride_extension", "balance")
+MODES = ("stride_extension", "balance", "harmonics")
 NO_MODE: Final = "none"
+#: Every choice of modes, by its name.
+SPINES: Final = (NO_MODE, *("+".join(some) for n in (1, 2, 3) for some in itertools.combinations(MODES, n)))
 
 #: Share left over by steering below which its power law is made linear (see `signed_power`).
 _FADE_LINEAR_BELOW = 1e-3
@@ -59,8 +62,8 @@ class SpineModes:
     """The published spine: steering fused with the sum of the auxiliary modes.
 
     Attributes:
-        modes: "none", "stride_extension", "balance", or several joined by "+" (or a tuple of names); a tuple of `MODES`
-            once it is made.
+        modes: "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple of names); a
+            tuple of `MODES` once it is made.
         masses: two-mass model of the assembled robot, for the mode "balance". Kept as plain numbers.
 
     Raises:
@@ -88,6 +91,8 @@ class SpineModes:
             assert self.masses is not None
             masses = jax.tree.map(jnp.asarray, self.masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
             auxiliary += balance(params.spine, masses, feet, stance)
+        if "harmonics" in self.modes:
+            auxiliary += harmonics(params.spine, phase)
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
 
 
@@ -113,6 +118,16 @@ def _plain(masses: MassModel) -> MassModel:
 def stride_extension(spine: Spine, phase: Scalars) -> Scalars:
     """Servo angle A cos(2 pi phase + psi) [rad], which compresses the swinging pair and extends the other (5.33)."""
     return spine.amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.phase)
+
+
+def harmonics(spine: Spine, phase: Scalars) -> Scalars:
+    """Servo angle [rad] of a Fourier series, sum a_k cos(k 2 pi phase) + b_k sin(k 2 pi phase).
+
+    The coefficients have a derivative where they are zero, too, which an amplitude and a phase have not.
+    """
+    turns = 2.0 * jnp.pi * jnp.arange(1.0, HARMONICS + 1.0) * jnp.asarray(phase)[..., None]
+    waves = jnp.stack([jnp.cos(turns), jnp.sin(turns)], axis=-1)
+    return jnp.sum(spine.harmonics * waves.reshape(*waves.shape[:-2], -1), axis=-1)
 
 
 def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]) -> Scalar:

@@ -11,6 +11,13 @@ from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.parameters import GAIT_PATTERNS, LIMBS
 from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
 
+#: Pairs of limbs, then limbs: a number of a pair holds for its two limbs alike, and that of a limb comes on top.
+PAIRS_AND_LIMBS = ("front", "rear", *LIMBS)
+#: Harmonics of the spine's Fourier series.
+HARMONICS = 6
+#: Points of a foot's path: touch-down, three in stance, lift-off, three in swing.
+FOOT_POINTS = 8
+
 #: Control rate of the published foot tracking lag [Hz], and what it closed of the foot error per tick.
 PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
 PUBLISHED_CLOCK_RATIO = 0.4
@@ -78,6 +85,60 @@ class Spine:
     balance_lift: Any = quantity(
         0.009, unit="m", low=0.0, high=0.03, doc="d_lift, wanted distance of the COM inside the triangle"
     )
+    harmonics: Any = quantity(
+        (0.0,) * 2 * HARMONICS,
+        unit="rad",
+        low=-0.6,
+        high=0.6,
+        labels=tuple(f"{part}{order}" for order in range(1, HARMONICS + 1) for part in ("cos", "sin")),
+        doc="servo amplitude of cos or sin(k 2 pi phase), spine mode 'harmonics'",
+    )
+
+
+def _of_limbs(default: float, **about: Any) -> Any:
+    return quantity((default,) * len(PAIRS_AND_LIMBS), labels=PAIRS_AND_LIMBS, **about)
+
+
+@parameter_tree
+class Limb:
+    """How a limb steps unlike the others, with the trajectory 'free'. A pair's number and its limb's go together."""
+
+    stride: Any = _of_limbs(1.0, unit="1", low=0.0, high=2.0, doc="the limb's stride, as a share of that of the gait")
+    lift: Any = _of_limbs(0.0, unit="m", low=-0.02, high=0.02, doc="higher mid-swing than stance.swing_amplitude")
+    duty: Any = _of_limbs(0.0, unit="1", low=-0.4, high=0.4, doc="longer stance than duty, as a share of the cycle")
+    phase: Any = _of_limbs(0.0, unit="1", low=-0.5, high=0.5, doc="later stance than offset, as a share of the cycle")
+
+
+def _foot_path() -> Any:
+    return quantity(
+        (0.0,) * 2 * FOOT_POINTS,
+        unit="m",
+        low=-0.02,
+        high=0.02,
+        labels=tuple(f"{axis}{point}" for axis in "yz" for point in range(1, FOOT_POINTS + 1)),
+        doc="y backward or z up, 1 touch-down, 2-4 stance, 5 lift-off, 6-8 swing",
+    )
+
+
+@parameter_tree
+class FootPaths:
+    """How far eight points of a foot's path are moved, with the trajectory 'free'. A pair's are added to its limb's."""
+
+    front: Any = _foot_path()
+    rear: Any = _foot_path()
+    front_left: Any = _foot_path()
+    front_right: Any = _foot_path()
+    rear_left: Any = _foot_path()
+    rear_right: Any = _foot_path()
+
+
+@parameter_tree
+class Trim:
+    """What is added to servo angles, with the trajectory 'free'. A pair's number is added to its limb's."""
+
+    hip: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the hip servo, positive backward")
+    knee: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the knee servo")
+    spine: Any = quantity(0.0, unit="rad", low=-0.4, high=0.4, doc="added to the spine servo, positive left")
 
 
 @parameter_tree
@@ -152,6 +213,9 @@ class ControlParameters:
     gait: Gait = flat(Gait)
     stance: Stance = group(Stance)
     spine: Spine = group(Spine)
+    limb: Limb = group(Limb)
+    foot: FootPaths = group(FootPaths)
+    trim: Trim = group(Trim)
     turning: Turning = group(Turning)
     pilot: Pilot = group(Pilot)
     tracking: Tracking = group(Tracking)

@@ -77,53 +77,70 @@ class Stepping:
 
     def start(self, params: ControlParameters, phase: Scalar, drive: Drive) -> tuple[Steps, Float[Array, "4 2"]]:
         """See `GaitLike`."""
-        limbs = clock.limb_states(params.gait, phase)
-        points = trajectory.nominal_points(params.stance, limbs.stance, _strides(params, drive))
-        return Steps(phase, limbs.stance, points), trajectory.position(points, limbs.progress, self.form)
+        limbs = self._limbs(params, phase)
+        points = trajectory.nominal_points(
+            params.stance, limbs.stance, self._strides(params, drive), self._moved(params)
+        )
+        return Steps(phase, limbs.stance, points), self._feet(params, points, limbs)
 
     def update(
         self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
     ) -> tuple[Steps, Float[Array, "4 2"]]:
         """See `GaitLike`."""
         phase = clock.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
-        limbs = clock.limb_states(params.gait, phase)
-        points = _points(params, state, limbs, before, now, dt)
-        return Steps(phase, limbs.stance, points), trajectory.position(points, limbs.progress, self.form)
+        limbs = self._limbs(params, phase)
+        points = self._points(params, state, limbs, before, now, dt)
+        return Steps(phase, limbs.stance, points), self._feet(params, points, limbs)
 
     def walked(self, params: ControlParameters, state: Steps, drive: Drive) -> tuple[Scalar, Scalar]:
         """See `GaitLike`."""
         speed, yaw_rate = turning.walked(params, state.points, state.stance, drive.turn_rate)
         return speed / params.tracking.clock_ratio, yaw_rate / params.tracking.clock_ratio
 
+    def _duty(self, params: ControlParameters) -> Array:
+        """Stance share of the cycle, of all limbs () or of each (4,)."""
+        return clock.stance_share(params.gait.duty)
 
-def _strides(params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
-    stride = turning.stride_length(params.gait, params.stance, drive.speed)
-    return stride * turning.stride_shares(params.turning, drive.turn_rate)
+    def _limbs(self, params: ControlParameters, phase: Scalar) -> clock.LimbStates:
+        return clock.limb_states(params.gait, phase)
 
+    def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
+        stride = turning.stride_length(params.gait, params.stance, drive.speed)
+        return stride * turning.stride_shares(params.turning, drive.turn_rate)
 
-def _points(
-    params: ControlParameters, state: Steps, limbs: clock.LimbStates, before: Drive, now: Drive, dt: float
-) -> Float[Array, "4 3 2"]:
-    """Control points of the half-cycles that the legs are in now.
+    def _moved(self, params: ControlParameters) -> trajectory.Moved | None:
+        """How far control points are moved; None where they are not."""
+        return None
 
-    A leg switches between two ticks. Its new half-cycle starts where the old one ends, not where the foot was at
-    the tick before, and has the stride that was wanted when it switched. So the commanded feet are continuous in
-    frequency, duty and offsets, which say in which tick a switch falls.
-    """
-    duty = jnp.clip(jnp.asarray(params.gait.duty), clock.SHORTEST_HALF, 1.0 - clock.SHORTEST_HALF)
-    length, other = jnp.where(limbs.stance, duty, 1.0 - duty), jnp.where(limbs.stance, 1.0 - duty, duty)
-    # Since the leg's last switch, and in a tick, as shares of the gait cycle.
-    since = limbs.progress * length
-    in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
-    strides_before, strides_now = _strides(params, before), _strides(params, now)
+    def _feet(
+        self, params: ControlParameters, points: Float[Array, "4 3 2"], limbs: clock.LimbStates
+    ) -> Float[Array, "4 2"]:
+        return trajectory.position(points, limbs.progress, self.form)
 
-    def stride(ago: Array) -> Array:
-        return strides_now + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (strides_before - strides_now)
+    def _points(
+        self, params: ControlParameters, state: Steps, limbs: clock.LimbStates, before: Drive, now: Drive, dt: float
+    ) -> Float[Array, "4 3 2"]:
+        """Control points of the half-cycles that the legs are in now.
 
-    switched = clock.switches(limbs.stance, state.stance)
-    # A half-cycle shorter than a tick may pass unseen; the foot has made its way all the same.
-    skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
-    passed = trajectory.end_points(params.stance, ~limbs.stance, stride(since + other))
-    start = jnp.where(skipped[:, None], passed, state.points[:, 2])
-    planned = trajectory.plan(params.stance, start, limbs.stance, stride(since))
-    return jnp.where((switched | skipped)[:, None, None], planned, state.points)
+        A leg switches between two ticks. Its new half-cycle starts where the old one ends, not where the foot was at
+        the tick before, and has the stride that was wanted when it switched. So the commanded feet are continuous in
+        frequency, duty and offsets, which say in which tick a switch falls.
+        """
+        duty = self._duty(params)
+        length, other = jnp.where(limbs.stance, duty, 1.0 - duty), jnp.where(limbs.stance, 1.0 - duty, duty)
+        # Since the leg's last switch, and in a tick, as shares of the gait cycle.
+        since = limbs.progress * length
+        in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
+        strides_before, strides_now = self._strides(params, before), self._strides(params, now)
+        moved = self._moved(params)
+
+        def stride(ago: Array) -> Array:
+            return strides_now + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (strides_before - strides_now)
+
+        switched = clock.switches(limbs.stance, state.stance)
+        # A half-cycle shorter than a tick may pass unseen; the foot has made its way all the same.
+        skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
+        passed = trajectory.end_points(params.stance, ~limbs.stance, stride(since + other), moved)
+        start = jnp.where(skipped[:, None], passed, state.points[:, 2])
+        planned = trajectory.plan(params.stance, start, limbs.stance, stride(since), moved)
+        return jnp.where((switched | skipped)[:, None, None], planned, state.points)

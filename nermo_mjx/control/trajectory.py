@@ -15,14 +15,14 @@ Points have the shape (..., 4, 3, 2): limb, knot, (y, z) in the leg's frame [m].
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.parameters import PUBLISHED_TRACKING, Stance, Tracking
 from nermo_mjx.control.power import signed_power
-from nermo_mjx.shapes import Array, Broadcastable, PlanarPerLimb, Scalars
+from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scalars
 
 #: Weights of (nearer end, mid point, farther end) at u, for one coordinate.
 _Weights = tuple[Array, Array, Array]
@@ -83,11 +83,25 @@ def neutral_feet(stance: Stance) -> PlanarPerLimb:
     return jnp.stack([front, front, rear, rear], axis=-2)
 
 
+class Moved(NamedTuple):
+    """How far the control points of each limb are moved from where the published gait has them [m].
+
+    Attributes:
+        touchdown, liftoff: the ends of swing and stance.
+        lift: upward, of the middle of the swing.
+    """
+
+    touchdown: PlanarPerLimb
+    liftoff: PlanarPerLimb
+    lift: PerLimb
+
+
 def plan(
     stance: Stance,
     start: Float[Array, "*#batch 4 2"],
     down: Bool[Array, "*#batch 4"],
     stride: Float[Array, "*#batch 4"],
+    moved: Moved | None = None,
 ) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle.
 
@@ -97,27 +111,30 @@ def plan(
         down: planned contact. In stance the foot moves backward (+y) and is pressed down at its mid point, in swing it
             moves forward and is raised.
         stride: length of each leg's stride [m].
+        moved: from the published gait.
     """
     neutral = neutral_feet(stance)
-    mid_height = jnp.where(
-        down, -jnp.asarray(stance.stance_amplitude)[..., None], jnp.asarray(stance.swing_amplitude)[..., None]
-    )
+    swing = jnp.asarray(stance.swing_amplitude)[..., None]
+    if moved is not None:
+        swing = swing + moved.lift
+    mid_height = jnp.where(down, -jnp.asarray(stance.stance_amplitude)[..., None], swing)
     mid = neutral + _column(mid_height, axis=1)
-    return jnp.stack([start, mid, end_points(stance, down, stride)], axis=-2)
+    return jnp.stack([start, mid, end_points(stance, down, stride, moved)], axis=-2)
 
 
 def nominal_points(
-    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"]
+    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"], moved: Moved | None = None
 ) -> Float[Array, "*#batch 4 3 2"]:
     """Control points of a half-cycle in a steady gait: each starts where the opposite half-cycle ends."""
-    return plan(stance, end_points(stance, ~down, stride), down, stride)
+    return plan(stance, end_points(stance, ~down, stride, moved), down, stride, moved)
 
 
 def end_points(
-    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"]
+    stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"], moved: Moved | None = None
 ) -> Float[Array, "*#batch 4 2"]:
     """Where a half-cycle ends: half a stride behind the neutral position in stance, and before it in swing [m]."""
-    return neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
+    ends = neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
+    return ends if moved is None else ends + jnp.where(down[..., None], moved.liftoff, moved.touchdown)
 
 
 def _column(value: Array, axis: int) -> Array:

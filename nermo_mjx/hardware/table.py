@@ -206,7 +206,7 @@ def _run(
         return controller.update(params, state, sensors)[0], None
 
     def row(state: Any, _: None) -> tuple[Any, Any]:
-        angles = controller.servo_angles(state).vector(n_servos)
+        angles = controller.servo_angles(params, state).vector(n_servos)
         return jax.lax.scan(tick, state, None, length=within)[0], angles
 
     return jax.lax.scan(row, state, None, length=rows)

@@ -26,8 +26,9 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.kinematics.tendon import arm_range, check_routing, knee_range, pull, shank
+from nermo_mjx.robot.interface import SERVOS, servo_range
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, LegGeometry
-from nermo_mjx.shapes import Array, Planar, Scalars
+from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
 #: How far outside its range a foot or tendon may be and still count as reached: rounding in float32 [m].
 REACH_TOLERANCE: Final = 1e-6
@@ -169,6 +170,23 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     miss = jnp.max(jnp.abs(reached - jnp.stack([y, z], axis=-1)), axis=-1)
     servo = jnp.stack([q1, knee_servo(leg, q1, knee_angle, routing)], axis=-1)
     return LegSolution(servo, knee_angle, reached, held & (miss < REACH_TOLERANCE))
+
+
+def four_reaches(routing: str) -> tuple[PerLimb, PerLimb]:
+    """Least and greatest distance of the foot from O [m] at which it is in the workspace of each of the `four_legs`.
+
+    With type 3, where the knee angle follows the knee servo alone, the servo's range counts, too.
+    """
+    leg = _arrays(four_legs())
+    low, high = arm_range(leg)
+    if routing == "type3":
+        ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]
+        held = [forward(leg, jnp.stack([jnp.zeros(4), jnp.asarray(end)], axis=-1), routing).knee_angle for end in ends]
+        low, high = jnp.maximum(low, jnp.minimum(*held)), jnp.minimum(high, jnp.maximum(*held))
+    link, bend = shank(leg)
+    arms = [knee - leg.knee_direction * bend for knee in (high, low)]
+    near, far = (jnp.sqrt(leg.l1**2 + link**2 + 2 * leg.l1 * link * jnp.cos(arm)) for arm in arms)
+    return near, far
 
 
 def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2 2"]:

@@ -145,9 +145,19 @@ def check_quantities(tree: Any, prefix: str = "") -> None:
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():
         value, about = getattr(tree, field.name), field.metadata.get("quantity")
         if about is not None:
-            about.check(prefix + field.name, value)
+            _check(prefix + field.name, about, value)
         else:
             check_quantities(value, prefix + _prefix(field))
+
+
+def _check(name: str, about: Quantity, value: Any) -> None:
+    """Check a scalar, or a vector as a whole, whose wrong component is named."""
+    try:
+        about.check(name, value)
+    except ParameterError:
+        for i, label in enumerate(about.labels):
+            about.check(f"{name}.{label}", np.asarray(value)[..., i])
+        raise
 
 
 def _prefix(field: dataclasses.Field[Any]) -> str:

@@ -33,6 +33,7 @@ TAKEN: Final = frozenset((
     "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
     "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
     "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
+    "trajectory",
 ))  # fmt: skip
 #: Choices that only the published controller knows.
 PUBLISHED: Final = ("gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory")
@@ -53,13 +54,15 @@ class Setup:
             preset takes that preset's time step, unless one was given. A scene of one's own, a file or an `MjSpec`,
             is kept as MJCF, so that setups with the same one are equal.
         gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
-        spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, or several joined by "+".
+        spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, or several joined by
+            "+".
         steering: `leg`, `spine` or `mix`.
         profile: `exact` or `as_published`.
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
         waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
-        trajectory: `cubic`, `linear` or `parabolic` foot paths.
+        trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and numbers
+            of each limb.
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME` or `MODULE:NAME`. What
             is chosen above from `gait` on is the published controller's, and goes with no other; with a `Controller` of
             other parts go gait, steering and profile.

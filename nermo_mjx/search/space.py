@@ -11,7 +11,7 @@ from scipy.stats import qmc
 
 from nermo_mjx.search.spec import Search
 from nermo_mjx.sweep.axes import Axis
-from nermo_mjx.tune.sections import PERIODS
+from nermo_mjx.tune.sections import period_of
 
 #: Share of a period by which written bounds may miss it: 3.14 is meant as pi.
 _ROUNDING = 1e-3
@@ -50,7 +50,7 @@ class Space:
 
 def _is_turn(axis: Axis) -> bool:
     """Whether the bounds of an angle or of a phase are one whole period apart."""
-    period = PERIODS.get(axis.name, PERIODS.get(axis.name.partition(".")[0]))
+    period = period_of(axis.name)
     low, high = axis.numbers[:2]
     return period is not None and abs(high - low - period) <= _ROUNDING * period
 

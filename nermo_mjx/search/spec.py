@@ -22,6 +22,7 @@ from nermo_mjx.search import sections
 from nermo_mjx.search.sections import Aim
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import JsonSchema, optional, read
+from nermo_mjx.specs.patterns import written_out
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import ByParameter, Checked, Whole
 from nermo_mjx.specs.walk import WalkFields, check_sources, read_walk
@@ -179,6 +180,7 @@ class Search:
 
 def _read(doc: Document) -> Search:
     with parameters_of(doc):
+        doc = written_out(doc)
         file = read(doc, SearchFile)
         aim = sections.read_aim(doc, file.objective, file.pareto, file.atlas, file.subject_to)
     walk = read_walk(doc, file)

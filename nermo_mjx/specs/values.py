@@ -138,10 +138,14 @@ class ByParameter(Checked):
 
 
 def by_parameter(value: JsonSchema) -> JsonSchema:
-    """What is said of a mapping by parameters: each with its description, and the given schema or that of a number."""
+    """What is said of a mapping by parameters: each with its description, and the given schema or that of a number.
+
+    A pattern of names (`patterns`) is allowed in a name's place.
+    """
     numbers = {name: number_of(name) for name in PARAMETERS}
     names = {name: {**(value or number), "description": number["description"]} for name, number in numbers.items()}
-    return {"properties": names, "additionalProperties": False}
+    patterns = {r"[*?\[]": value or {"type": "number"}}
+    return {"properties": names, "patternProperties": patterns, "additionalProperties": False}
 
 
 def number_of(name: str) -> JsonSchema:

@@ -12,7 +12,8 @@ from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
 import mujoco
 from pydantic import BeforeValidator, Field
 
-from nermo_mjx.control.fusion import MODES
+from nermo_mjx.control.free_stepping import FREE
+from nermo_mjx.control.fusion import SPINES
 from nermo_mjx.control.parameters import PROFILES, STEERING
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAITS
@@ -28,7 +29,7 @@ from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, check_value, number_of
 
-#: Parameters that nothing reads unless a choice of the setup turns them on.
+#: Parameters, and groups of them, that nothing reads unless a choice of the setup turns them on.
 _NEEDS: Final = {
     "spine.amplitude": ("spine", "stride_extension"),
     "spine.phase": ("spine", "stride_extension"),
@@ -36,6 +37,10 @@ _NEEDS: Final = {
     "pilot.turn_rate": ("pilot", "open_loop"),
     "pilot.radius": ("pilot", "arc"),
     "pilot.direction": ("pilot", "arc"),
+    "spine.harmonics": ("spine", "harmonics"),
+    "limb": ("trajectory", FREE),
+    "foot": ("trajectory", FREE),
+    "trim": ("trajectory", FREE),
 }
 _SIDES: Final = {"left": 1.0, "right": -1.0}
 
@@ -65,10 +70,12 @@ class SetupFields(Fields):
     timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
                             "wins over that of physics")  # fmt: skip
     gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
-    spine: str = chosen(Setup.spine, ("none", *MODES, "+".join(MODES)), "its modes")
+    spine: str = chosen(Setup.spine, SPINES, "its modes")
     steering: str = chosen(Setup.steering, STEERING, "what turns the robot")
     profile: str = chosen(Setup.profile, PROFILES, "as_published moves as published")
-    trajectory: str = chosen(Setup.trajectory, FORMS, "form of the foot path")
+    trajectory: str = chosen(
+        Setup.trajectory, (*FORMS, FREE), "form of the foot path; free: cubic, with movable points and numbers of limbs"
+    )
     controller: str = optional("another controller: FILE.py:NAME, from this file's folder, or MODULE:NAME")
 
 
@@ -215,7 +222,8 @@ def unread(setup: Setup, name: str) -> tuple[str, str] | None:
     """The choice, and what it would have to be, without which nothing reads a parameter; None if it is read."""
     if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
         return "scene", next(scene for scene, kind in TERRAINS.items() if name in kind.reads)
-    choice, wanted = _NEEDS.get(name, ("", "")) if setup.controller is None else ("", "")
+    groups = [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)] if setup.controller is None else []
+    choice, wanted = next((_NEEDS[each] for each in groups if each in _NEEDS), ("", ""))
     return (choice, wanted) if choice and wanted not in getattr(setup, choice).split("+") else None
 
 

@@ -35,8 +35,7 @@ class Sampler(OneOf):
 def _list_parameters(schema: dict[str, Any]) -> None:
     """Tell an editor the names of what is randomized, beside the fields."""
     listed = by_parameter(schema.pop("additionalProperties"))
-    schema["properties"] |= listed["properties"]
-    schema["additionalProperties"] = False
+    schema |= {**listed, "properties": schema["properties"] | listed["properties"]}
 
 
 class Randomized(Fields):

@@ -19,6 +19,7 @@ from nermo_mjx.rollout import Saving
 from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import read
+from nermo_mjx.specs.patterns import written_out
 from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.asked import AskedComparison, read_comparison
@@ -232,6 +233,7 @@ def _few(sweep: Sweep) -> Sweep:
 
 def _read(doc: Document) -> Sweep:
     with parameters_of(doc):
+        doc = written_out(doc)
         file = read(doc, SweepFile)
         table = _row_table(doc, file)
         chosen, which = table.combinations() if table is not None else (combinations_of(doc, file.vary), None)

@@ -23,7 +23,7 @@ from nermo_mjx.sweep.axes import AxisForm
 
 #: Fields of a walk that may vary; in this order they stand in a message.
 STRUCTURES: Final = (
-    "gait", "spine", "steering", "pilot", "profile", "routing", "scene", "tail", "physics", "robot",
+    "gait", "spine", "steering", "pilot", "profile", "trajectory", "routing", "scene", "tail", "physics", "robot",
 )  # fmt: skip
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
@@ -76,8 +76,8 @@ class Listed(Checked):
 
 def _also_parameters(schema: dict[str, Any]) -> None:
     """Tell an editor the names of the parameters, beside the structures."""
-    schema["properties"] |= by_parameter(schema.pop("additionalProperties"))["properties"]
-    schema["additionalProperties"] = False
+    listed = by_parameter(schema.pop("additionalProperties"))
+    schema |= {**listed, "properties": schema["properties"] | listed["properties"]}
 
 
 def _varied(name: str) -> Any:
@@ -95,6 +95,7 @@ class Vary(Fields):
     steering: Annotated[Any, Listed("steering")] = _varied("steering")
     pilot: Annotated[Any, Listed("pilot")] = _varied("pilot")
     profile: Annotated[Any, Listed("profile")] = _varied("profile")
+    trajectory: Annotated[Any, Listed("trajectory")] = _varied("trajectory")
     routing: Annotated[Any, Listed("routing")] = _varied("routing")
     scene: Annotated[Any, Listed("scene")] = _varied("scene")
     tail: Annotated[Any, Listed("tail")] = _varied("tail")

@@ -19,7 +19,9 @@ from nermo_mjx.tune.optimizer import CONTROLLED, LEARNING_RATE, Optimizer, optim
 from nermo_mjx.tune.sampling import COMMON, Estimator
 
 #: Parameters that come back to the same place, and after how much.
-PERIODS: Final = {"spine.phase": 2 * math.pi, "start.yaw": 2 * math.pi, "start.phase": 1.0, "offset": 1.0}
+_PERIODS: Final = {
+    "spine.phase": 2 * math.pi, "start.yaw": 2 * math.pi, "start.phase": 1.0, "offset": 1.0, "limb.phase": 1.0,
+}  # fmt: skip
 #: Share of a period by which written bounds may miss it: 3.14 is meant as pi.
 _ROUNDING: Final = 1e-3
 _OBJECTIVE: Final = "a list such as [{maximize: speed}, {minimize: roll_std, weight: 0.5, scale: 0.05}]"
@@ -155,6 +157,11 @@ class EstimatorFields(OneOf):
     mixture: Mixture = optional("of both, by their variances")
 
 
+def period_of(name: str) -> float | None:
+    """After how much a parameter comes back to the same place; None if it does not."""
+    return _PERIODS.get(name, _PERIODS.get(name.rpartition(".")[0]))
+
+
 def read_tuned(
     doc: Document, given: Mapping[str, TunedFields | None], parameters: Mapping[str, Quantity]
 ) -> tuple[Tuned, ...]:
@@ -204,10 +211,10 @@ def _read_bounds(doc: Document, name: str, given: TunedFields, about: Quantity) 
 
 def _whole_period(doc: Document, path: FieldPath, name: str, low: float, high: float) -> tuple[float, float]:
     """The bounds about their middle, exactly one period apart."""
-    period = PERIODS.get(name, PERIODS.get(name.partition(".")[0]))
+    period = period_of(name)
     if period is None:
         doc.fail(path, f"is true, but {name} does not come back to the same place; periodic are "
-                       "spine.phase, start.phase, start.yaw and offset.*.")  # fmt: skip
+                       "spine.phase, start.phase, start.yaw, offset.* and limb.phase.*.")  # fmt: skip
     if abs(high - low - period) > _ROUNDING * period:
         doc.fail(path, f"is true, but the bounds [{low:g}, {high:g}] are not one period of {period:.5g} apart.")
     middle = 0.5 * (low + high)

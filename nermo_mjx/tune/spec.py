@@ -18,6 +18,7 @@ from scipy.stats import qmc
 from nermo_mjx.rollout import Metric, all_parameters
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
 from nermo_mjx.specs.fields import Refused, optional, read
+from nermo_mjx.specs.patterns import written_out
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import ByParameter, Choice, Whole
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
@@ -213,6 +214,7 @@ def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 def _read(doc: Document, *, recorded: bool = True) -> Tuning:
     with parameters_of(doc):
+        doc = written_out(doc)
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)
     if "distance" in walk["pilot"]:

@@ -13,9 +13,9 @@ from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.view.explore.runs import Runs
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
-_OPTIONS: Final = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile")
+_OPTIONS: Final = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory")
 #: Choices that are none: only their defaults can be walked.
-_NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone, "trajectory": Setup.trajectory}
+_NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone}
 #: Pilots that `walk` takes, and the parameters that their options are.
 _PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": ("turn_rate",)}
 _SIDES: Final = {"left": 1.0, "right": -1.0}
@@ -71,9 +71,9 @@ def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:
         return False
     if any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items()):
         return False
-    chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene", "spine")}
-    # A scene of one's own is written out, and several modes of the spine are joined: neither is an option's value.
-    if any("<" in value for value in chosen["scene"]) or any("+" in value for value in chosen["spine"]):
+    chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene",)}
+    # A scene of one's own is written out, which is no option's value.
+    if any("<" in value for value in chosen["scene"]):
         return False
     step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
     if "physics" not in names and step is not None and (preset is None or float(step) != preset.timestep):

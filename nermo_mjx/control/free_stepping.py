@@ -1,0 +1,154 @@
+"""Gaits with many parameters: the published stepping with numbers of each limb, and foot paths through free points.
+
+Everything is added to the published gait, with nothing where it is not given, so that the published gait is the point
+of this space at which all is at its default: the same numbers, bit for bit.
+
+A foot's path is a loop through eight points. Touch-down (1) and lift-off (5) are the ends of the half-cycles, which
+begin where the one before has ended, so that the path is closed and continuous whatever they are. In between, at a
+quarter, the half and three quarters of stance (2-4) and swing (6-8), a spline through the points is added, which
+leaves both ends as they are, with their velocities. What would leave the leg's workspace is drawn in (`within`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Final
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicSpline
+
+from nermo_mjx.control import clock, trajectory
+from nermo_mjx.control.parameters import FOOT_POINTS, PAIRS_AND_LIMBS, ControlParameters
+from nermo_mjx.control.pilot import Drive
+from nermo_mjx.control.stepping import Stepping
+from nermo_mjx.kinematics.leg import four_reaches
+from nermo_mjx.robot.interface import ServoAngles
+from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
+
+#: The trajectory that chooses this stepping, beside `trajectory.FORMS`.
+FREE: Final = "free"
+#: Width of the border of the workspace within which feet are drawn in [m]. The published rear feet come within 0.05 mm
+#: of it, in the middle of the swing, where their knee servos are almost at their limit.
+BORDER: Final = 4e-5
+
+_PAIR: Final = np.array([PAIRS_AND_LIMBS.index(limb.partition("_")[0]) for limb in LIMBS])
+_LIMB: Final = np.array([PAIRS_AND_LIMBS.index(limb) for limb in LIMBS])
+#: Where the spline has its points; its ends are 0.
+_KNOTS: Final = np.linspace(0.0, 1.0, FOOT_POINTS // 2 + 1)
+
+
+def _spline() -> np.ndarray:
+    """Coefficients of the splines that are 1 at one inner knot each: (power bases of `bumps`, knots)."""
+    basis = CubicSpline(_KNOTS, np.eye(len(_KNOTS))[:, 1:-1], bc_type="clamped")
+    jumps = np.diff(basis.c[0], axis=0)  # of the third derivative over 6, which is all that changes at a knot
+    return np.concatenate([basis.c[1, :1], basis.c[0, :1], jumps])
+
+
+_SPLINE: Final = _spline()
+
+
+@dataclasses.dataclass(frozen=True)
+class FreeStepping(Stepping):
+    """Stepping with the parameters `limb`, `foot` and `trim` besides the published ones.
+
+    Attributes:
+        form: of the path that points are moved from.
+        routing: knee tendon routing, for the workspace.
+    """
+
+    routing: str = "type3"
+
+    def trim(self, params: ControlParameters, servos: ServoAngles) -> ServoAngles:
+        """The servo angles with what is added to each [rad]."""
+        trim = params.trim
+        return dataclasses.replace(
+            servos, hip=servos.hip + _added(trim.hip), knee=servos.knee + _added(trim.knee),
+            spine=servos.spine + trim.spine,
+        )  # fmt: skip
+
+    def check(self, params: ControlParameters) -> None:
+        """Refuse limbs that would always or never stand; `params` are not traced, and may have leading batch axes."""
+        pair, limb = (np.asarray(params.limb.duty, float)[..., place] for place in (_PAIR, _LIMB))
+        duty = np.asarray(params.gait.duty, float)[..., None] + pair + limb
+        for place, name in enumerate(LIMBS):
+            wrong = ~((duty[..., place] > 0.0) & (duty[..., place] < 1.0))
+            if wrong.any():
+                value = duty[..., place][wrong].flat[0]
+                raise ParameterError(
+                    f"limb.duty.{name} gives the limb a duty factor of {value:g}: allowed is (0, 1) for duty, what its "
+                    "pair adds and what it adds itself."
+                )
+
+    def _duty(self, params: ControlParameters) -> Array:
+        return clock.stance_share(params.gait.duty[..., None] + _added(params.limb.duty))
+
+    def _limbs(self, params: ControlParameters, phase: Scalar) -> clock.LimbStates:
+        return clock.limbs_at(self._duty(params), params.gait.offset + _added(params.limb.phase), phase)
+
+    def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
+        pair, limb = _both(params.limb.stride)
+        return super()._strides(params, drive) * (pair * limb)
+
+    def _moved(self, params: ControlParameters) -> trajectory.Moved:
+        points = _points(params)
+        return trajectory.Moved(points[..., 0, :], points[..., FOOT_POINTS // 2, :], _added(params.limb.lift))
+
+    def _feet(
+        self, params: ControlParameters, points: Float[Array, "4 3 2"], limbs: clock.LimbStates
+    ) -> Float[Array, "4 2"]:
+        own, half = _points(params), FOOT_POINTS // 2
+        inner = jnp.where(limbs.stance[:, None, None], own[:, 1:half], own[:, half + 1 :])
+        path = super()._feet(params, points, limbs) + jnp.sum(bumps(limbs.progress)[..., None] * inner, axis=-2)
+        return within(*four_reaches(self.routing), path)
+
+
+def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:
+    """Of each inner point of a half-cycle, how much of its way the foot has moved at `progress` in [0, 1].
+
+    Cubic splines, 1 at their own point and 0 at the others; value and slope are 0 at both ends.
+    """
+    p = jnp.asarray(progress)[..., None]
+    past = jnp.maximum(p - jnp.asarray(_KNOTS[1:-1], p.dtype), 0.0)
+    bases = jnp.concatenate([p**2, p**3, past**3], axis=-1)
+    return jnp.sum(bases[..., None] * jnp.asarray(_SPLINE, p.dtype), axis=-2)
+
+
+def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
+    """The foot (y, z) from the leg's axis, drawn into the ring between both distances [m].
+
+    Within the ring it is as it was, bit for bit, but for a border of `BORDER`: there and beyond, the distance nears
+    the ring's end with a slope that is 1 where the border begins and above 0 everywhere, so that a gradient leads back.
+    """
+    distance = jnp.sqrt(jnp.maximum(jnp.sum(foot**2, axis=-1), 1e-12))
+    low, high = nearest + BORDER, farthest - BORDER
+
+    def drawn(beyond: Array) -> Array:
+        positive = jnp.maximum(beyond, 0.0)
+        return BORDER * positive / (BORDER + positive)
+
+    kept = jnp.where(distance > high, high + drawn(distance - high), low - drawn(low - distance))
+    share = jnp.where((distance >= low) & (distance <= high), 1.0, kept / distance)
+    return foot * share[..., None]
+
+
+def _both(value: Any) -> tuple[Array, Array]:
+    """The numbers of each limb's pair and its own, (..., 4) each."""
+    value = jnp.asarray(value)
+    return value[..., _PAIR], value[..., _LIMB]
+
+
+def _added(value: Any) -> Array:
+    pair, limb = _both(value)
+    return pair + limb
+
+
+def _points(params: ControlParameters) -> Float[Array, "*batch 4 8 2"]:
+    """How far the points of each foot's path are moved, (y, z) in the leg's frame [m]."""
+    foot = params.foot
+    every = jnp.stack([jnp.asarray(getattr(foot, name)) for name in PAIRS_AND_LIMBS], axis=-2)
+    moved = every[..., _PAIR, :] + every[..., _LIMB, :]
+    return jnp.stack([moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1)
