@@ -11,6 +11,7 @@ from sphinx.application import Sphinx
 
 import nermo_mjx
 from nermo_mjx import METRICS, all_parameters
+from nermo_mjx.robot.quantity import gathered
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import address
@@ -59,9 +60,10 @@ if REPOSITORY is not None:
 def parameter_table() -> str:
     """Every parameter that a sweep may name, as Markdown."""
     rows = ["| name | default | unit | allowed | meaning |", "|---|--:|---|---|---|"]
-    for name, about in sorted(all_parameters().items()):
+    for name, about in sorted(gathered(all_parameters()), key=lambda each: each[0]):
         allowed = about.allowed().removesuffix(about.unit) if about.unit != "1" else about.allowed()
-        rows.append(f"| `{name}` | {float(about.default):.6g} | {about.unit} | {allowed} | {about.doc} |")
+        name = " … ".join(f"`{each}`" for each in name.split(" ... "))
+        rows.append(f"| {name} | {float(about.default):.6g} | {about.unit} | {allowed} | {about.doc} |")
     return "\n".join(rows).replace("|a|^t", "\\|a\\|^t") + "\n"
 
 

@@ -547,12 +547,13 @@ def test_what_identify_prints_can_be_pasted(identified: dict[str, Any], tmp_path
     assert "servo.kp" in Sweep.from_file(tmp_path / "sweep.yaml").fixed
 
 
-def test_list_parameters_shows_every_name_with_unit_default_and_range() -> None:
+def test_list_parameters_shows_names_with_unit_default_and_range() -> None:
     from nermo_mjx.rollout import all_parameters
 
     text, listed = call("sweep", "--list-parameters").stdout, json_of("sweep", "--list-parameters")["parameters"]
     assert list(listed) == list(all_parameters())
     assert re.search(r"^spine\.amplitude +0\.4 +\[0, 0\.6\] rad +servo amplitude", text, re.MULTILINE)
+    assert re.search(r"^foot\.front\.y1 \.\.\. foot\.front\.z8 +0 +\[-0\.02, 0\.02\] m", text, re.MULTILINE)
     assert listed["frequency"]["unit"] == "Hz"
 
 

@@ -45,7 +45,7 @@ PARAMETERS = (
     *(f"spine.harmonics.{part}{order}" for order in range(1, 7) for part in ("cos", "sin")),
     *(f"limb.{what}.{limb}" for what in ("stride", "lift", "duty", "phase") for limb in PAIRS_AND_LIMBS),
     *(f"foot.{limb}.{axis}{point}" for limb in PAIRS_AND_LIMBS for axis in "yz" for point in range(1, 9)),
-    *(f"trim.{servo}.{limb}" for servo in ("hip", "knee") for limb in PAIRS_AND_LIMBS), "trim.spine",
+    "trim.spine", *(f"trim.{servo}.{limb}" for servo in ("hip", "knee") for limb in PAIRS_AND_LIMBS),
     "turning.exponent", "turning.leg", "turning.spine", "pilot.guidance", "pilot.look_ahead", "pilot.damping",
     "pilot.bandwidth", "pilot.grip", "pilot.error_gain", "pilot.change_gain", "pilot.output_limit",
     "pilot.turn_rate", "pilot.radius", "pilot.direction", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",

@@ -192,6 +192,7 @@ def print_result(result: SweepResult) -> None:
 
 def _list_parameters(spec: Path | None, as_json: bool) -> None:
     with stdout_reserved():
+        from nermo_mjx.robot.quantity import gathered
         from nermo_mjx.rollout import Setup, all_parameters
         from nermo_mjx.sweep import Sweep
         from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
@@ -205,7 +206,7 @@ def _list_parameters(spec: Path | None, as_json: bool) -> None:
         print_json({"parameters": shown, "structures": structures})
         return
     columns = [("name", "left"), ("default", "right"), ("allowed", "left"), ("meaning", "left")]
-    rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in parameters.items()]
+    rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
     print_table("Parameters of a sweep (SI units, radians)", columns, rows)
     rows = [[name, about["default"], ", ".join(about["allowed"]), about["doc"]] for name, about in structures.items()]
     print_table("Structures, which vary and rows can name, too", columns, rows)

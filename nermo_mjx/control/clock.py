@@ -6,10 +6,9 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
 
 from nermo_mjx.control.parameters import Gait
-from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Scalars, TruthPerLimb
+from nermo_mjx.shapes import Broadcastable, PerLimb, Scalars, TruthPerLimb
 
 #: Shortest share of the cycle a half-cycle may take inside a traced program; `Gait.duty` is checked where it is built.
 SHORTEST_HALF = 1e-3
@@ -41,7 +40,12 @@ def advance(phase: Scalars, frequency: Scalars, duration: Scalars) -> Scalars:
     return wrap(phase + frequency * duration)
 
 
-def limb_states(gait: Gait, phase: Scalars) -> LimbStates:
+def stance_share(duty: Broadcastable) -> Broadcastable:
+    """The duty factor, neither half-cycle shorter than `SHORTEST_HALF`."""
+    return jnp.clip(jnp.asarray(duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)
+
+
+def limb_states(gait: Gait, phase: Scalars, longer: PerLimb | None = None) -> LimbStates:
     """A leg is in stance while (phase - offset) mod 1 < duty (Tables A.2, A.6).
 
     Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance.
@@ -49,20 +53,20 @@ def limb_states(gait: Gait, phase: Scalars) -> LimbStates:
     Args:
         gait: `offset` of shape (..., 4), `duty` of shape (...).
         phase: of the gait cycle, in [0, 1).
+        longer: what each limb's duty factor has more than the gait's.
     """
-    return limbs_at(stance_share(gait.duty)[..., None], gait.offset, phase)
-
-
-def stance_share(duty: Broadcastable) -> Broadcastable:
-    """The duty factor, neither half-cycle shorter than `SHORTEST_HALF`."""
-    return jnp.clip(jnp.asarray(duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)
-
-
-def limbs_at(duty: Float[Array, "*#batch limbs"], offset: PerLimb, phase: Scalars) -> LimbStates:
-    """As `limb_states`, with a duty factor of each limb, or one (..., 1) of all."""
-    local = wrap(jnp.asarray(phase)[..., None] - offset)
-    stance = local < duty
-    progress = jnp.where(stance, local / duty, (local - duty) / (1.0 - duty))
+    duty = stance_share(gait.duty)[..., None]
+    local = wrap(jnp.asarray(phase)[..., None] - gait.offset)
+    if longer is None:
+        stance = local < duty
+        progress = jnp.where(stance, local / duty, (local - duty) / (1.0 - duty))
+    else:
+        # As above, times ratios that are exactly 1 for a limb like the others: XLA divides by one number of all limbs
+        # otherwise than by one of each, in the last bit.
+        own = stance_share(gait.duty[..., None] + longer)
+        stance = local < own
+        swung = (local - own) / (1.0 - duty) * ((1.0 - duty) / (1.0 - own))
+        progress = jnp.where(stance, local / duty * (duty / own), swung)
     return LimbStates(stance, jnp.minimum(progress, 1.0))
 
 

@@ -132,7 +132,7 @@ class Controller:
         return with_gait_factor(values)
 
     def check(self, params: ControlParameters) -> None:
-        """Refuse strides that the legs cannot reach, see `build.check_workspace`, and limbs that always or never stand."""
+        """Refuse strides out of reach, see `build.check_workspace`, and limbs that would always or never stand."""
         build.check_workspace(params, routing=self.routing)
         if isinstance(self.gait, FreeStepping):
             self.gait.check(params)

@@ -20,14 +20,14 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from nermo_mjx.control import clock, trajectory
-from nermo_mjx.control.parameters import FOOT_POINTS, PAIRS_AND_LIMBS, ControlParameters
+from nermo_mjx.control.parameters import FOOT_POINTS, ControlParameters
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.stepping import Stepping
 from nermo_mjx.kinematics.leg import four_reaches
 from nermo_mjx.robot.interface import ServoAngles
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
+from nermo_mjx.shapes import Array, Planar, Scalars
 
 #: The trajectory that chooses this stepping, beside `trajectory.FORMS`.
 FREE: Final = "free"
@@ -35,8 +35,6 @@ FREE: Final = "free"
 #: of it, in the middle of the swing, where their knee servos are almost at their limit.
 BORDER: Final = 4e-5
 
-_PAIR: Final = np.array([PAIRS_AND_LIMBS.index(limb.partition("_")[0]) for limb in LIMBS])
-_LIMB: Final = np.array([PAIRS_AND_LIMBS.index(limb) for limb in LIMBS])
 #: Where the spline has its points; its ends are 0.
 _KNOTS: Final = np.linspace(0.0, 1.0, FOOT_POINTS // 2 + 1)
 
@@ -72,8 +70,8 @@ class FreeStepping(Stepping):
 
     def check(self, params: ControlParameters) -> None:
         """Refuse limbs that would always or never stand; `params` are not traced, and may have leading batch axes."""
-        pair, limb = (np.asarray(params.limb.duty, float)[..., place] for place in (_PAIR, _LIMB))
-        duty = np.asarray(params.gait.duty, float)[..., None] + pair + limb
+        added = np.asarray(params.limb.duty, float)
+        duty = np.asarray(params.gait.duty, float)[..., None] + np.repeat(added[..., :2], 2, axis=-1) + added[..., 2:]
         for place, name in enumerate(LIMBS):
             wrong = ~((duty[..., place] > 0.0) & (duty[..., place] < 1.0))
             if wrong.any():
@@ -86,8 +84,10 @@ class FreeStepping(Stepping):
     def _duty(self, params: ControlParameters) -> Array:
         return clock.stance_share(params.gait.duty[..., None] + _added(params.limb.duty))
 
-    def _limbs(self, params: ControlParameters, phase: Scalar) -> clock.LimbStates:
-        return clock.limbs_at(self._duty(params), params.gait.offset + _added(params.limb.phase), phase)
+    def limbs(self, params: ControlParameters, phase: Scalars) -> clock.LimbStates:
+        """See `Stepping.limbs`."""
+        gait = dataclasses.replace(params.gait, offset=params.gait.offset + _added(params.limb.phase))
+        return clock.limb_states(gait, phase, _added(params.limb.duty))
 
     def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
         pair, limb = _both(params.limb.stride)
@@ -138,7 +138,8 @@ def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
 def _both(value: Any) -> tuple[Array, Array]:
     """The numbers of each limb's pair and its own, (..., 4) each."""
     value = jnp.asarray(value)
-    return value[..., _PAIR], value[..., _LIMB]
+    front, rear = value[..., 0], value[..., 1]
+    return jnp.stack([front, front, rear, rear], axis=-1), value[..., 2:]
 
 
 def _added(value: Any) -> Array:
@@ -149,6 +150,8 @@ def _added(value: Any) -> Array:
 def _points(params: ControlParameters) -> Float[Array, "*batch 4 8 2"]:
     """How far the points of each foot's path are moved, (y, z) in the leg's frame [m]."""
     foot = params.foot
-    every = jnp.stack([jnp.asarray(getattr(foot, name)) for name in PAIRS_AND_LIMBS], axis=-2)
-    moved = every[..., _PAIR, :] + every[..., _LIMB, :]
+    front, rear = jnp.asarray(foot.front), jnp.asarray(foot.rear)
+    moved = jnp.stack(
+        [front + foot.front_left, front + foot.front_right, rear + foot.rear_left, rear + foot.rear_right], axis=-2
+    )
     return jnp.stack([moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1)

@@ -136,9 +136,9 @@ class FootPaths:
 class Trim:
     """What is added to servo angles, with the trajectory 'free'. A pair's number is added to its limb's."""
 
+    spine: Any = quantity(0.0, unit="rad", low=-0.4, high=0.4, doc="added to the spine servo, positive left")
     hip: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the hip servo, positive backward")
     knee: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the knee servo")
-    spine: Any = quantity(0.0, unit="rad", low=-0.4, high=0.4, doc="added to the spine servo, positive left")
 
 
 @parameter_tree

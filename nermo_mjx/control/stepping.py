@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from nermo_mjx.control import clock, trajectory, turning
 from nermo_mjx.control.parameters import ControlParameters, choice
 from nermo_mjx.control.pilot import Drive
-from nermo_mjx.shapes import Array, Scalar
+from nermo_mjx.shapes import Array, Scalar, Scalars
 
 
 @runtime_checkable
@@ -77,7 +77,7 @@ class Stepping:
 
     def start(self, params: ControlParameters, phase: Scalar, drive: Drive) -> tuple[Steps, Float[Array, "4 2"]]:
         """See `GaitLike`."""
-        limbs = self._limbs(params, phase)
+        limbs = self.limbs(params, phase)
         points = trajectory.nominal_points(
             params.stance, limbs.stance, self._strides(params, drive), self._moved(params)
         )
@@ -88,7 +88,7 @@ class Stepping:
     ) -> tuple[Steps, Float[Array, "4 2"]]:
         """See `GaitLike`."""
         phase = clock.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
-        limbs = self._limbs(params, phase)
+        limbs = self.limbs(params, phase)
         points = self._points(params, state, limbs, before, now, dt)
         return Steps(phase, limbs.stance, points), self._feet(params, points, limbs)
 
@@ -101,7 +101,8 @@ class Stepping:
         """Stance share of the cycle, of all limbs () or of each (4,)."""
         return clock.stance_share(params.gait.duty)
 
-    def _limbs(self, params: ControlParameters, phase: Scalar) -> clock.LimbStates:
+    def limbs(self, params: ControlParameters, phase: Scalars) -> clock.LimbStates:
+        """Planned contact of the limbs, and how far each is in its half-cycle, at phases."""
         return clock.limb_states(params.gait, phase)
 
     def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:

@@ -115,6 +115,24 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
             yield name, dataclasses.replace(about, default=about.default[component], labels=())
 
 
+def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
+    """Names and quantities for people: those of a long vector, alike but for the last part of their names, as one.
+
+    >>> alike = Quantity(0.0, "m", 0.0, 1.0, "of a path")
+    >>> [name for name, _ in gathered({f"path.y{i}": alike for i in range(6)})]
+    ['path.y0 ... path.y5']
+    """
+    vectors: dict[tuple[str, Quantity], list[str]] = {}
+    for name, about in known.items():
+        vectors.setdefault((name.rpartition(".")[0], about), []).append(name)
+    for name, about in known.items():
+        names = vectors[name.rpartition(".")[0], about]
+        if len(names) <= 4:
+            yield name, about
+        elif name == names[0]:
+            yield f"{name} ... {names[-1]}", about
+
+
 def values_of(tree: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted name, value) of every scalar parameter of a tree, in the order of `quantities`."""
     for field in dataclasses.fields(tree) if dataclasses.is_dataclass(tree) else ():

@@ -9,10 +9,12 @@ from typing import Any, Final
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.clock import limb_states
+from nermo_mjx.control.free_stepping import FREE, FreeStepping
 from nermo_mjx.control.parameters import ControlParameters, published_values
+from nermo_mjx.control.stepping import Stepping
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import GAITS, LIMBS
+from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout.attitude import attitude
 from nermo_mjx.view.standing import STANDING
 
@@ -63,13 +65,15 @@ class Walk:
     @cached_property
     def planned(self) -> np.ndarray | None:
         """Whether the gait has each foot on the ground, (T, 4); None if the recording does not say."""
-        offsets = [self.values.get(f"offset.{limb}") for limb in LIMBS]
-        duty = self.values.get("duty")
-        if self.cycle is None or duty is None or None in offsets:
+        if self.cycle is None or not {"duty", *(f"offset.{limb}" for limb in LIMBS)} <= set(self.values):
             return None
         phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
-        gait = dataclasses.replace(ControlParameters().gait, duty=jnp.asarray(duty), offset=jnp.asarray(offsets, float))
-        return np.asarray(limb_states(gait, jnp.asarray(phase)).stance)
+        known = {name for name, _ in quantities(ControlParameters)}
+        given = {name: np.asarray(value) for name, value in self.values.items() if name in known}
+        free = self.recording.metadata.get("setup", {}).get("trajectory") == FREE
+        stepping = FreeStepping() if free else Stepping()
+        limbs = stepping.limbs(replace_quantities(ControlParameters(), given), jnp.asarray(phase))
+        return np.asarray(limbs.stance)
 
     @cached_property
     def contact(self) -> np.ndarray | None:
