@@ -206,9 +206,8 @@ def test_the_walk_command_does_what_the_row_did(swept: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     "changes",
-    [{"routing": "type1"}, {"timestep": 0.001}, {"pilot": "{straight: {distance: 1.0}}"}, {"controller": "a.py:B"},
-     {"spine": "stride_extension+balance"}],
-)  # fmt: skip
+    [{"routing": "type1"}, {"timestep": 0.001}, {"pilot": "{straight: {distance: 1.0}}"}, {"controller": "a.py:B"}],
+)
 def test_what_walk_cannot_do_gets_no_walk_command(swept: Path, tmp_path: Path, changes: dict[str, Any]) -> None:
     path = spec_of(Path(shutil.copytree(swept, tmp_path / "sweep")), **changes)
     commands = commands_of(path, runs_of(path))

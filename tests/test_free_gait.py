@@ -72,7 +72,7 @@ def test_the_published_gaits_are_points_of_the_space_bit_for_bit() -> None:
     modes = [SpineModes(modes) for modes in ("stride_extension", "stride_extension+harmonics")]
     spine = [jax.vmap(mode)(params, plain.phase, drive.turn_rate, feet, plain.stance) for mode in modes]
     np.testing.assert_array_equal(*spine)
-    servos = leg_servos(feet, spine[0])
+    servos = jax.vmap(leg_servos)(feet, spine[0])
     np.testing.assert_array_equal(jax.vmap(free.trim)(params, servos).vector(10), servos.vector(10))
 
 

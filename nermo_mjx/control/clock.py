@@ -6,9 +6,10 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from nermo_mjx.control.parameters import Gait
-from nermo_mjx.shapes import Broadcastable, PerLimb, Scalars, TruthPerLimb
+from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Scalars, TruthPerLimb
 
 #: Shortest share of the cycle a half-cycle may take inside a traced program; `Gait.duty` is checked where it is built.
 SHORTEST_HALF = 1e-3
@@ -45,7 +46,7 @@ def stance_share(duty: Broadcastable) -> Broadcastable:
     return jnp.clip(jnp.asarray(duty), SHORTEST_HALF, 1.0 - SHORTEST_HALF)
 
 
-def limb_states(gait: Gait, phase: Scalars, longer: PerLimb | None = None) -> LimbStates:
+def limb_states(gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | None = None) -> LimbStates:
     """A leg is in stance while (phase - offset) mod 1 < duty (Tables A.2, A.6).
 
     Erratum: the duty factor is the stance share of the cycle; appendix A.4.1 words it as swing to stance.
