@@ -10,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.interpolate import CubicSpline
 
 from nermo_mjx import Setup, servo_table
 from nermo_mjx.cli import main
 from nermo_mjx.control import ControlParameters, Stepping, clock, control_parameters, leg_servos
-from nermo_mjx.control.free_stepping import FreeStepping, within
+from nermo_mjx.control.free_stepping import FreeStepping, bumps, within
 from nermo_mjx.control.fusion import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse
@@ -90,6 +91,13 @@ def test_the_foot_goes_through_each_moved_point() -> None:
     change = feet_of(params, (phases + 0.5) % 1.0) - feet_of(plain, (phases + 0.5) % 1.0)
     np.testing.assert_allclose(change[:, 0], [[1e-4 * i, 0.0] for i in (2, 3, 4, 6, 7, 8)], atol=3e-7)
     assert not change[:, 2:].any()
+
+
+def test_what_is_added_between_the_ends_is_a_clamped_cubic_spline() -> None:
+    """The oracle is SciPy's, through zeros at both ends."""
+    progress, knots = np.linspace(0.0, 1.0, 101), np.linspace(0.0, 1.0, 5)
+    expected = CubicSpline(knots, np.eye(5)[:, 1:-1], bc_type="clamped")(progress)
+    np.testing.assert_allclose(bumps(jnp.asarray(progress)), expected, atol=2e-5)
 
 
 def test_touch_down_and_lift_off_are_moved() -> None:

@@ -17,7 +17,6 @@ from typing import Any, Final
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
 
 from nermo_mjx.control import clock, trajectory
 from nermo_mjx.control.parameters import FOOT_POINTS, ControlParameters
@@ -41,9 +40,18 @@ _KNOTS: Final = np.linspace(0.0, 1.0, FOOT_POINTS // 2 + 1)
 
 def _spline() -> np.ndarray:
     """Coefficients of the splines that are 1 at one inner knot each: (power bases of `bumps`, knots)."""
-    basis = CubicSpline(_KNOTS, np.eye(len(_KNOTS))[:, 1:-1], bc_type="clamped")
-    jumps = np.diff(basis.c[0], axis=0)  # of the third derivative over 6, which is all that changes at a knot
-    return np.concatenate([basis.c[1, :1], basis.c[0, :1], jumps])
+    count, step = len(_KNOTS), _KNOTS[1]
+    value = np.eye(count)[:, 1:-1]
+    rise = np.diff(value, axis=0) / step
+    # The acceleration is continuous at the inner knots; the slope is 0 at the ends.
+    slope, inner = np.zeros_like(value), count - 2
+    slope[1:-1] = np.linalg.solve(
+        4 * np.eye(inner) + np.eye(inner, k=1) + np.eye(inner, k=-1), 3 * (rise[1:] + rise[:-1])
+    )
+    square = (3 * rise - 2 * slope[:-1] - slope[1:]) / step
+    cube = (slope[:-1] + slope[1:] - 2 * rise) / step**2
+    # At a knot nothing but the third derivative changes.
+    return np.concatenate([square[:1], cube[:1], np.diff(cube, axis=0)])
 
 
 _SPLINE: Final = _spline()
