@@ -1,0 +1,79 @@
+"""The environment as a `gymnasium.vector.VectorEnv`, for trainers that know that form; needs the extra `gymnasium`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from nermo_mjx.learn.environment import SENTENCES, Environment, State
+
+
+class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """A batch of worlds on MuJoCo's C engine.
+
+    A world whose episode has ended begins the next one in the same step (`AutoresetMode.SAME_STEP`): the last
+    observation is in `infos["final_obs"]`, and `infos["final_info"]` has what the episode was: `status` (its sentence), `distance`
+    [m], `duration` [s], `servo_work` [J], and each term of the reward of the last step. In every step `infos` has
+    `privileged`, for a critic, and the terms.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(self, environment: Environment | None = None, **given: Any) -> None:
+        """
+        Args:
+            environment: on the engine `c`.
+            given: instead of it, the arguments of one.
+
+        Raises:
+            ValueError: an environment on another engine.
+        """
+        self.environment = Environment(**given) if environment is None else environment
+        if self.environment.engine != "c":
+            raise ValueError(f"engine is {self.environment.engine!r}: Gymnasium's form runs on 'c'.")
+        self.num_envs = self.environment.worlds
+        bound = np.full(self.environment.observation_size, np.inf, np.float32)
+        one = np.ones(self.environment.action_size, np.float32)
+        self.single_observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
+        self.single_action_space = gymnasium.spaces.Box(-one, one, dtype=np.float32)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._state: State | None = None
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in all worlds; without a seed the episodes are others each time.
+
+        Args:
+            seed: of all worlds; of several the first.
+            options: none are known.
+        """
+        first = seed[0] if isinstance(seed, list) else seed
+        super().reset(seed=first)
+        # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
+        key = first if first is not None else int(self.np_random.integers(1 << 31))
+        self._state = self.environment.reset(key)
+        return self._state.observation, {"privileged": self._state.privileged}
+
+    def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """One control step of all worlds."""
+        if self._state is None:
+            raise gymnasium.error.ResetNeeded("step was called before reset.")
+        state = self._state = self.environment.step(self._state, actions)
+        infos: dict[str, Any] = {"privileged": state.privileged, **state.terms}
+        ended = state.terminated | state.truncated
+        if ended.any():
+            told = {**state.episode, **state.terms, "status": np.array(SENTENCES)[np.asarray(state.status)]}
+            final = {name: np.where(ended, column, np.zeros_like(column)) for name, column in told.items()}
+            final |= {f"_{name}": ended for name in told}
+            rows = np.empty(self.num_envs, object)
+            for world in np.flatnonzero(ended):
+                rows[world] = state.final_observation[world]
+            infos |= {"final_obs": rows, "_final_obs": ended, "final_info": final, "_final_info": ended}
+        reward = np.asarray(state.reward, np.float64)
+        return state.observation, reward, np.asarray(state.terminated), np.asarray(state.truncated), infos
