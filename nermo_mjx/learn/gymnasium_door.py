@@ -16,9 +16,9 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """A batch of worlds on MuJoCo's C engine.
 
     A world whose episode has ended begins the next one in the same step (`AutoresetMode.SAME_STEP`): the last
-    observation is in `infos["final_obs"]`, and `infos["final_info"]` has what the episode was: `status` (its sentence), `distance`
-    [m], `duration` [s], `servo_work` [J], and each term of the reward of the last step. In every step `infos` has
-    `privileged`, for a critic, and the terms.
+    observation is in `infos["final_obs"]`, and `infos["final_info"]` has what the episode was: `status` (its sentence),
+    `distance` [m], `duration` [s], `servo_work` [J], and each term of the reward of the last step. In every step
+    `infos` has `privileged`, for a critic, and the terms.
     """
 
     metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -58,7 +58,7 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         # The generator of Gymnasium says which episodes come, so that a seed makes all that follow repeatable.
         key = first if first is not None else int(self.np_random.integers(1 << 31))
         self._state = self.environment.reset(key)
-        return self._state.observation, {"privileged": self._state.privileged}
+        return np.asarray(self._state.observation), {"privileged": self._state.privileged}
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """One control step of all worlds."""
@@ -76,4 +76,4 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
                 rows[world] = state.final_observation[world]
             infos |= {"final_obs": rows, "_final_obs": ended, "final_info": final, "_final_info": ended}
         reward = np.asarray(state.reward, np.float64)
-        return state.observation, reward, np.asarray(state.terminated), np.asarray(state.truncated), infos
+        return np.asarray(state.observation), reward, np.asarray(state.terminated), np.asarray(state.truncated), infos
