@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from mujoco.mjx._src import support
 
 import nermo_mjx.dynamics
 from nermo_mjx.dynamics import checking, differentiable, tree
@@ -133,6 +134,42 @@ def test_tendons_have_their_moment_arms_for_a_derivative() -> None:
     np.testing.assert_allclose(slopes, arms, atol=1e-9)
 
 
+@pytest.mark.compiles
+def test_a_cylinder_collides_with_a_derivative() -> None:
+    """A capsule that lies on it: MJX looks for the closest points by descent, whose own derivative is NaN inside."""
+    xml = """<mujoco><worldbody><geom type="cylinder" size=".1 .2" euler="90 0 0"/>
+    <body pos="0 .02 .145"><freejoint/><geom type="capsule" size=".05 .1" euler="0 80 10"/></body></worldbody>
+    </mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+    with jax.enable_x64(True):
+        device = mjx.put_model(model)
+        blank = mjx.make_data(device)
+
+        @with_point_jacobians
+        def distance(height: Any) -> Any:
+            data = tree.kinematics(device, blank.replace(qpos=blank.qpos.at[2].set(height)))
+            return mjx.collision(device, data)._impl.contact.dist[0]
+
+        values = jax.jit(jax.vmap(jax.value_and_grad(distance)))(0.145 + 1e-6 * jnp.arange(-1.0, 2.0))
+    (low, at, high), slopes = (np.asarray(each) for each in values)
+    assert at < 0.0
+    np.testing.assert_allclose(slopes[1], (high - low) / 2e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.3])
+def test_a_muscle_has_a_derivative_in_float32(width: float) -> None:
+    """(u - a) / tau, Millard et al. (2013), with tau = 0.01 (0.5 + 1.5 a) while u is well above a."""
+
+    @with_point_jacobians
+    def rate(excitation: Any, activation: Any) -> Any:
+        found: Any = support.muscle_dynamics(excitation, activation, jnp.array([0.01, 0.04, width]))
+        return found
+
+    rise, fall = jax.grad(rate, argnums=(0, 1))(jnp.float32(0.4), jnp.float32(0.1))
+    assert rise == pytest.approx(1.0 / 0.0065, rel=1e-5)
+    assert fall == pytest.approx(-1.0 / 0.0065 - 0.3 * 0.015 / 0.0065**2, rel=1e-5)
+
+
 @pytest.mark.slow
 def test_the_check_finds_a_derivative_that_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
     """With ours all is well; without the solution's derivative, as if contacts had none, it is not."""
@@ -152,7 +189,7 @@ def test_the_differences_choose_their_width_and_the_gradient_has_no_say() -> Non
     """Of the pair that agrees best, the one that agrees better with its other neighbour."""
     found = checking.GradientCheck(
         group=np.zeros(2, int), gradient=np.array([5.0, 5.0]),
-        differences=np.array([[1.1, 2.0], [1.001, 2.0], [1.0, 2.0], [0.9, 2.0]]), end=np.zeros(1),
+        differences=np.array([[1.1, 2.0], [1.001, 2.0], [1.0, 2.0], [0.9, 2.0], [0.1, 2.0]]), end=np.zeros(1),
     )  # fmt: skip
     assert checking.WIDTHS[found.chosen] == 1e-5
     assert found.spread == pytest.approx(1e-3 / np.hypot(1.0, 2.0))

@@ -12,6 +12,8 @@ import numpy as np
 
 #: How long a model is left to itself until it touches something [s].
 SETTLING: Final = 2.0
+#: Steps at its beginning that are passed over.
+FIRST: Final = 10
 #: Most steps of that.
 MOST_STEPS: Final = 4000
 #: Warnings after which a state has no meaning.
@@ -49,9 +51,9 @@ def load(path: Path) -> mujoco.MjModel:
         ValueError: a mesh is missing that has a mass, or that collides; or whatever MuJoCo says against the file.
     """
     spec = mujoco.MjSpec.from_file(str(path))
-    for each in (*spec.geoms, *spec.sites):
-        each.material = ""
-    for part in (*spec.materials, *spec.textures, *spec.skins):
+    for material in spec.materials:  # they stay: rangefinders pass through what is transparent
+        material.textures = [""] * len(material.textures)
+    for part in (*spec.textures, *spec.skins):
         spec.delete(part)
     for field in spec.hfields:  # beside the scene, where the robot's file has its meshes elsewhere
         beside = path.parent / "assets" / Path(field.file).name
@@ -106,7 +108,8 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
     for share in (0.1, 1.0):
         states, rows = _moved(model, data, kind, share)
         held = 0
-        for index in range(max(len(rows) - steps, 1)):
+        # Not at first, when much stands exactly on what it is put on.
+        for index in range(min(FIRST, len(rows) - 1), max(len(rows) - steps, 1)):
             held = held + 1 if index and rows[index] == rows[index - 1] else 0
             found = (*rows[index], min(held, 20))
             if len(set(rows[index : index + steps])) == 1 and found > best:

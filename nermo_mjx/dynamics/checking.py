@@ -19,7 +19,7 @@ from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Scalar
 
 #: Half-widths of the differences; each point is moved by that share of its unit (m, rad, m/s, ...; 1 for factors).
-WIDTHS: Final = (1e-4, 1e-5, 1e-6, 1e-7)
+WIDTHS: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 #: Most entries of each group that are moved, evenly chosen.
 MOST: Final = 12
 #: A group whose differences are below this share of all is compared with that share.

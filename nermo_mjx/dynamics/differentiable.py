@@ -78,7 +78,7 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     _check(model, data)
     data = mjx.sensor_pos(model, stages.position(model, data))
     data = mjx.sensor_vel(model, stages.velocity(model, data))
-    data = stages.acceleration(model, mjx.fwd_actuation(model, data))
+    data = stages.acceleration(model, stages.actuation(model, data))
     return mjx.sensor_acc(model, solve(model, data))
 
 

@@ -1,7 +1,8 @@
 """Jacobians of points on bodies, with the tree known when a program is traced.
 
 `mjx.jac` finds out on the device, level by level, which velocities move a body, for each end of a tendon and each
-contact: for this robot 130 of a step's launches on a GPU, and nothing that depends on the state.
+contact: for this robot 130 of a step's launches on a GPU, and nothing that depends on the state. What else MJX derives
+badly deep in its stages is put in its place with them.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from typing import Final, ParamSpec, TypeVar
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from mujoco.mjx._src import support
+from mujoco import mjMINVAL
+from mujoco.mjx._src import collision_sdf, support
 
 from nermo_mjx.dynamics import spatial, wrapping
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.tree import tree_of
-from nermo_mjx.shapes import Array, Count
+from nermo_mjx.shapes import Array, Count, Scalar
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -37,21 +39,35 @@ def point_jacobian(
     return data.cdof[:, 3:] * moves + spatial.cross(turns, jnp.broadcast_to(arm, turns.shape)), turns
 
 
+def muscle_time_constant(excess: Scalar, rising: Scalar, falling: Scalar, width: Scalar) -> Scalar:
+    """As MJX's `muscle_dynamics_timescale`: from one time constant to the other over a width of excess excitation.
+
+    MJX takes the fifth power of excess over width first, which is 0 unless it is given: too much for float32.
+    """
+    share = jnp.clip(excess / jnp.maximum(width, mjMINVAL) + 0.5, 0.0, 1.0)
+    smooth = falling + (rising - falling) * share**3 * (3.0 * share * (2.0 * share - 5.0) + 10.0)
+    return jnp.where(width < mjMINVAL, jnp.where(excess > 0.0, rising, falling), smooth)
+
+
 def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
-    """A function that calls stages of MJX, which take Jacobians and wraps of tendons from here while it is traced."""
+    """A function that calls stages of MJX, which take what it derives badly from here while it is traced."""
     ours = {
-        "jac": point_jacobian, "wrap_circle": wrapping.circle, "wrap_inside": wrapping.inside,
-        "_length_circle": wrapping.arc,
+        (support, "jac"): point_jacobian, (support, "wrap_circle"): wrapping.circle,
+        (support, "wrap_inside"): wrapping.inside, (support, "_length_circle"): wrapping.arc,
+        (collision_sdf, "_cylinder"): spatial.cylinder_distance,
+        (support, "muscle_dynamics_timescale"): muscle_time_constant,
     }  # fmt: skip
 
     @functools.wraps(stage)
     def traced(*args: P.args, **kwargs: P.kwargs) -> T:
         with _TRACING:
-            before = {name: getattr(support, name) for name in ours}
-            vars(support).update(ours)
+            before = {(home, name): getattr(home, name) for home, name in ours}
+            for (home, name), function in ours.items():
+                setattr(home, name, function)
             try:
                 return stage(*args, **kwargs)
             finally:
-                vars(support).update(before)
+                for (home, name), function in before.items():
+                    setattr(home, name, function)
 
     return traced

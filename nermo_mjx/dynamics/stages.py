@@ -37,6 +37,12 @@ def velocity(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
 
 
+@with_point_jacobians
+def actuation(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_actuation`."""
+    return mjx.fwd_actuation(model, data)
+
+
 def acceleration(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_acceleration`: the sum of all forces but the constraints', and the acceleration they would give."""
     if is_zero(data.xfrc_applied):
