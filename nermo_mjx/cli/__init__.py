@@ -15,6 +15,7 @@ First steps:
   nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
   nermo-mjx search sweeps/search_speed.yaml --out runs/fast
   nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned
+  nermo-mjx train sweeps/train_residual.yaml --out runs/walker
   nermo-mjx experiment all --quick --out runs/look
 """
 
@@ -30,7 +31,7 @@ def main() -> None:
 
 
 for name in (
-    "sweep", "merge", "replay", "compare", "sensitivity", "search", "tune", "landscape", "experiment", "identify",
-    "walk", "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
+    "sweep", "merge", "replay", "compare", "sensitivity", "search", "tune", "train", "landscape", "experiment",
+    "identify", "walk", "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
 ):  # fmt: skip
     main.add_command(importlib.import_module(f"nermo_mjx.cli.{name}").command)

@@ -46,6 +46,7 @@ KINDS: Final = {
         Kind("sweep", "a sweep", "sweep.redraw:figures", "sweep.status:status", ("x", "y", "color", "notify")),
         Kind("search", "a search", "search.plots:figures", "search.status:status", ("x", "y", "color", "notify")),
         Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
+        Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
         Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.status:landscape_status"),
         Kind("experiments", "published experiments", "experiments.plots.figures:figures", "experiments.status:status",
              tracked=True),

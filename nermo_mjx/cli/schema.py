@@ -26,6 +26,7 @@ FILES: Final = {
     "search": "search.spec:SearchFile",
     "tune": "tune.spec:TuningFile",
     "landscape": "tune.spec:TuningFile",
+    "train": "learn.spec:TrainingFile",
     "servos": "hardware.channels:ChannelsFile",
 }
 

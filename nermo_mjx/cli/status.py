@@ -31,9 +31,9 @@ _SHOWN = 3
 def command(path: Path, as_json: bool, quiet: bool) -> None:
     """Say what DIR holds, how far it is, what made it, and how to go on.
 
-    DIR is the directory of a sweep, a search, a tuning, a landscape,
-    experiments, an identification or benchmarks, of this release or an earlier one, finished
-    or being written. Nothing in it is changed.
+    DIR is the directory of a sweep, a search, a tuning, a training, a
+    landscape, experiments, an identification or benchmarks, of this release or
+    an earlier one, finished or being written. Nothing in it is changed.
     """
     kind = kind_of_directory(path)
     with stdout_reserved():

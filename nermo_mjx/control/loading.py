@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib
+from pathlib import Path
 from types import FunctionType
 from typing import Any, Final
 
@@ -11,19 +13,24 @@ from nermo_mjx.control.protocol import REQUIRED
 from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
 from nermo_mjx.robot.quantity import ParameterError
 
-FORM: Final = "FILE.py:NAME or MODULE:NAME"
+FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
+#: What reads a controller that is data. By name: policies are learned in a room above this one, which needs none.
+_READERS: Final = {".npz": "nermo_mjx.learn.policy:load_policy"}
 
 
 def load_controller(where: str) -> Any:
     """The controller that a text names; the same object as long as its file stays the same.
 
     Args:
-        where: `FILE.py:NAME` or `MODULE:NAME`. The name is that of a controller, or of a class or function without
-            arguments that gives one.
+        where: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function without
+            arguments that gives one; or `FILE.npz`, a policy that `nermo-mjx train` made.
 
     Raises:
         ParameterError: there is no such file, module or name, it cannot be imported, or it is no controller.
     """
+    if is_data(where):
+        module, _, reader = _READERS[Path(where).suffix].partition(":")
+        return getattr(importlib.import_module(module), reader)(where)
     source, name = _parts(where)
     module = module_of(f"controller is {where!r}", source, FORM)
     found = getattr(module, name, None)
@@ -36,14 +43,22 @@ def load_controller(where: str) -> Any:
 
 
 def controller_digest(where: str) -> str:
-    """A hash of the controller's name and of the file that defines it; not of what that file imports.
+    """A hash of the controller's name, if it has one, and of the file that defines it; not of what that file imports.
 
     Raises:
         ParameterError: see `load_controller`.
     """
+    if is_data(where):
+        load_controller(where)
+        return hashlib.sha256(Path(where).read_bytes()).hexdigest()[:16]
     source, name = _parts(where)
     _, content = content_of_source(f"controller is {where!r}", source, FORM)
     return hashlib.sha256(f"{name}\0".encode() + content).hexdigest()[:16]
+
+
+def is_data(where: str) -> bool:
+    """Whether a text names a file that holds a controller as data, and not code."""
+    return Path(where).suffix in _READERS
 
 
 def check_form(controller: Any) -> None:

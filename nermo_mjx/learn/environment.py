@@ -116,6 +116,11 @@ class Environment:
         self._worlds: _Worlds = _ENGINES[name](self, threads)
 
     @property
+    def pure(self) -> bool:
+        """Whether `reset` and `step` are pure functions, which can be traced."""
+        return isinstance(self._worlds, _MjxWorlds)
+
+    @property
     def observation_names(self) -> tuple[str, ...]:
         """Of every number that a policy observes, such as `gyro.x`."""
         return self.loop.observation_names

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Float
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
+from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.learn.acting import Acted, Acting, ActionKind, Residual
 from nermo_mjx.learn.observing import OBSERVED, Sensing
 from nermo_mjx.learn.rewards import Term
@@ -215,7 +216,8 @@ class Episodes:
             shares = numbers.concatenate([shares, numbers.clip(numbers.stack(spread), -1.0, 1.0)])
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
         world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
-        control = Acted(self._commanded(world.control, given.command), self.controller.parameters.action)
+        told = commanded(self.controller.base, self.task.commands, world.control, given.command)
+        control = Acted(told, self.controller.parameters.action)
         window = Window(begin=0.0, end=1e6, distance=1e6)
         terrain = world.model.terrain if self.robot.terrain.has_shape else None
         loop = LoopParameters(control, world.start, window, world.model.servo.speed, terrain)
@@ -224,22 +226,29 @@ class Episodes:
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))
         return parameters, jax.tree.map(_real, world.model), first
 
-    def _commanded(self, control: Any, command: Command) -> Any:
-        """The published controller's parameters with the speed and the turn rate that are commanded."""
-        base, numbers = self.controller.base, jax.numpy
-        if not isinstance(base, Controller):
-            return control
-        gait, clock_ratio = control.gait, control.tracking.clock_ratio
-        if "speed" in self.task.commands:
-            speed = command.speed * clock_ratio / numbers.maximum(gait.stride, 1e-3)
-            control = replace_quantities(control, {"speed": speed})
-        if "yaw_rate" in self.task.commands and isinstance(base.pilot, OpenLoop):
-            stride = turning.stride_length(control.gait, control.stance, control.gait.speed)
-            speed = turning.body_speed(control.gait, stride) / clock_ratio
-            curvature = numbers.asarray(command.yaw_rate / numbers.maximum(speed, 1e-3), float)
-            rate = turning.turn_rate_for(control, curvature / control.pilot.grip)
-            control = replace_quantities(control, {"pilot.turn_rate": rate})
+
+def commanded(base: ControllerLike, commands: Collection[str], control: Any, command: Command) -> Any:
+    """A controller's parameters with the speed and the turn rate that are commanded, if it is the published one.
+
+    Args:
+        base: the controller.
+        commands: names of what is commanded.
+        control, command: its parameters, and the values.
+    """
+    numbers = jax.numpy
+    if not isinstance(base, Controller):
         return control
+    gait, clock_ratio = control.gait, control.tracking.clock_ratio
+    if "speed" in commands:
+        speed = command.speed * clock_ratio / numbers.maximum(gait.stride, 1e-3)
+        control = replace_quantities(control, {"speed": speed})
+    if "yaw_rate" in commands and isinstance(base.pilot, OpenLoop):
+        stride = turning.stride_length(control.gait, control.stance, control.gait.speed)
+        speed = turning.body_speed(control.gait, stride) / clock_ratio
+        curvature = numbers.asarray(command.yaw_rate / numbers.maximum(speed, 1e-3), float)
+        rate = turning.turn_rate_for(control, curvature / control.pilot.grip)
+        control = replace_quantities(control, {"pilot.turn_rate": rate})
+    return control
 
 
 def _real(leaf: Any) -> Array:

@@ -68,16 +68,17 @@ class CodeStamp:
         return ", ".join(f"{ours}, not {other}" for ours, other in apart)
 
 
-def stamp(model: str, engine: str) -> CodeStamp:
+def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
     """The stamp of the code that runs here.
 
     Args:
         model: digest of the model, as `nermo_mjx.robot.Robot.fingerprint`.
         engine: name of the engine that runs, never "auto".
+        more: rooms of the package that decide the numbers besides `ROOMS`.
     """
     return CodeStamp(
         package=__version__,
-        sources=sources(),
+        sources=sources(more),
         model=model,
         engine=engine,
         mujoco=_version("mujoco"),
@@ -95,11 +96,11 @@ def known(fields: Any) -> CodeStamp | None:
 
 
 @functools.cache
-def sources() -> str:
-    """Digest of the sources in `ROOMS` and of the robot's model files."""
+def sources(more: tuple[str, ...] = ()) -> str:
+    """Digest of the sources in `ROOMS`, and in more of them, and of the robot's model files."""
     package = Path(nermo_mjx.__file__).parent
     inside = package / "mjcf"
-    roots = [*(package / room for room in ROOMS), inside if inside.is_dir() else package.parent / "mjcf"]
+    roots = [*(package / room for room in (*ROOMS, *more)), inside if inside.is_dir() else package.parent / "mjcf"]
     total = hashlib.blake2b(digest_size=8)
     for root in roots:
         for path in sorted(root.rglob("*")):

@@ -36,12 +36,11 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.search.optimizers import made_by
 from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.controllers import keep_controller
-from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.simulating import Simulated
 from nermo_mjx.sweep.table import chunk_table
-from nermo_mjx.tune.spec import changes
 
 SEARCH: Final = "search.yaml"
 MANIFEST: Final = "manifest.sha256"

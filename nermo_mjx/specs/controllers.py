@@ -1,4 +1,4 @@
-"""Code of one's own in spec files, a controller and metrics: what a file names, and the copies in a directory."""
+"""A controller and metrics of one's own in spec files: what a file names, and the copies in a directory."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from nermo_mjx.control.loading import controller_digest
+from nermo_mjx.control.loading import FORM as CONTROLLER_FORM
+from nermo_mjx.control.loading import controller_digest, is_data
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
 from nermo_mjx.rollout.own_metrics import FORM, check_metrics, metrics_digest, parts_of
@@ -27,7 +28,9 @@ def named_controller(doc: Document) -> str | None:
     if given is None:
         return None
     if not isinstance(given, str):
-        doc.fail(("controller",), f"is {describe(given)}: expected FILE.py:NAME or MODULE:NAME.")
+        doc.fail(("controller",), f"is {describe(given)}: expected {CONTROLLER_FORM}.")
+    if is_data(given):
+        return str(_beside(doc, given))
     source, colon, name = given.rpartition(":")
     return f"{_beside(doc, source)}{colon}{name}" if source.endswith(".py") else given
 
@@ -82,7 +85,8 @@ def controller_identity(setup: Setup) -> dict[str, str]:
     identity = {}
     if setup.controller is not None:
         where = written_controller(setup)
-        identity["controller"] = f"{where.rpartition(':')[2]} {controller_digest(where)}"
+        name = "policy" if is_data(where) else where.rpartition(":")[2]
+        identity["controller"] = f"{name} {controller_digest(where)}"
     if setup.metrics:
         names = ", ".join(each.name for each in setup.own_metrics)
         identity["metrics"] = f"{names} {' '.join(map(metrics_digest, written_metrics(setup)))}"
@@ -97,7 +101,7 @@ def written_controller(setup: Setup, folder: Path | None = None) -> str:
     """
     if not isinstance(setup.controller, str):
         kind = type(setup.controller).__name__
-        raise ParameterError(f"controller is a {kind}: name it as FILE.py:NAME or MODULE:NAME, as a file can.")
+        raise ParameterError(f"controller is a {kind}: name it as {CONTROLLER_FORM}, as a file can.")
     return _written(setup.controller, folder)
 
 
@@ -114,7 +118,7 @@ def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
 
 
 def _written(where: str, folder: Path | None) -> str:
-    source, name = parts_of(where)
+    source, name = _split(where)
     path = Path(source).name if Path(source).parent == folder else source
     return f"{path}:{name}" if name else path
 
@@ -134,14 +138,19 @@ def keep_controller(setup: Setup, folder: Path, write: Callable[[str, bytes], An
 
 
 def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
-    """What names code of one's own, with its file in a directory under the name that such files have there."""
-    source, name = parts_of(where)
-    if not source.endswith(".py") or Path(source).parent == folder:
+    """What names something of one's own, with its file in a directory under the name that such files have there."""
+    source, name = _split(where)
+    if not (source.endswith(".py") or is_data(source)) or Path(source).parent == folder:
         return where
     content = Path(source).read_bytes()
-    own = folder / called
+    own = (folder / called).with_suffix(Path(source).suffix)
     if own.exists() and own.read_bytes() != content:
-        own = folder / f"{own.stem}-{hashlib.sha256(content).hexdigest()[:8]}.py"
+        own = own.with_stem(f"{own.stem}-{hashlib.sha256(content).hexdigest()[:8]}")
     if not own.exists():
         write(own.name, content)
     return f"{own}:{name}" if name else str(own)
+
+
+def _split(where: str) -> tuple[str, str]:
+    """File or module, and the name in it; a file that is data has none."""
+    return (where, "") if is_data(where) else parts_of(where)

@@ -231,3 +231,18 @@ def _plain(value: Any) -> Any:
         if isinstance(value, kind):
             return kind(value)
     return value
+
+
+def changes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
+    """Where two mappings of fields differ, as "seed (3 there, 4 here)"."""
+    before, now = dict(_leaves(there)), dict(_leaves(here))
+    return [f"{name} ({before.get(name, 'absent')} there, {now.get(name, 'absent')} here)"
+            for name in {**before, **now} if before.get(name) != now.get(name)]  # fmt: skip
+
+
+def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

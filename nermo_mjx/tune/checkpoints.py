@@ -10,8 +10,9 @@ import numpy as np
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory
 from nermo_mjx.runs import checkpoints as stored
 from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.specs.reading import changes
 from nermo_mjx.tune.history import Log
-from nermo_mjx.tune.spec import Tuning, changes
+from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.state import TuneState
 
 

@@ -25,11 +25,11 @@ from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import keep_controller
-from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.tune.checkpoints import Checkpoints
 from nermo_mjx.tune.history import FILE, Log, history_table
 from nermo_mjx.tune.outcome import best_of, tuned_sweep
-from nermo_mjx.tune.spec import Tuning, changes
+from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.state import TuneState, initial_state
 
 RECORDING: Final = "recording.npz"

@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -195,21 +195,6 @@ class Tuning(WalkSpec):
     def digest(self) -> str:
         """A hash of the `identity`."""
         return hashlib.sha256(json.dumps(list(self.identity().values())).encode()).hexdigest()[:16]
-
-
-def changes(there: Mapping[str, Any], here: Mapping[str, Any]) -> list[str]:
-    """Where the fields of two tunings differ, as "seed (3 there, 4 here)"."""
-    before, now = dict(_leaves(there)), dict(_leaves(here))
-    return [f"{name} ({before.get(name, 'absent')} there, {now.get(name, 'absent')} here)"
-            for name in {**before, **now} if before.get(name) != now.get(name)]  # fmt: skip
-
-
-def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in data.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _read(doc: Document, *, recorded: bool = True) -> Tuning:

@@ -1,0 +1,69 @@
+"""What a training will take here, before it begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import time
+from typing import Final
+
+from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.learned import RESET
+from nermo_mjx.learn.run import engine_for
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.runs.checkpoints import KEPT
+
+#: Iterations that are timed; one before them compiles.
+_TIMED: Final = 2
+#: Bytes of a row of the history, of each number in it.
+_NUMBER: Final = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class Cost:
+    """What a training will take.
+
+    Attributes:
+        engine: that it will run on.
+        iterations, steps_per_iteration, steps: whole iterations, and control steps of all worlds.
+        simulated_seconds: of all worlds [s].
+        wall_seconds: by this machine's pace, measured now while nothing else changes [s]; NaN on `mjx`, which compiles
+            for minutes.
+        rate_from: where the pace is from, in words.
+        disk_bytes: of the directory.
+    """
+
+    engine: str
+    iterations: int
+    steps_per_iteration: int
+    steps: int
+    simulated_seconds: float
+    wall_seconds: float
+    rate_from: str
+    disk_bytes: int
+
+
+def cost_of(training: Training, engine: str = "auto") -> Cost:
+    """The cost of a training that begins anew; raises `ParameterError` for an unknown engine."""
+    name, wall = engine_for(training, engine), math.nan
+    steps = training.iterations * training.steps_per_iteration
+    said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
+    worlds = Environment(training.setup, engine=name, worlds=training.worlds, task=training.task)
+    if not worlds.pure:
+        iterate = training.algorithm.iteration(worlds)
+        learned = training.algorithm.begin(worlds, training.seed)
+        learned, state, *_ = iterate(learned, worlds.reset(learned.random(RESET)))
+        began = time.perf_counter()
+        for _ in range(_TIMED):
+            learned, state, *_ = iterate(learned, state)
+        float(learned.steps)
+        rate = _TIMED * training.steps_per_iteration / (time.perf_counter() - began)
+        wall, said = steps / rate, f"{rate:,.0f} control steps/s, measured now"
+    seen = worlds.observation_size + worlds.privileged_size
+    units = [seen, *training.algorithm.hidden]
+    weights = 2 * sum(a * b for a, b in itertools.pairwise(units))
+    # Networks, a slow copy, and two moments of Adam, in float32; and the history.
+    disk = KEPT * 16 * weights + 40 * _NUMBER * training.iterations
+    return Cost(name, training.iterations, training.steps_per_iteration, steps, steps * worlds.step_seconds, wall, said,
+                disk)  # fmt: skip

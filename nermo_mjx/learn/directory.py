@@ -1,0 +1,157 @@
+"""A training's directory: what it is for, and the files that are made from its checkpoints.
+
+DIR/training.yaml      the resolved training
+DIR/controller.py      what the policy acts on, where that is a controller of one's own: a copy
+DIR/run.json           which code made it; versions, machine and command of each session that worked on it
+DIR/checkpoints/       Orbax checkpoints, the newest few: all that was learned, and the history up to it
+DIR/policy.npz         the policy of the newest checkpoint: a controller
+DIR/history.parquet    one row an iteration
+DIR/evaluation.parquet one row a walk on a body and start that the policy has not seen, and the same without it
+DIR/summary.json       success, return and speed
+DIR/plots/             figures
+DIR/*.aside-N          what did not fit: nothing is deleted
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from nermo_mjx.learn.history import FILE, Curves, history_table
+from nermo_mjx.learn.learned import Learned
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.runs import OtherCode, RunDirectory, stamp
+from nermo_mjx.runs.checkpoints import Checkpoints
+from nermo_mjx.runs.files import WrongDirectory, clear_errors, parquet_bytes
+from nermo_mjx.specs.controllers import keep_controller
+from nermo_mjx.specs.reading import SpecError, changes
+
+POLICY: Final = "policy.npz"
+EVALUATION: Final = "evaluation.parquet"
+SUMMARY: Final = "summary.json"
+SPEC: Final = "training.yaml"
+
+
+class Directory:
+    """A directory held by this process for one training; use it in a `with` statement.
+
+    Args:
+        out: the directory; made if it does not exist.
+        training: what the directory is for.
+        engine: name of the engine that runs.
+        warn: called with a sentence on each thing that is moved aside.
+
+    Raises:
+        DirectoryError: the directory holds another training, is in use, or cannot be written.
+    """
+
+    def __init__(
+        self, out: str | os.PathLike[str], training: Training, engine: str, warn: Callable[[str], None]
+    ) -> None:
+        self.out, self.training, self.engine, self._warn = Path(out), training, engine, warn
+        self.held = RunDirectory(out, "training")
+        self._checkpoints = Checkpoints(self.held, "training")
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Directory:
+        with contextlib.ExitStack() as stack, clear_errors(self.out):
+            stack.enter_context(self.held)
+            stack.enter_context(self._checkpoints)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def restore(self, beginning: Learned, *, accept: bool) -> tuple[Learned, Curves]:
+        """Where the training is, and its history up to there.
+
+        Args:
+            beginning: of a training that has not begun.
+            accept: take what was computed with other defaults.
+
+        Raises:
+            DirectoryError: the checkpoints are those of another training, or cannot be read.
+        """
+
+        def like(about: Mapping[str, Any]) -> dict[str, Any]:
+            self._check_ours(about, accept)
+            return {"learned": beginning, "history": np.empty(about["rows"])}
+
+        found = self._checkpoints.restore(like, self._warn)
+        if found is None:
+            return beginning, Curves()
+        parts, about = found
+        codes = tuple((int(first), str(code)) for first, code in about["codes"])
+        return parts["learned"], Curves(tuple(about["names"]), parts["history"], codes)
+
+    def take_code(self, curves: Curves, *, accept: bool) -> str:
+        """Note which code is about to learn; its short name.
+
+        Raises:
+            OtherCode: another code made the history, and `accept` is not given.
+        """
+        made_by = stamp(self.training.setup.load().fingerprint, self.engine, more=("learn",))
+        self.held.take_code(made_by, holds_rows=len(curves) > 0, accept=accept)
+        return made_by.id
+
+    def claim(self) -> None:
+        """Make the directory this training's; what a user wrote in its place is moved aside."""
+        folder = self.out.resolve()
+        setup = keep_controller(self.training.setup, folder, self.held.write)
+        self.training = dataclasses.replace(self.training, setup=setup)
+        path, begun = self.out / SPEC, None
+        with contextlib.suppress(SpecError):
+            begun = Training.from_file(path)
+        if begun == self.training:
+            return
+        if begun is None or begun.to_yaml(folder) != path.read_text(encoding="utf-8"):
+            self.set_aside("another", SPEC)
+        self.held.write(SPEC, self.training.to_yaml(folder).encode())
+
+    def keep(self, learned: Learned, curves: Curves) -> None:
+        """Store what was learned, and its history."""
+        about = {
+            "names": list(curves.names), "rows": list(curves.rows.shape), "codes": curves.codes,
+            "identity": self.training.identity(),
+        }  # fmt: skip
+        with clear_errors(self.out):
+            self._checkpoints.save(int(learned.iteration), {"learned": learned, "history": curves.rows}, about)
+
+    def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
+        """Make history.parquet and policy.npz of the newest checkpoint."""
+        self.held.write(FILE, parquet_bytes(history_table(curves, units, self.training.digest())))
+        if policy is not None:
+            self.held.write(POLICY, policy)
+
+    def set_aside(self, what: str, *names: str) -> None:
+        """Move files aside, as far as they are there, with a sentence on what each is."""
+        for name in names:
+            aside = self.held.move_aside(name)
+            if aside is not None:
+                self._warn(f"{self.out / name} is {what}; it is kept as {aside.name}.")
+
+    def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
+        here, there = self.training.identity(), about["identity"]
+        apart = changes(there["fields"], _plain(here["fields"]))
+        if apart:
+            raise WrongDirectory(f"{self.out} holds another training, with another {', '.join(apart)} (see "
+                                 f"{self.out / SPEC}); choose another directory.")  # fmt: skip
+        apart = changes(there["defaults"], _plain(here["defaults"]))
+        if apart and not accept:
+            raise OtherCode(
+                f"{self.out} was made with other defaults: {', '.join(apart)}; choose another directory, or go on with "
+                "--accept-new-code, and tell the rows apart by their column code."
+            )
+
+
+def _plain(fields: Any) -> Any:
+    """As JSON gives it back."""
+    return json.loads(json.dumps(fields))

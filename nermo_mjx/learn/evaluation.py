@@ -1,0 +1,111 @@
+"""How a policy walks on bodies and from starts that it has not seen, beside the controller that it acts on."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.learn.policy import Policy
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.learn.task import GIVEN
+from nermo_mjx.robot import identified
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.scene import scene_name
+from nermo_mjx.rollout import RunResult, Setup, Simulator
+from nermo_mjx.sweep.table import Columns
+
+#: Added to a training's seed: no episode of it was drawn from such a key.
+UNSEEN: Final = 0x5EED
+#: Who walks: the policy, and what it acts on.
+POLICY, ALONE = "policy", "alone"
+#: Metrics of the table.
+METRICS: Final = ("speed", "distance", "lateral_drift", "cost_of_transport", "servo_work", "slip", "fell", "diverged")
+
+
+def evaluate(
+    training: Training, policy: Policy, engine: str = "auto", progress: Callable[[float], None] | None = None
+) -> pa.Table:
+    """Walk every scene of the evaluation, by the policy and by the controller alone, from the same starts and bodies.
+
+    Returns:
+        One row a walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
+        it lasted, and led at least as far as the training's evaluation asks for.
+    """
+    drawn, parts = bodies(training), list[tuple[str, str, RunResult]]()
+    scenes = training.evaluation.scenes or (str(training.setup.scene),)
+    cases = [(scene, who) for scene in scenes for who in (POLICY, ALONE)]
+    for i, (scene, who) in enumerate(cases):
+        simulator = Simulator(_setup(training, policy if who == POLICY else None, scene), engine=engine)
+        values = _known(simulator.setup, {**training.task.set, **drawn})
+        share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
+        parts.append((scene_name(scene), who, simulator.run(values, training.run, progress=share)))
+    return _table(training, drawn, parts)
+
+
+def bodies(training: Training) -> dict[str, np.ndarray]:
+    """Parameters of the unseen bodies and starts (n,): from the ranges, and from the ensemble, that it learned on."""
+    count, task = training.evaluation.bodies, training.task
+    random = np.random.default_rng([training.seed, UNSEEN])
+    drawn = {name: random.uniform(low, high, count) for name, (low, high) in task.randomize.items()}
+    if task.bodies:
+        ensemble = identified.bodies()
+        weights = np.asarray(ensemble.weights, float)
+        chosen = random.choice(len(ensemble), count, p=weights / weights.sum())
+        drawn |= {name: np.asarray(column, float)[chosen] for name, column in ensemble.values.items()}
+    return drawn
+
+
+def summary_of(table: pa.Table) -> dict[str, Any]:
+    """Share of successes and medians over all walks, for each scene and each of the two: scene -> who -> numbers."""
+    columns = {
+        name: np.asarray(table.column(name).to_pylist()) for name in ("scene", "controller", "success", *METRICS)
+    }
+    found: dict[str, Any] = {}
+    for scene in dict.fromkeys(columns["scene"].tolist()):
+        for who in (POLICY, ALONE):
+            rows = (columns["scene"] == scene) & (columns["controller"] == who)
+            about = {"success": float(columns["success"][rows].mean())}
+            about |= {name: float(np.nanmedian(columns[name][rows].astype(float)))
+                      for name in ("speed", "distance", "cost_of_transport")}  # fmt: skip
+            found.setdefault(scene, {})[who] = about
+    return found
+
+
+def _setup(training: Training, policy: Policy | None, scene: str) -> Setup:
+    setup = dataclasses.replace(training.setup, scene=scene)
+    if policy is None:
+        return setup
+    own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "metrics")
+    return Setup(**{name: getattr(setup, name) for name in own}, controller=policy)
+
+
+def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that a setup has a name for: a controller alone is not commanded, and has no late sensors."""
+    known = dict(quantities(setup.world({})))
+    return {name: value for name, value in values.items() if name in known or name not in GIVEN}
+
+
+def _table(training: Training, drawn: Mapping[str, np.ndarray], parts: list[tuple[str, str, RunResult]]) -> pa.Table:
+    table, n, known = Columns(), training.evaluation.bodies, training.parameters
+    each = range(len(parts))
+    table.add("scene", np.repeat(np.array([scene for scene, _, _ in parts], object), n), "index", "1", "where it walks")
+    who = np.repeat(np.array([name for _, name, _ in parts], object), n)
+    table.add("controller", who, "index", "1", "the policy, or what it acts on alone")
+    table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
+    for name, values in drawn.items():
+        about = known.get(name) or GIVEN[name]
+        table.add(name, np.tile(values, len(parts)), "randomized", about.unit, about.doc)
+    metrics = training.metrics
+    for name in METRICS:
+        column = np.concatenate([np.asarray(parts[i][2].metrics[name]) for i in each])
+        table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)
+    status = np.concatenate([np.asarray(parts[i][2].status) for i in each])
+    distance = np.concatenate([np.asarray(parts[i][2].metrics["distance"]) for i in each])
+    table.add("status", status, "status", "1", "ok, or what became of the walk")
+    enough = (status == "ok") & (distance >= training.evaluation.distance)
+    table.add("success", enough, "status", "1", "whether it lasted and led far enough")
+    return table.table({"training": training.digest(), "engine": parts[0][2].engine})

@@ -1,0 +1,141 @@
+"""Figures of a training: its curves over the control steps, and the evaluation beside the controller alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from nermo_mjx.learn.directory import EVALUATION, SPEC
+from nermo_mjx.learn.evaluation import ALONE, POLICY, summary_of
+from nermo_mjx.learn.history import Curves, read_history
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.plotting.files import Figures
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.style import BAND, LINE, MUTED, SERIES, horizontal_grid
+from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
+
+#: What the curves show, and how an axis is named.
+PANELS: Final = {
+    "return": "return of an\nepisode [1]", "length": "length of an\nepisode [s]", "lasted": "episodes that\nlasted [%]",
+    "kl": "change of the\npolicy [nat]", "std": "standard deviation\nof actions [1]", "explained": "variance that the\n"
+    "critic explains [%]",
+}  # fmt: skip
+#: Iterations over which a curve is smoothed, as a share of all.
+_SMOOTHING: Final = 0.02
+
+
+def figures_of(training: Training, curves: Curves, table: pa.Table | None) -> Iterator[tuple[str, Figure]]:
+    """The figures: `curves`, `rewards`, and `evaluation` where there is one."""
+    yield "curves", curves_figure(training, curves)
+    yield "rewards", rewards_figure(training, curves)
+    if table is not None:
+        yield "evaluation", evaluation_figure(training, table)
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a training's directory, as far as it is.
+
+    Raises:
+        SpecError: its training.yaml cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
+    """
+    training, history = Training.from_file(out / SPEC), read_history(out)
+    if not history.num_rows:
+        raise DirectoryError(f"there is nothing to draw of {out}: no section of it is finished.")
+    names = tuple(name for name in history.column_names if name not in ("iteration", "code"))
+    rows = np.stack([np.asarray(history.column(name), float) for name in names], axis=1)
+    content = content_of(out / EVALUATION)
+    return figures_of(training, Curves(names, rows), None if content is None else parquet_table(content))
+
+
+def curves_figure(training: Training, curves: Curves) -> Figure:
+    """How the training went, over control steps."""
+    panels = {name: label for name, label in PANELS.items() if name in curves.names}
+    figure = page("Training", 7.2, 1.1 + 1.5 * len(panels), f"{_what(training)}; pale: single iterations")
+    axes = list(figure.subplots(len(panels), 1, sharex=True))
+    factor = {"length": training.step_seconds, "lasted": 100.0, "explained": 100.0}
+    for ax, (name, label) in zip(axes, panels.items(), strict=True):
+        _draw(ax, curves, curves.column(name) * factor.get(name, 1.0), LINE)
+        ax.set_ylabel(label)
+    for ax, name in zip(axes, panels, strict=True):
+        if name in ("lasted", "explained"):
+            ax.set_ylim(-3, 103)
+    axes[-1].set_xlabel("control steps of all worlds [million]")
+    return figure
+
+
+def rewards_figure(training: Training, curves: Curves) -> Figure:
+    """What the terms of the reward, with their weights, gave in a simulated second."""
+    weights = {str(name): weight for name, weight in training.task.rewards.items()}
+    terms = [name for name in curves.names if name.startswith("term.")]
+    figure = page("Reward by its terms", 7.2, 3.6, f"{_what(training)}; each term times its weight")
+    ax = figure.subplots()
+    for i, name in enumerate(terms):
+        term = name.removeprefix("term.")
+        value = curves.column(name) * weights.get(term, 1.0) / training.step_seconds
+        ax.plot(_million(curves), _smooth(value), color=SERIES[i % len(SERIES)], ls="-" if i < len(SERIES) else "--",
+                label=term)  # fmt: skip
+    ax.set_ylabel("reward in a second [1/s]")
+    ax.set_xlabel("control steps of all worlds [million]")
+    ax.legend(ncols=3, loc="best")
+    horizontal_grid(ax)
+    return figure
+
+
+def evaluation_figure(training: Training, table: pa.Table) -> Figure:
+    """Success and speed on bodies that the policy has not seen, scene by scene, beside the controller alone."""
+    found = summary_of(table)
+    count = table.num_rows // (2 * len(found))
+    note = f"{_what(training)}; {count:,} bodies and starts on each scene, none seen in training; whiskers: quartiles"
+    figure = page("Evaluation", 7.2, 3.4, note)
+    axes = figure.subplots(1, 2)
+    for i, (who, colour) in enumerate(((POLICY, LINE), (ALONE, MUTED))):
+        label = "policy" if who == POLICY else "controller alone"
+        place = np.arange(len(found)) + (i - 0.5) * 0.36
+        axes[0].bar(place, [100.0 * about[who]["success"] for about in found.values()], 0.34, color=colour, label=label)
+        low, middle, high = 1e3 * np.array([_quartiles(table, scene, who) for scene in found]).T
+        axes[1].bar(place, middle, 0.34, color=colour)
+        axes[1].errorbar(place, middle, [middle - low, high - middle], fmt="none", ecolor="black", lw=0.9, capsize=2)
+    for ax, label in zip(axes, ("walks that succeeded [%]", "speed, median [mm/s]"), strict=True):
+        ax.set_xticks(np.arange(len(found)), list(found))
+        ax.set_ylabel(label)
+        horizontal_grid(ax)
+    axes[0].set_ylim(0, 103)
+    figure.legend(*axes[0].get_legend_handles_labels(), ncols=2, loc="upper right")
+    return figure
+
+
+def _quartiles(table: pa.Table, scene: str, who: str) -> Any:
+    scenes, names = (np.asarray(table.column(name).to_pylist()) for name in ("scene", "controller"))
+    speed = np.asarray(table.column("speed"), float)[(scenes == scene) & (names == who)]
+    return np.nanpercentile(speed, (25, 50, 75)) if np.isfinite(speed).any() else np.full(3, np.nan)
+
+
+def _draw(ax: Axes, curves: Curves, values: np.ndarray, colour: str) -> None:
+    ax.plot(_million(curves), values, color=BAND, lw=0.7)
+    ax.plot(_million(curves), _smooth(values), color=colour)
+    horizontal_grid(ax)
+
+
+def _million(curves: Curves) -> np.ndarray:
+    return curves.column("steps") * 1e-6
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    """A moving mean over what is finite; NaN where nothing near is."""
+    width = min(max(1, round(_SMOOTHING * len(values))), (len(values) - 1) // 2)
+    kernel, fine = np.ones(2 * width + 1), np.isfinite(values)
+    total = np.convolve(np.where(fine, values, 0.0), kernel, "same")
+    count = np.convolve(fine.astype(float), kernel, "same")
+    return np.where(count > 0, total / np.maximum(count, 1.0), np.nan)
+
+
+def _what(training: Training) -> str:
+    setup = training.setup
+    return f"{setup.robot}, scene {setup.fields()['scene']}, seed {training.seed}, {training.worlds:,} worlds"

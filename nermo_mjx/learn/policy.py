@@ -1,0 +1,274 @@
+"""A policy as a controller: it observes, acts and walks wherever a controller does, and is one file.
+
+The file is an NPZ without pickled objects: the networks' arrays, and a text in JSON (`about`) that gives them a
+meaning: what is observed, what an action does, which controller is acted on, versions.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.protocol import ChecksParameters, CompletesValues
+from nermo_mjx.control.state import with_dtypes_of
+from nermo_mjx.learn.acting import Acted, ActedState, Acting, ActionKind, Modulation, Residual, Targets
+from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.learned import Learned
+from nermo_mjx.learn.networks import Actor, Statistics
+from nermo_mjx.learn.observing import Observer, Told
+from nermo_mjx.learn.task import GIVEN, Given, commanded
+from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
+from nermo_mjx.robot.quantity import flat, parameter_tree, quantities, replace_quantities
+from nermo_mjx.rollout.setup import Setup
+from nermo_mjx.runs.provenance import versions
+from nermo_mjx.shapes import Array, Count, Scalar
+
+#: What a file says that it is, and the newest form of it that is read.
+KIND: Final = "nermo-mjx policy"
+FORM: Final = 1
+#: What an action does, by the name in files.
+ACTIONS: Final[dict[str, Any]] = {"residual": Residual, "modulation": Modulation, "targets": Targets}
+#: Choices of a setup that decide the controller that is acted on.
+BASE: Final = (
+    "robot", "tail", "routing", "gait", "spine", "steering", "profile", "pilot", "waypoints", "trajectory",
+)  # fmt: skip
+
+
+@parameter_tree
+class PolicyParameters:
+    """Parameters of the controller that a policy acts on; what it is commanded, and how late and noisy its sensors are.
+
+    `given` is empty for a policy that was trained with exact sensors and without commands.
+    """
+
+    control: Any = flat(tuple)
+    given: Any = flat(tuple)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class PolicyState:
+    """What a policy carries from tick to tick.
+
+    Attributes:
+        tick: control ticks so far.
+        acted: state of the controller under the policy's actions.
+        memory: earlier readings, newest first, as far as they are late.
+        action: the action that is held.
+    """
+
+    tick: Count
+    acted: ActedState
+    memory: Array
+    action: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Policy:
+    """A `ControllerLike` that a training made. It acts by the mean of its distribution.
+
+    Attributes:
+        actor, statistics: network, and of what it observes.
+        kind: what an action does.
+        observer: what makes observations.
+        decimation: control ticks for which an action is held.
+        base: choices of the setup whose controller is acted on, by name.
+        fixed: parameters that differ from that setup's defaults, and those of `Given`.
+        about: what else the file says: how it was trained, versions.
+    """
+
+    actor: Actor
+    statistics: Statistics
+    kind: ActionKind
+    observer: Observer
+    decimation: int
+    base: Mapping[str, Any]
+    fixed: Mapping[str, float]
+    about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    @classmethod
+    def of(cls, environment: Environment, learned: Learned, about: Mapping[str, Any] | None = None) -> Policy:
+        """What was learned in an environment.
+
+        Args:
+            environment: in which it was learned.
+            learned: what.
+            about: what else the file is to say.
+        """
+        setup, task = environment.setup, environment.task
+        given = {name: 0.5 * (low + high) for name, (low, high) in task.randomize.items() if name in GIVEN}
+        known = dict(quantities(setup.world({}).control))
+        fixed = {name: float(value) for name, value in task.set.items() if name in known or name in GIVEN}
+        return cls(
+            learned.actor, learned.statistics.first(environment.observation_size), task.action,
+            environment.loop.observer, task.decimation, {name: getattr(setup, name) for name in BASE},
+            fixed | given, about or {},
+        )  # fmt: skip
+
+    @functools.cached_property
+    def setup(self) -> Setup:
+        """Whose controller is acted on."""
+        return Setup(**self.base)
+
+    @functools.cached_property
+    def acting(self) -> Acting:
+        """The controller under the policy's actions."""
+        return Acting(self.setup.make_controller(), self.kind)
+
+    @property
+    def dt(self) -> float:
+        """See `ControllerLike`."""
+        return self.acting.dt
+
+    @functools.cached_property
+    def parameters(self) -> PolicyParameters:
+        """See `ControllerLike`; they can be named as those of the controller below."""
+        control = self.setup.world({name: value for name, value in self.fixed.items() if name not in GIVEN}).control
+        if not (self.observer.commands or self.observer.delayed or self.observer.noisy):
+            return PolicyParameters(control=control)
+        given = replace_quantities(Given(), {name: value for name, value in self.fixed.items() if name in GIVEN})
+        return PolicyParameters(control=control, given=given)
+
+    def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
+        """See `ControllerLike`."""
+        nothing = jnp.zeros(len(self.kind.names))
+        acted = self.acting.init(Acted(params.control, nothing), sensors, phase)
+        memory = self.observer.memory(self.observer.readings(sensors))
+        return PolicyState(jnp.zeros((), jnp.int32), acted, memory, nothing)
+
+    def initial_servo(self, params: PolicyParameters, phase: Scalar) -> ServoAngles:
+        """See `ControllerLike`."""
+        return self.acting.initial_servo(Acted(params.control, jnp.zeros(len(self.kind.names))), phase)
+
+    def update(self, params: PolicyParameters, state: PolicyState, sensors: Sensors) -> tuple[PolicyState, ServoAngles]:
+        """See `ControllerLike`."""
+        due = state.tick % self.decimation == 0
+        action = jnp.where(due, self.act(self._observed(params, state, sensors)), state.action)
+        acted, servo = self.acting.update(Acted(self._obeying(params), action), state.acted, sensors)
+        memory = self.observer.remembered(state.memory, self.observer.readings(sensors))
+        return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
+
+    def act(self, observation: Array) -> Array:
+        """The action (*batch, a) at observations (*batch, o)."""
+        seen = self.statistics.normalized(jnp.asarray(observation, jnp.float32))
+        return jnp.clip(self.actor.mean(seen), -1.0, 1.0)
+
+    def cycle_rate(self, params: PolicyParameters) -> Any:
+        """See `ControllerLike`; that of the controller below, which a modulation may leave."""
+        return self.acting.base.cycle_rate(params.control)
+
+    def path(self, params: PolicyParameters, state: PolicyState, position: Array) -> PathPoint | None:
+        """See `FollowsPath`."""
+        return self.acting.path(Acted(params.control, state.action), state.acted, position)
+
+    def stance(self, state: PolicyState) -> Any:
+        """See `PlansContact`."""
+        return self.acting.stance(state.acted)
+
+    def check(self, params: PolicyParameters) -> None:
+        """See `ChecksParameters`."""
+        if isinstance(self.acting.base, ChecksParameters):
+            self.acting.base.check(params.control)
+
+    def complete(self, values: dict[str, Any]) -> dict[str, Any]:
+        """See `CompletesValues`."""
+        base = self.acting.base
+        return base.complete(values) if isinstance(base, CompletesValues) else values
+
+    def _obeying(self, params: PolicyParameters) -> Any:
+        """The controller's parameters under what is commanded."""
+        if not self.observer.commands:
+            return params.control
+        return commanded(self.acting.base, self.observer.commands, params.control, params.given.command)
+
+    def _observed(self, params: PolicyParameters, state: PolicyState, sensors: Sensors) -> Array:
+        observer, given = self.observer, params.given or Given()
+        orders = [jnp.asarray(getattr(given.command, name), float) for name in observer.commands]
+        told = Told(
+            phase=state.acted.control.phase if observer.phase else None,
+            command=jnp.stack(orders) if orders else jnp.zeros(0),
+            path=self.path(params, state, sensors.position) if observer.path else None,
+            action=state.action,
+        )
+        # The same noise in every world: runs of one start are alike.
+        key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
+        return observer.observe(given.sensing, state.memory, sensors, told, key)
+
+    def facts(self) -> dict[str, Any]:
+        """What its numbers are, as JSON knows it."""
+        name, options = action_fields(self.kind)
+        return {
+            "action": {name: options}, "actions": list(self.kind.names), "observation": list(self.observer.names),
+            "observer": dataclasses.asdict(self.observer), "decimation": self.decimation,
+            "step_seconds": self.dt * self.decimation, "base": dict(self.base), "fixed": dict(self.fixed),
+            "versions": versions(), **self.about,
+        }  # fmt: skip
+
+    def content(self) -> bytes:
+        """The file; the same policy gives the same bytes."""
+        about = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
+        arrays = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
+        for i, (weights, bias) in enumerate(self.actor.layers):
+            arrays |= {f"weights.{i}": np.asarray(weights), f"bias.{i}": np.asarray(bias)}
+        arrays |= {"log_std": np.asarray(self.actor.log_std), "mean": np.asarray(self.statistics.mean),
+                   "variance": np.asarray(self.statistics.variance)}  # fmt: skip
+        stream = io.BytesIO()
+        np.savez(stream, **arrays)
+        return stream.getvalue()
+
+
+def load_policy(path: str | Path) -> Policy:
+    """The policy of a file; the same object as long as the file stays the same.
+
+    Raises:
+        ParameterError: there is no such file, or it holds no policy that this version can read.
+    """
+    subject = f"controller is '{path}'"
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
+    try:
+        return _policy(content)
+    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        reason = str(error) if isinstance(error, ParameterError) else "it is damaged, or another kind of file"
+        raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason.rstrip('.')}.") from None
+
+
+@functools.lru_cache(maxsize=8)
+def _policy(content: bytes) -> Policy:
+    with np.load(io.BytesIO(content), allow_pickle=False) as file:
+        arrays = {name: jnp.asarray(file[name]) for name in file.files if name != "about"}
+        about: dict[str, Any] = json.loads(file["about"].tobytes())
+    if about["kind"] != KIND or about["form"] > FORM:
+        raise ParameterError(f"it is a {about['kind']} of form {about['form']}, and this version reads up to {FORM}")
+    layers = tuple((arrays[f"weights.{i}"], arrays[f"bias.{i}"]) for i in range(about["layers"]))
+    (name, options), base = next(iter(about["action"].items())), dict(about["base"])
+    if base.get("waypoints") is not None:
+        base["waypoints"] = tuple(map(tuple, base["waypoints"]))
+    observer = {key: tuple(value) if isinstance(value, list) else value for key, value in about["observer"].items()}
+    policy = Policy(
+        Actor(layers, arrays["log_std"]), Statistics(jnp.ones(()), arrays["mean"], arrays["variance"]),
+        ACTIONS[name](**options), Observer(**observer), about["decimation"], base, about["fixed"],
+        {key: about[key] for key in ("trained", "versions") if key in about},
+    )  # fmt: skip
+    if list(policy.observer.names) != about["observation"]:
+        raise ParameterError("this version observes other numbers under these names")
+    return policy
+
+
+def action_fields(kind: ActionKind) -> tuple[str, dict[str, Any]]:
+    """What an action does, as files name it: its name and its options."""
+    name = next(name for name, each in ACTIONS.items() if isinstance(kind, each))
+    return name, dataclasses.asdict(kind)  # type: ignore[call-overload]

@@ -1,0 +1,132 @@
+"""Proximal policy optimization: Schulman et al. (2017), clipped objective, with a critic that may see more."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from nermo_mjx.learn.experience import EnvironmentLike, Experience, collector
+from nermo_mjx.learn.learned import ACTING, SHUFFLING, Learned, beginning, stepped
+from nermo_mjx.learn.networks import apply
+from nermo_mjx.learn.returns import advantages
+
+#: Bounds of a learning rate that follows the policy's change, and the factor of a change of it.
+_SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
+
+
+@dataclasses.dataclass(frozen=True)
+class PPO:
+    """Settings of PPO. An iteration is `horizon` steps of all worlds, and `epochs` passes over them.
+
+    Attributes:
+        horizon: control steps of each world in an iteration.
+        discount: gamma, of the next control step's reward.
+        trace: lambda of the advantages.
+        epochs, minibatches: passes over an iteration's steps, and parts of each.
+        clip: how far the probability ratio may move.
+        rate: learning rate, the first one if it follows the policy's change.
+        kl: the change of the policy that the learning rate aims at [nat]; None keeps the rate.
+        entropy: weight of the policy's entropy.
+        std: first standard deviation of the actions.
+        hidden: units of each hidden layer, of actor and critic alike.
+    """
+
+    horizon: int = 16
+    discount: float = 0.97
+    trace: float = 0.95
+    epochs: int = 4
+    minibatches: int = 4
+    clip: float = 0.2
+    rate: float = 1e-3
+    kl: float | None = 0.01
+    entropy: float = 1e-3
+    std: float = 0.3
+    hidden: tuple[int, ...] = (64, 64)
+
+    def begin(self, environment: EnvironmentLike, seed: int) -> Learned:
+        """What there is before the first step."""
+        return beginning(environment, seed, self.hidden, self.std, self.rate)
+
+    def iteration(
+        self, environment: EnvironmentLike
+    ) -> Callable[[Learned, Any], tuple[Learned, Any, Experience, dict[str, Any]]]:
+        """One iteration: (learned, state of the worlds) to the same after it, what happened, and numbers about it."""
+        collect = collector(environment, self.horizon)
+        update = jax.jit(functools.partial(_updated, self, environment.observation_size))
+        key = jax.jit(lambda learned: learned.random(ACTING))
+
+        def iterate(learned: Learned, state: Any) -> tuple[Learned, Any, Experience, dict[str, Any]]:
+            state, experience = collect(learned.actor, learned.statistics, state, key(learned))
+            learned, numbers = update(learned, experience._replace(terms={}))
+            return learned, state, experience, numbers
+
+        return iterate
+
+
+def _updated(ppo: PPO, observed: int, learned: Learned, found: Experience) -> tuple[Learned, dict[str, Array]]:
+    statistics = learned.statistics
+    # The first steps are the first that is known of the observations; the untrained mean is zero in any case.
+    statistics = jax.tree.map(
+        lambda first, known: jnp.where(statistics.count == 0, first, known), statistics.extended(found.seen), statistics
+    )
+    seen, then = (statistics.normalized(each) for each in (found.seen, found.then))
+    value, next_value = (apply(learned.critic, each)[..., 0] for each in (seen, then))
+    gain = advantages(found.reward, value, next_value, found.terminated, found.truncated, ppo.discount, ppo.trace)
+    old = learned.actor.log_density(seen[..., :observed], found.action)
+    rows = jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:]), (seen, found.action, old, gain, value + gain))
+    count = len(rows[0])
+    shuffled = jax.vmap(lambda key: jax.random.permutation(key, count))(
+        jax.random.split(learned.random(SHUFFLING), ppo.epochs)
+    )
+    size = count // ppo.minibatches
+    parts = shuffled[:, : size * ppo.minibatches].reshape(-1, size)
+
+    def step(carry: tuple[Any, ...], part: Array) -> tuple[tuple[Any, ...], dict[str, Array]]:
+        actor, critic, (of_actor, of_critic), rate = carry
+        seen, action, old, gain, target = jax.tree.map(lambda each: each[part], rows)
+
+        def policy_loss(actor: Any) -> tuple[Array, Array]:
+            change = actor.log_density(seen[:, :observed], action) - old
+            scaled = (gain - gain.mean()) / (gain.std() + 1e-8)
+            ratio = jnp.exp(change)
+            clipped = jnp.clip(ratio, 1.0 - ppo.clip, 1.0 + ppo.clip)
+            loss = -jnp.minimum(ratio * scaled, clipped * scaled).mean() - ppo.entropy * actor.entropy()
+            return loss, (ratio - 1.0 - change).mean()
+
+        slope, kl = jax.grad(policy_loss, has_aux=True)(actor)
+        miss, of_value = jax.value_and_grad(_value_loss)(critic, seen, target)
+        rate = rate if ppo.kl is None else _followed(rate, kl, ppo.kl)
+        actor, of_actor = stepped(actor, slope, of_actor, rate)
+        critic, of_critic = stepped(critic, of_value, of_critic, ppo.rate)
+        return (actor, critic, (of_actor, of_critic), rate), {"kl": kl, "value_loss": miss}
+
+    before = (learned.actor, learned.critic, learned.optimizers, learned.rate)
+    (actor, critic, optimizers, rate), numbers = jax.lax.scan(step, before, parts)
+    about = {
+        "kl": numbers["kl"][-ppo.minibatches :].mean(),
+        "value_loss": numbers["value_loss"].mean(),
+        "explained": 1.0 - jnp.var(gain) / (jnp.var(value + gain) + 1e-12),
+        "rate": rate,
+        "std": jnp.exp(actor.log_std).mean(),
+    }
+    after = dataclasses.replace(
+        learned, actor=actor, critic=critic, optimizers=optimizers, rate=rate, iteration=learned.iteration + 1,
+        steps=learned.steps + count, statistics=learned.statistics.extended(found.seen),
+    )  # fmt: skip
+    return after, about
+
+
+def _value_loss(critic: Any, seen: Float[Array, "n k"], target: Float[Array, " n"]) -> Array:
+    return 0.5 * ((apply(critic, seen)[:, 0] - target) ** 2).mean()
+
+
+def _followed(rate: Array, kl: Array, aim: float) -> Array:
+    """A learning rate lowered where the policy changes twice as much as aimed at, raised where half as much."""
+    rate = jnp.where(kl > 2.0 * aim, rate / _FACTOR, jnp.where(kl < 0.5 * aim, rate * _FACTOR, rate))
+    return jnp.clip(rate, _SLOWEST, _FASTEST)

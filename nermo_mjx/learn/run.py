@@ -1,0 +1,267 @@
+"""Run a training: go on from its directory's newest checkpoint, learn until the steps are done, evaluate the policy."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.learn.directory import EVALUATION, POLICY, SPEC, SUMMARY, Directory
+from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.evaluation import evaluate, summary_of
+from nermo_mjx.learn.experience import EnvironmentLike, Scores
+from nermo_mjx.learn.history import Curves
+from nermo_mjx.learn.learned import RESET, Learned
+from nermo_mjx.learn.plots import figures_of
+from nermo_mjx.learn.policy import Policy
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.physics import resolve_engine
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.runs import session
+from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.text import to_json
+from nermo_mjx.runs.trackers import Tracker, check_trackers, finite, tracked
+
+
+class TrainingInterrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM; the message says how to go on."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingProgress:
+    """How far a training is.
+
+    Attributes:
+        steps, total: control steps done and wanted.
+        numbers: of the last iteration, by the names of the history's columns; empty before the first.
+    """
+
+    steps: int
+    total: int
+    numbers: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingResult:
+    """A training's outcome.
+
+    Attributes:
+        out: its directory.
+        training: what was trained.
+        policy: file of the policy; None in an environment that is not of a robot.
+        summary: content of summary.json: `steps`, `return` and `success`, and of each scene of the evaluation the
+            numbers of the policy and of the controller alone.
+        history: what happened in each iteration.
+        iterations_run: by this call.
+        plots: figures.
+    """
+
+    out: Path
+    training: Training
+    policy: Path | None
+    summary: dict[str, Any]
+    history: Curves
+    iterations_run: int
+    plots: list[Path]
+
+
+def run_training(
+    spec: Training | Mapping[str, Any] | str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    engine: str = "auto",
+    environment: EnvironmentLike | None = None,
+    progress: Callable[[TrainingProgress], None] | None = None,
+    evaluating: Callable[[float], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+    accept_new_code: bool = False,
+    log: Sequence[str] = (),
+) -> TrainingResult:
+    """Learn a policy into a directory, or go on with what it holds, and evaluate it.
+
+    All that was learned is stored behind each section of iterations, and the next section begins new episodes, so that
+    a training that was killed and went on ends with the same numbers as one that was not: on the engine `c` bit for
+    bit. Whoever kills it loses the section in flight.
+
+    Args:
+        spec: a `Training`, a dict with the fields of a training file, or the path of one.
+        out: the directory; see `nermo_mjx.learn.directory`.
+        engine: of the environment; `auto` is `c` on a machine without a GPU, and `mjx` for exact gradients.
+        environment: stands in for that of the training; then there is neither a policy's file nor an evaluation.
+        progress: called before the first iteration and after each.
+        evaluating: called with the share of the evaluation that is done.
+        warn: called with a sentence on each thing that is moved aside.
+        accept_new_code: go on in a directory that other code began.
+        log: trackers, see `nermo_mjx.runs.trackers`.
+
+    Raises:
+        SpecError: the training is wrong; nothing has been written.
+        DirectoryError: the directory holds something else, is in use, or cannot be read or written.
+        TrainingInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+    """
+    training = spec if isinstance(spec, Training) else as_training(spec)
+    check_trackers(log)
+    name = engine_for(training, engine)
+    with (
+        Directory(out, training, name, warn or (lambda _: None)) as directory,
+        _explained(directory) as interruption,
+        contextlib.ExitStack() as stack,
+    ):
+        worlds = environment or Environment(training.setup, engine=name, worlds=training.worlds, task=training.task)
+        learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
+        begun = len(curves)
+        code = directory.take_code(curves, accept=accept_new_code) if begun < training.iterations else ""
+        directory.claim()
+        trackers = stack.enter_context(tracked(log, directory.out)) if log else []
+        learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), trackers, code)
+        if begun < training.iterations:
+            directory.held.note_session(session(begun_at=begun))
+            learned, curves = learning.learn(learned, curves)
+        policy = learning.policy(learned)
+        directory.publish(curves, learning.units, policy if policy is None else policy.content())
+        table = None if policy is None else _evaluated(directory, policy, evaluating)
+        summary = _summary(training, learned, curves, table)
+        directory.held.write(SUMMARY, to_json(summary))
+        figures = figures_of(training, curves, table)
+        plots = write_figures(figures, directory.out / "plots") if training.plots else []
+        path = None if policy is None else directory.out / POLICY
+        return TrainingResult(directory.out, directory.training, path, summary, curves, len(curves) - begun, plots)
+
+
+def as_training(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Training:
+    """The training of a dict or of a file; raises `SpecError`."""
+    return Training.from_dict(spec) if isinstance(spec, Mapping) else Training.from_file(spec)
+
+
+def engine_for(training: Training, engine: str) -> str:
+    """Name of the engine on which a training runs."""
+    return resolve_engine(training.engine if engine == "auto" else engine)
+
+
+@dataclasses.dataclass
+class _Learning:
+    """The iterations of a training, and what is told of them."""
+
+    directory: Directory
+    environment: EnvironmentLike
+    interruption: Interruption
+    report: Callable[[TrainingProgress], None]
+    trackers: Sequence[Tracker]
+    code: str
+
+    def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
+        """Section by section, to the end."""
+        training = self.directory.training
+        metered = _Metered(self.environment)
+        iterate = training.algorithm.iteration(metered)
+        self.report(TrainingProgress(int(learned.steps), training.steps))
+        while len(curves) < training.iterations:
+            state, scores = metered.reset(learned.random(RESET)), Scores.none(training.worlds)
+            # Sections are counted from the beginning of the training.
+            end = min((len(curves) // training.section + 1) * training.section, training.iterations)
+            while len(curves) < end:
+                wall, cpu, metered.seconds = time.perf_counter(), time.process_time(), 0.0
+                learned, state, experience, about = iterate(learned, state)
+                numbers = {"steps": float(learned.steps), **scores.tally(experience)}
+                numbers |= {name: float(value) for name, value in about.items()}
+                spent = math.nan if self.environment.pure else metered.seconds
+                numbers |= {"environment_cpu": spent, "wall_seconds": time.perf_counter() - wall,
+                            "learner_cpu": time.process_time() - cpu - np.nan_to_num(spent)}  # fmt: skip
+                curves = curves.extended(numbers, self.code)
+                self._tell(numbers)
+            with self.interruption.shielded():
+                self.directory.keep(learned, curves)
+                policy = self.policy(learned)
+                self.directory.publish(curves, self.units, policy if policy is None else policy.content())
+        return learned, curves
+
+    def policy(self, learned: Learned) -> Policy | None:
+        """What was learned, as a controller; None in an environment that is not of a robot."""
+        if not isinstance(self.environment, Environment):
+            return None
+        about = {"trained": {"steps": int(learned.steps), "training": self.directory.training.digest()}}
+        return Policy.of(self.environment, learned, about)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the reward's terms, by name."""
+        if not isinstance(self.environment, Environment):
+            return {}
+        return {term.name: term.unit for term in self.environment.loop.terms}
+
+    def _tell(self, numbers: Mapping[str, float]) -> None:
+        self.interruption.check()
+        for tracker in self.trackers:
+            tracker.log(int(numbers["steps"]), finite({key: each for key, each in numbers.items() if key != "steps"}))
+        self.report(TrainingProgress(int(numbers["steps"]), self.directory.training.steps, numbers))
+
+
+class _Metered:
+    """An environment, and the CPU seconds that its steps took."""
+
+    def __init__(self, environment: EnvironmentLike) -> None:
+        self._environment, self.seconds = environment, 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._environment, name)
+
+    def step(self, state: Any, action: Any) -> Any:
+        """See `EnvironmentLike`."""
+        began = time.process_time()
+        state = self._environment.step(state, action)
+        self.seconds += time.process_time() - began
+        return state
+
+
+def _evaluated(directory: Directory, policy: Policy, progress: Callable[[float], None] | None) -> pa.Table:
+    """The evaluation of this policy, which is made once."""
+    content = content_of(directory.out / EVALUATION)
+    known = None if content is None else parquet_table(content)
+    key = f"{directory.training.digest()} {directory.training.evaluation} {directory.training.run}"
+    policy_key = f"{key} {policy.about['trained']['steps']}"
+    if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
+        return known
+    table = evaluate(directory.training, policy, "auto", progress)
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"evaluated": policy_key.encode()})
+    directory.held.write(EVALUATION, parquet_bytes(table))
+    return table
+
+
+def _summary(training: Training, learned: Learned, curves: Curves, table: pa.Table | None) -> dict[str, Any]:
+    """The content of summary.json; without an evaluation, success is the share of episodes that lasted."""
+    scenes = {} if table is None else summary_of(table)
+    found = [about["policy"]["success"] for about in scenes.values()]
+    effort = {name: float(np.nansum(curves.column(name)))
+              for name in ("environment_cpu", "learner_cpu", "wall_seconds")}  # fmt: skip
+    return {
+        "steps": int(learned.steps),
+        "success": min(found) if found else curves.last("lasted"),
+        "return": curves.last("return"),
+        "episodes": int(curves.column("episodes").sum()),
+        "simulated_seconds": float(int(learned.steps) * training.step_seconds),
+        **effort,
+        "scenes": scenes,
+        "complete": len(curves) >= training.iterations,
+    }
+
+
+@contextlib.contextmanager
+def _explained(directory: Directory) -> Iterator[Interruption]:
+    """Turn Ctrl-C and SIGTERM into an error that says how to go on."""
+    try:
+        with interruptible() as interruption:
+            yield interruption
+    except KeyboardInterrupt:
+        raise TrainingInterrupted(
+            f"stopped; what is finished is kept in {directory.out}. To go on, run the same command again, or: "
+            f"nermo-mjx train {directory.out / SPEC} --out {directory.out}"
+        ) from None

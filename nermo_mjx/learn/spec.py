@@ -1,0 +1,241 @@
+"""What a training is: the checked content of a training file. All that is wrong with it is said before it begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final
+
+from pydantic import Field
+
+from nermo_mjx.learn.acting import Acting
+from nermo_mjx.learn.loop import EpisodeLoop
+from nermo_mjx.learn.ppo import PPO
+from nermo_mjx.learn.sections import (
+    Algorithm,
+    AlgorithmFields,
+    Evaluation,
+    EvaluationFields,
+    TaskFields,
+    algorithm_fields,
+    written_action,
+)
+from nermo_mjx.learn.task import RANDOMIZED, REWARDS, Task
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Setup
+from nermo_mjx.specs.controllers import controller_identity, parameters_of
+from nermo_mjx.specs.fields import Refused, read
+from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.values import Numbers, Whole
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, read_walk
+
+#: Fields that do not change what an iteration computes: a training may go on with others.
+FREE: Final = ("steps", "run", "evaluate", "plots")
+_Range = Annotated[list[float], Numbers("[low, high]", 2, 2)]
+
+
+class TrainingFile(WalkFields):
+    """A file for `nermo-mjx train`."""
+
+    what: ClassVar = "a field of a training"
+    sources: ClassVar = "'randomize' or 'set'"
+    task: TaskFields = Field(TaskFields(), description="what a policy does, and what it is rewarded for")
+    randomize: dict[str, _Range] = Field(
+        {name: list(ends) for name, ends in RANDOMIZED.items()},
+        description="what each episode draws: a parameter, and its range [low, high]",
+    )
+    algorithm: AlgorithmFields = Field(AlgorithmFields(ppo=None), description="how a policy is learned")
+    worlds: Annotated[int, Whole(1, 1_000_000)] = Field(256, description="robots that walk side by side")
+    steps: Annotated[int, Whole(1, 10**12)] = Field(2_000_000, description="control steps of all worlds together")
+    checkpoint: Annotated[int, Whole(1, 10**12)] = Field(
+        200_000, description="control steps between two checkpoints, behind each of which new episodes begin"
+    )
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of all that is drawn")
+    evaluate: EvaluationFields = Field(EvaluationFields(), description="on what the policy is evaluated in the end")
+    plots: bool = Field(True, description="whether figures are made in the end")
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        if key in ("vary", "tune", "sample"):
+            raise Refused("is no field of a training: what differs between episodes stands under 'randomize'.", key)
+        super().refuse(key)
+
+
+@dataclasses.dataclass(frozen=True)
+class Training(WalkSpec):
+    """A checked training. Build it with `from_file`, `from_text` or `from_dict`.
+
+    Attributes:
+        setup, run, fixed, pilot: see `WalkSpec`; the run is that of the evaluation.
+        task: what a policy does, observes, and is rewarded for.
+        algorithm: how it is learned.
+        worlds: robots side by side.
+        steps: control steps of all worlds together, rounded up to whole iterations.
+        checkpoint: control steps between two checkpoints.
+        seed: of all that is drawn.
+        evaluation: on what the policy is evaluated in the end.
+        plots: whether figures are made in the end.
+    """
+
+    task: Task
+    algorithm: Algorithm = dataclasses.field(default_factory=PPO)
+    worlds: int = 256
+    steps: int = 2_000_000
+    checkpoint: int = 200_000
+    seed: int = 0
+    evaluation: Evaluation = dataclasses.field(default_factory=Evaluation)
+    plots: bool = True
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Training:
+        """Read a YAML training file; raises `SpecError`."""
+        return _read(read_file(path, "training"))
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "training") -> Training:
+        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        return _read(read_text(text, source, "training"))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Training:
+        """Read a dict with the fields of a training file; raises `SpecError`.
+
+        >>> Training.from_dict({"worlds": 64, "steps": 10_000}).iterations
+        10
+        """
+        return _read(read_mapping(data, "training"))
+
+    @property
+    def steps_per_iteration(self) -> int:
+        """Control steps of all worlds in an iteration."""
+        return self.worlds * self.algorithm.horizon
+
+    @property
+    def iterations(self) -> int:
+        """How many there are."""
+        return -(-self.steps // self.steps_per_iteration)
+
+    @property
+    def section(self) -> int:
+        """Iterations between two checkpoints."""
+        return max(1, round(self.checkpoint / self.steps_per_iteration))
+
+    @functools.cached_property
+    def step_seconds(self) -> float:
+        """Simulated seconds of a control step."""
+        return self.setup.make_controller().dt * self.task.decimation
+
+    @property
+    def engine(self) -> str:
+        """The engine that it needs, or `auto`."""
+        return "auto" if isinstance(self.algorithm, PPO) else "mjx"
+
+    def check_minibatches(self) -> None:
+        """Refuse minibatches into which an iteration cannot be divided; raises `ParameterError`."""
+        parts, size = self.algorithm.minibatches, self.steps_per_iteration
+        if size % parts:
+            raise ParameterError(f"algorithm has {parts} minibatches, and an iteration is {self.worlds} worlds of "
+                                 f"{self.algorithm.horizon} steps: choose a number that divides {size:,}.")  # fmt: skip
+
+    def resolved(self, folder: Path | None = None) -> dict[str, Any]:
+        """The training with all defaults written out; it reads back as the same training.
+
+        Args:
+            folder: where the file is to stand, resolved: a controller in it is named from there.
+        """
+        task, data = self.task, self.walk_fields(folder)
+        data["task"] = {
+            "action": written_action(task.action),
+            "observe": list(task.observe),
+            "rewards": {str(name): float(weight) for name, weight in task.rewards.items()},
+            "set": {name: value for name, value in task.set.items() if name not in self.constants},
+            "bodies": task.bodies,
+            "decimation": task.decimation,
+            "duration": task.duration,
+        }
+        data["task"] |= {name: getattr(task, name) for name in ("distance", "corridor")
+                         if getattr(task, name) is not None}  # fmt: skip
+        data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in task.randomize.items()}
+        data["algorithm"] = algorithm_fields(self.algorithm)
+        data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
+        evaluation = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
+        evaluation |= {"scenes": list(self.evaluation.scenes)} if self.evaluation.scenes else {}
+        return data | {"evaluate": evaluation, "plots": self.plots}
+
+    def to_yaml(self, folder: Path | None = None) -> str:
+        """The resolved training as a training file, see `resolved`."""
+        return dump(self.resolved(folder))
+
+    def decisive(self) -> dict[str, Any]:
+        """The fields that may not change: a controller counts by what it is."""
+        data = {key: value for key, value in self.resolved().items() if key not in FREE}
+        return data | controller_identity(self.setup)
+
+    def identity(self) -> dict[str, Any]:
+        """All that decides an iteration: the `fields`, and `defaults` of what they do not name."""
+        return {"fields": self.decisive(), "defaults": {name: each.default for name, each in self.parameters.items()}}
+
+    def digest(self) -> str:
+        """A hash of the `identity`."""
+        return hashlib.sha256(json.dumps(list(self.identity().values())).encode()).hexdigest()[:16]
+
+
+def changed(training: Training, **values: Any) -> Training:
+    """The training with other steps, worlds, seed or plots; raises `SpecError`."""
+    other = dataclasses.replace(training, **values)
+    other.check_minibatches()
+    return other
+
+
+def _read(doc: Document) -> Training:
+    with parameters_of(doc):
+        file = read(doc, TrainingFile)
+    walk = read_walk(doc, file)
+    setup = walk["setup"]
+    algorithm = _said(doc, ("algorithm",), file.algorithm.algorithm)
+    fixed = {**walk["fixed"], **{f"pilot.{key}": value for key, value in walk["pilot"].items()
+                                 if f"pilot.{key}" in setup.defaults()}}  # fmt: skip
+    task = _said(doc, ("task",), lambda: _task(file, fixed))
+    _said(doc, (), lambda: task.check(setup))
+    _said(doc, ("task",), lambda: _try_out(setup, task))
+    for scene in file.evaluate.scenes or ():
+        _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
+    evaluation = Evaluation(file.evaluate.bodies, tuple(file.evaluate.scenes or ()), file.evaluate.distance)
+    names = ("worlds", "steps", "checkpoint", "seed", "plots")
+    training = Training(**walk, task=task, algorithm=algorithm, evaluation=evaluation,
+                        **{name: getattr(file, name) for name in names})  # fmt: skip
+    _said(doc, (), training.check_minibatches)
+    return training
+
+
+def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
+    fields = file.task
+    return Task(
+        action=fields.action.kind(), observe=tuple(fields.observe), rewards=dict(fields.rewards or REWARDS),
+        set={**fixed, **fields.set}, randomize={name: (low, high) for name, (low, high) in file.randomize.items()},
+        bodies=fields.bodies, decimation=fields.decimation, duration=fields.duration, distance=fields.distance,
+        corridor=fields.corridor,
+    )  # fmt: skip
+
+
+def _try_out(setup: Setup, task: Task) -> None:
+    """What fails here would fail when the environment is made."""
+    EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
+
+
+def _said(doc: Document, path: tuple[str, ...], make: Any) -> Any:
+    """What `make` makes; what it refuses is said of the field that it names."""
+    try:
+        return make()
+    except SpecError:
+        raise
+    except ParameterError as error:
+        field, _, message = str(error).partition(" ")
+        known = [(*path, *field.split(".", 1)), (*path, field), path]
+        at = next((each for each in known if each in doc.lines), path)
+        doc.fail(at, message, ".".join((*path, field)))
