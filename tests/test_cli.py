@@ -32,8 +32,8 @@ from nermo_mjx.version import __version__
 pytestmark = pytest.mark.usefixtures("shared_simulators")
 
 COMMANDS = (
-    "sweep", "merge", "replay", "compare", "sensitivity", "tune", "landscape", "experiment", "identify", "walk",
-    "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
+    "sweep", "merge", "replay", "compare", "sensitivity", "tune", "train", "landscape", "experiment", "identify",
+    "walk", "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
 )  # fmt: skip
 #: A walk as short as a walk can be.
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")

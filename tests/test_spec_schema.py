@@ -34,7 +34,10 @@ def schemas() -> dict[str, dict[str, Any]]:
 def kind_of(path: Path) -> str:
     """Which command a shipped file is for."""
     data = read_file(path).data
-    return "tune" if "tune" in data else "search" if {"objective", "pareto"} & set(data) else "sweep"
+    named = next((name for name in ("tune", "task") if name in data), "")
+    if named:
+        return {"tune": "tune", "task": "train"}[named]
+    return "search" if {"objective", "pareto"} & set(data) else "sweep"
 
 
 def faults(schema: dict[str, Any], data: Any) -> list[str]:
@@ -61,12 +64,13 @@ def test_the_shipped_files_are_valid(schemas, path):
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_resolved_files_are_valid(schemas, path):
     """So are those that results hold, with all defaults written out."""
+    from nermo_mjx.learn.spec import Training
     from nermo_mjx.search import Search
     from nermo_mjx.sweep import Sweep
     from nermo_mjx.tune import Tuning
 
     kind = kind_of(path)
-    read = {"tune": Tuning, "search": Search, "sweep": Sweep}[kind]
+    read = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
     assert faults(schemas[kind], read.from_file(path).resolved()) == []
 
 

@@ -226,7 +226,7 @@ def test_each_run_has_a_body_and_the_table_says_which(tmp_path):
 
 
 SWEEPS = [path for path in Path(__file__).parents[1].glob("sweeps/*.yaml")
-          if not re.search("^(tune|objective|pareto):", path.read_text(), re.MULTILINE)]  # fmt: skip
+          if not re.search("^(tune|objective|pareto|task):", path.read_text(), re.MULTILINE)]  # fmt: skip
 
 
 @pytest.mark.parametrize("path", sorted(SWEEPS), ids=lambda path: path.stem)

@@ -25,13 +25,14 @@ Examples:
   nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
   nermo-mjx walk --set contact.friction=0.6 --json
   nermo-mjx walk --controller bound.py:Bound --set reach=0.04
+  nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
   nermo-mjx walk --metrics my_metrics.py
 """
 
 
 @click.command("walk", epilog=EPILOG)
 @options.gait
-@click.option("--controller", metavar="FILE.py:NAME", help="Another controller than the published one.")
+@click.option("--controller", metavar="FILE", help="Another controller: FILE.py:NAME, or a policy FILE.npz.")
 @click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Metrics of one's own; repeatable.")
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
 @options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)

@@ -29,8 +29,8 @@ def load_controller(where: str) -> Any:
         ParameterError: there is no such file, module or name, it cannot be imported, or it is no controller.
     """
     if is_data(where):
-        module, _, reader = _READERS[Path(where).suffix].partition(":")
-        return getattr(importlib.import_module(module), reader)(where)
+        place, _, reader = _READERS[Path(where).suffix].partition(":")
+        return getattr(importlib.import_module(place), reader)(where)
     source, name = _parts(where)
     module = module_of(f"controller is {where!r}", source, FORM)
     found = getattr(module, name, None)

@@ -1,13 +1,32 @@
-"""Learning: the robot as an environment of many worlds, what a policy does and observes there, and its rewards."""
+"""Learning: the robot as an environment of many worlds, its rewards, and how a policy is trained in it and walks."""
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any, Final
+
 from nermo_mjx.learn.acting import Modulation, Residual, Targets
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
+from nermo_mjx.learn.policy import Policy, load_policy
+from nermo_mjx.learn.ppo import PPO
 from nermo_mjx.learn.rewards import TERMS, Term
+from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.learn.task import Outcome, Task, task_parameters
 
+if TYPE_CHECKING:
+    from nermo_mjx.learn.run import TrainingResult, run_training
+    from nermo_mjx.learn.spec import Training
+
+#: What brings tables, figures and checkpoints with it, which a walk by a policy does without.
+_LATER: Final = {"Training": "spec", "TrainingResult": "run", "run_training": "run"}
+
 __all__ = [
-    "SENTENCES", "TERMS", "Environment", "Modulation", "Outcome", "Residual", "State", "Targets", "Task", "Term",
-    "task_parameters",
+    "PPO", "SENTENCES", "TERMS", "Environment", "Modulation", "Outcome", "Policy", "Residual", "ShortHorizon", "State",
+    "Targets", "Task", "Term", "Training", "TrainingResult", "load_policy", "run_training", "task_parameters",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LATER:
+        raise AttributeError(f"module 'nermo_mjx.learn' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"nermo_mjx.learn.{_LATER[name]}"), name)

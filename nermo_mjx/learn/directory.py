@@ -1,7 +1,7 @@
 """A training's directory: what it is for, and the files that are made from its checkpoints.
 
 DIR/training.yaml      the resolved training
-DIR/controller.py      what the policy acts on, where that is a controller of one's own: a copy
+DIR/metrics.py         metrics of one's own, if the evaluation has some: a copy
 DIR/run.json           which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/       Orbax checkpoints, the newest few: all that was learned, and the history up to it
 DIR/policy.npz         the policy of the newest checkpoint: a controller

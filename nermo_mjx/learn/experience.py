@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from nermo_mjx.learn.networks import Actor, Statistics
 
-#: Arrays of a traced environment, or of one on the host.
-Values = Array | np.ndarray
+#: Arrays of a traced environment, or NumPy's of one on the host.
+Values = Any
 
 
 class Stepped(Protocol):
@@ -31,20 +31,27 @@ class Stepped(Protocol):
 
 
 class EnvironmentLike(Protocol):
-    """A batch of worlds that reset themselves.
+    """A batch of worlds that reset themselves; sizes are those of the arrays' last axes."""
 
-    Attributes:
-        worlds, observation_size, privileged_size, action_size: lengths of the arrays' axes.
-        pure: whether `reset` and `step` can be traced.
-        step_seconds: simulated seconds of a step.
-    """
+    @property
+    def worlds(self) -> int: ...
 
-    worlds: int
-    observation_size: int
-    privileged_size: int
-    action_size: int
-    pure: bool
-    step_seconds: float
+    @property
+    def observation_size(self) -> int: ...
+
+    @property
+    def privileged_size(self) -> int: ...
+
+    @property
+    def action_size(self) -> int: ...
+
+    @property
+    def pure(self) -> bool:
+        """Whether `reset` and `step` can be traced."""
+
+    @property
+    def step_seconds(self) -> float:
+        """Simulated seconds of a step."""
 
     def reset(self, key: PRNGKeyArray) -> Any: ...
 

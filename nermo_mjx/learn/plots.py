@@ -22,6 +22,7 @@ from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 
 #: What the curves show, and how an axis is named.
 PANELS: Final = {
+    "reward": "mean reward\nof a step [1]",
     "return": "return of an\nepisode [1]", "length": "length of an\nepisode [s]", "lasted": "episodes that\nlasted [%]",
     "kl": "change of the\npolicy [nat]", "std": "standard deviation\nof actions [1]", "explained": "variance that the\n"
     "critic explains [%]",
@@ -118,8 +119,12 @@ def _quartiles(table: pa.Table, scene: str, who: str) -> Any:
 
 
 def _draw(ax: Axes, curves: Curves, values: np.ndarray, colour: str) -> None:
-    ax.plot(_million(curves), values, color=BAND, lw=0.7)
-    ax.plot(_million(curves), _smooth(values), color=colour)
+    steps, fine = _million(curves), np.isfinite(values)
+    if 2 * fine.sum() < len(values):  # episodes that end together
+        ax.plot(steps[fine], values[fine], "o-", color=colour, ms=3.5)
+    else:
+        ax.plot(steps, values, color=BAND, lw=0.7)
+        ax.plot(steps, _smooth(values), color=colour)
     horizontal_grid(ax)
 
 

@@ -105,8 +105,13 @@ class Policy:
             environment: in which it was learned.
             learned: what.
             about: what else the file is to say.
+
+        Raises:
+            ParameterError: it acts on a controller that is no published one.
         """
         setup, task = environment.setup, environment.task
+        if setup.controller is not None or setup.command is not None:
+            raise ParameterError("controller is one's own: a policy's file has room for a published one alone.")
         given = {name: 0.5 * (low + high) for name, (low, high) in task.randomize.items() if name in GIVEN}
         known = dict(quantities(setup.world({}).control))
         fixed = {name: float(value) for name, value in task.set.items() if name in known or name in GIVEN}
@@ -218,7 +223,7 @@ class Policy:
     def content(self) -> bytes:
         """The file; the same policy gives the same bytes."""
         about = {"kind": KIND, "form": FORM, "layers": len(self.actor.layers), **self.facts()}
-        arrays = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
+        arrays: dict[str, Any] = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
         for i, (weights, bias) in enumerate(self.actor.layers):
             arrays |= {f"weights.{i}": np.asarray(weights), f"bias.{i}": np.asarray(bias)}
         arrays |= {"log_std": np.asarray(self.actor.log_std), "mean": np.asarray(self.statistics.mean),
@@ -257,7 +262,9 @@ def _policy(content: bytes) -> Policy:
     (name, options), base = next(iter(about["action"].items())), dict(about["base"])
     if base.get("waypoints") is not None:
         base["waypoints"] = tuple(map(tuple, base["waypoints"]))
-    observer = {key: tuple(value) if isinstance(value, list) else value for key, value in about["observer"].items()}
+    observer: dict[str, Any] = {
+        key: tuple(value) if isinstance(value, list) else value for key, value in about["observer"].items()
+    }
     policy = Policy(
         Actor(layers, arrays["log_std"]), Statistics(jnp.ones(()), arrays["mean"], arrays["variance"]),
         ACTIONS[name](**options), Observer(**observer), about["decimation"], base, about["fixed"],

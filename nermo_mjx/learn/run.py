@@ -25,6 +25,7 @@ from nermo_mjx.learn.policy import Policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.interruption import Interruption, interruptible
@@ -60,6 +61,7 @@ class TrainingResult:
         policy: file of the policy; None in an environment that is not of a robot.
         summary: content of summary.json: `steps`, `return` and `success`, and of each scene of the evaluation the
             numbers of the policy and of the controller alone.
+        learned: all that the next iteration would begin with.
         history: what happened in each iteration.
         iterations_run: by this call.
         plots: figures.
@@ -69,6 +71,7 @@ class TrainingResult:
     training: Training
     policy: Path | None
     summary: dict[str, Any]
+    learned: Learned
     history: Curves
     iterations_run: int
     plots: list[Path]
@@ -134,7 +137,9 @@ def run_training(
         figures = figures_of(training, curves, table)
         plots = write_figures(figures, directory.out / "plots") if training.plots else []
         path = None if policy is None else directory.out / POLICY
-        return TrainingResult(directory.out, directory.training, path, summary, curves, len(curves) - begun, plots)
+        return TrainingResult(
+            directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
+        )  # fmt: skip
 
 
 def as_training(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Training:
@@ -143,8 +148,17 @@ def as_training(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Training:
 
 
 def engine_for(training: Training, engine: str) -> str:
-    """Name of the engine on which a training runs."""
-    return resolve_engine(training.engine if engine == "auto" else engine)
+    """Name of the engine on which a training runs: `c` or `mjx`.
+
+    Raises:
+        ParameterError: it is another one, or has no derivative where the training needs it.
+    """
+    name = resolve_engine(training.engine if engine == "auto" else engine)
+    name = "mjx" if engine == "auto" and name == "warp" else name
+    if name not in ("c", "mjx") or (training.engine == "mjx" and name == "c"):
+        allowed = "mjx, since short_horizon takes derivatives" if training.engine == "mjx" else "auto, c or mjx"
+        raise ParameterError(f"engine is {engine!r}: a training like this runs on {allowed}.")
+    return name
 
 
 @dataclasses.dataclass

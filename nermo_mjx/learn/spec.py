@@ -44,7 +44,9 @@ class TrainingFile(WalkFields):
 
     what: ClassVar = "a field of a training"
     sources: ClassVar = "'randomize' or 'set'"
-    task: TaskFields = Field(TaskFields(), description="what a policy does, and what it is rewarded for")
+    task: TaskFields = Field(
+        TaskFields.model_validate({}), description="what a policy does, and what it is rewarded for"
+    )
     randomize: dict[str, _Range] = Field(
         {name: list(ends) for name, ends in RANDOMIZED.items()},
         description="what each episode draws: a parameter, and its range [low, high]",
@@ -56,7 +58,9 @@ class TrainingFile(WalkFields):
         200_000, description="control steps between two checkpoints, behind each of which new episodes begin"
     )
     seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of all that is drawn")
-    evaluate: EvaluationFields = Field(EvaluationFields(), description="on what the policy is evaluated in the end")
+    evaluate: EvaluationFields = Field(
+        EvaluationFields.model_validate({}), description="on what the policy is evaluated in the end"
+    )
     plots: bool = Field(True, description="whether figures are made in the end")
 
     @classmethod
@@ -163,7 +167,7 @@ class Training(WalkSpec):
         data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in task.randomize.items()}
         data["algorithm"] = algorithm_fields(self.algorithm)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
-        evaluation = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
+        evaluation: dict[str, Any] = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
         evaluation |= {"scenes": list(self.evaluation.scenes)} if self.evaluation.scenes else {}
         return data | {"evaluate": evaluation, "plots": self.plots}
 
@@ -197,6 +201,9 @@ def _read(doc: Document) -> Training:
         file = read(doc, TrainingFile)
     walk = read_walk(doc, file)
     setup = walk["setup"]
+    if setup.controller is not None:
+        doc.fail(("controller",), "is a controller of one's own: a policy's file has room for a published one alone; "
+                 "learn in Python, by nermo_mjx.learn.Environment.")  # fmt: skip
     algorithm = _said(doc, ("algorithm",), file.algorithm.algorithm)
     fixed = {**walk["fixed"], **{f"pilot.{key}": value for key, value in walk["pilot"].items()
                                  if f"pilot.{key}" in setup.defaults()}}  # fmt: skip
@@ -215,8 +222,9 @@ def _read(doc: Document) -> Training:
 
 def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
     fields = file.task
+    rewards: Mapping[Any, float] = fields.rewards or REWARDS
     return Task(
-        action=fields.action.kind(), observe=tuple(fields.observe), rewards=dict(fields.rewards or REWARDS),
+        action=fields.action.kind(), observe=tuple(fields.observe), rewards=rewards,
         set={**fixed, **fields.set}, randomize={name: (low, high) for name, (low, high) in file.randomize.items()},
         bodies=fields.bodies, decimation=fields.decimation, duration=fields.duration, distance=fields.distance,
         corridor=fields.corridor,

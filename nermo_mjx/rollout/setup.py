@@ -63,9 +63,9 @@ class Setup:
         command: for the pilot `external`, see `control.pilot.tabulated`.
         trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and numbers
             of each limb.
-        controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME` or `MODULE:NAME`. What
-            is chosen above from `gait` on is the published controller's, and goes with no other; with a `Controller` of
-            other parts go gait, steering and profile.
+        controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
+            `FILE.npz`, a policy. What is chosen above from `gait` on is the published controller's, and goes with no
+            other; with a `Controller` of other parts go gait, steering and profile.
         metrics: metrics of one's own beside `METRICS`: made by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
             `MODULE` or `MODULE:NAME`; one, or several in a list.
 

@@ -76,7 +76,7 @@ class SetupFields(Fields):
     trajectory: str = chosen(
         Setup.trajectory, (*FORMS, FREE), "form of the foot path; free: cubic, with movable points and numbers of limbs"
     )
-    controller: str = optional("another controller: FILE.py:NAME, from this file's folder, or MODULE:NAME")
+    controller: str = optional("another controller: FILE.py:NAME or FILE.npz, from this file's folder, or MODULE:NAME")
 
 
 SETUP_FIELDS: Final = tuple(SetupFields.model_fields)

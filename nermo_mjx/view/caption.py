@@ -23,6 +23,7 @@ def title_of(recording: Recording) -> str:
         return str(recording.metadata["case"])
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
     gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
+    controller = controller.rpartition("/")[2]  # of a policy's file, its name
     parts = [_GAITS.get(str(gait), str(gait)) if gait else controller]
     if (frequency := _number(parameters.get("frequency"))) is not None:
         parts.append(f"{frequency:.3g} Hz")

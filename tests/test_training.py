@@ -1,0 +1,191 @@
+"""A training's directory: what it refuses, what a kill leaves, and its policy as a controller."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+from pathlib import Path
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner
+from learn_toy import PointMass
+
+from nermo_mjx import ParameterError, Run, Setup, Simulator
+from nermo_mjx.cli import main
+from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
+from nermo_mjx.runs.files import WrongDirectory
+from nermo_mjx.specs.reading import SpecError
+
+pytestmark = pytest.mark.compiles
+SHIPPED = Path(__file__).parents[1] / "sweeps" / "train_residual.yaml"
+#: Two sections of three iterations, and one of a single one, of a point mass.
+SPEC = {
+    "worlds": 8, "steps": 8 * 4 * 7, "checkpoint": 8 * 4 * 3, "plots": False,
+    "algorithm": {"ppo": {"horizon": 4, "hidden": [8]}},
+}  # fmt: skip
+EFFORT = ("environment_cpu", "learner_cpu", "wall_seconds")
+
+
+def train(out, more=None, **how):
+    return run_training(SPEC | (more or {}), out, environment=PointMass(8, pure=False), **how)
+
+
+def lasting(out):
+    """The history but for the effort, which no two runs have alike."""
+    return pq.read_table(out / "history.parquet").drop_columns([*EFFORT, "code"])
+
+
+def bits(result):
+    """All that was learned."""
+    return [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(result.learned)]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A finished training."""
+    out = tmp_path_factory.mktemp("training") / "out"
+    return train(out)
+
+
+@pytest.fixture(scope="module")
+def policy():
+    """A policy with weights, and the environment that it is of."""
+    environment = Environment(Setup(), worlds=2, task=Task(randomize={"contact.friction": (1.0, 1.2)}, decimation=2,
+                                                           duration=0.1))  # fmt: skip
+    learned = PPO().begin(environment, 0)
+    *hidden, (weights, bias) = learned.actor.layers
+    weights = 0.3 * jax.random.normal(jax.random.key(1), weights.shape)
+    actor = dataclasses.replace(learned.actor, layers=(*hidden, (weights, bias)))
+    return Policy.of(environment, dataclasses.replace(learned, actor=actor)), environment
+
+
+def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):
+    """Killed in its first section, and again in its second: weights, moments and history, bit for bit."""
+    for stop in (2, 5):
+
+        def kill(progress, stop=stop):
+            if progress.steps >= stop * 32:
+                raise RuntimeError("killed")
+
+        with pytest.raises(RuntimeError, match="killed"):
+            train(tmp_path, progress=kill)
+    result = train(tmp_path)
+    assert result.iterations_run == 4
+    assert bits(result) == bits(done)
+    np.testing.assert_equal(lasting(tmp_path).to_pydict(), lasting(done.out).to_pydict())
+    assert result.summary["steps"] == SPEC["steps"]
+    # Nothing is left to do: the same call changes nothing.
+    assert train(tmp_path).iterations_run == 0
+
+
+def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
+    out = Path(shutil.copytree(done.out, tmp_path / "copy"))
+    with pytest.raises(WrongDirectory, match=r"holds another training, with another seed \(0 there, 3 here\)"):
+        train(out, {"seed": 3})
+    with pytest.raises(WrongDirectory, match=r"another randomize\.start\.phase"):
+        train(out, {"randomize": {"start.phase": [0.0, 0.5]}})
+    longer = train(out, {"steps": 8 * 4 * 9})
+    assert longer.iterations_run == 2
+    np.testing.assert_equal(lasting(out).slice(0, 7).to_pydict(), lasting(done.out).to_pydict())
+
+
+@pytest.mark.parametrize(
+    ("fields", "sentence"),
+    [
+        ({"task": {"rewards": {"progres": 1.0}}}, "field 'task.rewards.progres' is no term of the reward; allowed are"),
+        ({"task": {"observe": ["smell"]}}, r"field 'task.observe.0' is the text 'smell': allowed are"),
+        ({"task": {"action": "fly"}}, "field 'task.action' is 'fly': expected residual, modulation or targets"),
+        ({"task": {"rewards": {"speed": 1.0}}}, "and nothing is commanded: name command.speed"),
+        ({"randomize": {"contact.friction": [1.6, 1.0]}}, "the low end is not below the high one"),
+        ({"randomize": {"contact.frictio": [1.0, 1.6]}}, "did you mean 'contact.friction'"),
+        ({"worlds": 3, "algorithm": {"ppo": {"horizon": 5}}}, "4 minibatches, .* choose a number that divides 15"),
+        ({"algorithm": "dqn"}, "field 'algorithm' is 'dqn': expected ppo or short_horizon"),
+        ({"vary": {"frequency": [1.0]}}, "is no field of a training: .* stands under 'randomize'"),
+        ({"evaluate": {"scenes": ["moon"]}}, "moon"),
+    ],
+)
+def test_a_wrong_file_is_refused_in_a_sentence(fields, sentence):
+    with pytest.raises(SpecError, match=sentence) as refused:
+        Training.from_dict(fields)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_resolved_file_is_the_same_training():
+    """With all defaults written out, in every form."""
+    given = {
+        "task": {"action": {"modulation": {"ranges": {"frequency": [0.5, 1.2]}}}, "set": {"command.speed": 0.1},
+                 "rewards": {"speed": 1.0}, "distance": 1.0}, "algorithm": {"short_horizon": {"hidden": [8]}},
+        "set": {"contact.friction": 1.2},
+    }  # fmt: skip
+    for training in (Training.from_dict(given), Training.from_file(SHIPPED)):
+        again = Training.from_text(training.to_yaml())
+        assert again == training
+        assert again.digest() == training.digest()
+
+
+def test_a_policy_walks_in_a_simulator_as_in_its_environment(policy):
+    """Ten ticks, an action held for two; friction tells the worlds apart. Both round to float32, here and there."""
+    policy, environment = policy
+    state = environment.reset(3)
+    friction = 1.1 + 0.1 * np.asarray(state.privileged)[:, -1]
+    while not np.asarray(state.truncated).any():
+        state = environment.step(state, np.asarray(policy.act(state.observation)))
+    walked = Simulator(engine="c", controller=policy)({"contact.friction": friction}, Run(duration=0.1, warmup=0.0))
+    np.testing.assert_allclose(walked["distance"], state.episode["distance"], atol=2e-6)
+    np.testing.assert_allclose(walked["servo_work"], state.episode["servo_work"], rtol=1e-4)
+    assert walked["servo_work"][0] > 0.2
+
+
+def test_a_policys_file_is_the_policy(policy, tmp_path):
+    """Its numbers, its parameters' names, and the same bytes again; nothing in it is code."""
+    policy, path = policy[0], tmp_path / "policy.npz"
+    path.write_bytes(policy.content())
+    found = load_policy(path)
+    seen = np.random.default_rng(0).normal(size=(5, len(policy.observer.names))).astype(np.float32)
+    np.testing.assert_array_equal(found.act(seen), policy.act(seen))
+    assert found.content() == policy.content()
+    assert "frequency" in Setup(controller=str(path)).defaults()
+    with np.load(path, allow_pickle=False) as file:
+        assert json.loads(file["about"].tobytes())["actions"] == list(Residual().names)
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(ParameterError, match=r"holds no policy of `nermo-mjx train`: it is damaged"):
+        Setup(controller=str(path))
+    with pytest.raises(ParameterError, match=r"cannot be read \(No such file"):
+        Setup(controller=str(tmp_path / "none.npz"))
+
+
+def test_walk_takes_a_policy(policy, tmp_path):
+    """In place of the published controller, and says whose walk it is."""
+    path = tmp_path / "policy.npz"
+    path.write_bytes(policy[0].content())
+    ran = CliRunner().invoke(main, ["walk", "--controller", str(path), "--duration", "0.1", "--engine", "c", "--json"])
+    assert ran.exit_code == 0, ran.output
+    assert json.loads(ran.stdout)["metrics"]["servo_work"] > 0.2
+
+
+def test_onnx_acts_as_the_policy_does(policy):
+    pytest.importorskip("onnx")
+    runtime = pytest.importorskip("onnxruntime")
+    from nermo_mjx.learn.onnx import export
+
+    session = runtime.InferenceSession(export(policy[0]), providers=["CPUExecutionProvider"])
+    seen = np.random.default_rng(0).normal(size=(5, len(policy[0].observer.names))).astype(np.float32)
+    (action,) = session.run(None, {"observation": seen})
+    np.testing.assert_allclose(action, policy[0].act(seen), atol=1e-5)
+    facts = session.get_modelmeta().custom_metadata_map
+    assert json.loads(facts["observation"]) == list(policy[0].observer.names)
+
+
+def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
+    """For exact gradients: there is no pace before the program is compiled."""
+    spec, out = tmp_path / "spec.yaml", tmp_path / "out"
+    spec.write_text("algorithm: short_horizon\nworlds: 4\nsteps: 1000\ntask: {decimation: 2}\n")
+    ran = CliRunner().invoke(main, ["train", str(spec), "--out", str(out), "--dry-run"])
+    assert ran.exit_code == 0, ran.output
+    assert re.search("16 iterations of 64 control steps, 1,024 in all", ran.stdout)
+    assert not out.exists()
