@@ -18,6 +18,7 @@ from nermo_mjx.learn.spec import Training
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, LINE, MUTED, SERIES, horizontal_grid
+from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 
 #: What the curves show, and how an axis is named.
@@ -143,4 +144,4 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 def _what(training: Training) -> str:
     setup = training.setup
-    return f"{setup.robot}, scene {setup.fields()['scene']}, seed {training.seed}, {training.worlds:,} worlds"
+    return f"{setup.robot}, scene {scene_name(setup.scene)}, seed {training.seed}, {training.worlds:,} worlds"
