@@ -144,4 +144,4 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 def _what(training: Training) -> str:
     setup = training.setup
-    return f"{setup.robot}, scene {scene_name(setup.scene)}, seed {training.seed}, {training.worlds:,} worlds"
+    return f"{setup.robot}, scene {scene_name(str(setup.scene))}, seed {training.seed}, {training.worlds:,} worlds"
