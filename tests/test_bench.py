@@ -201,3 +201,51 @@ def test_two_runs_into_one_directory_do_not_meet(tmp_path) -> None:
     result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path)])
     assert result.exit_code == 2
     assert "holds a tuning, and not benchmarks" in result.stderr
+
+
+def search_of(method: str, seed: int, speed: float, **more: Any) -> dict[str, Any]:
+    """A search by gradient or CMA-ES: its best rises by steps of processor time, the gradient's later and steeper."""
+    step = 10.0 if method == "exact" else 2.0
+    curve = [[step * i, step * i, 100.0 * i, -10 * speed * (0.5 + 0.1 * i)] for i in range(1, 6)]
+    return {
+        "case": "gradients-pay", "parameters": 32, "task": "speed", "gait": "trt", "method": method, "seed": seed,
+        "cpu_s": 60.0, "ready_cpu_s": step, "ready_wall_s": step, "evaluations": 5, "curve": curve,
+        "found": {"walks_ok": 8, "objective": -10 * speed, "metrics": {"speed": speed}},
+    } | more  # fmt: skip
+
+
+def test_the_page_of_searches_says_who_won_and_what_is_missing(tmp_path) -> None:
+    """By the medians of the seeds that both have; a gait that always fell counts as standing."""
+    lines = [search_of("exact", seed, 0.1 + 0.01 * seed) for seed in (1, 2, 3)]
+    lines += [search_of("cma", seed, 0.11) for seed in (1, 2, 3)] + [search_of("cma", 4, 0.2)]
+    add_run(tmp_path, run_of("2026-01-01", *lines))
+    page = (tmp_path / "gradients_pay.md").read_text()
+    assert "- 32 parameters, speed, trt: the gradient **wins**, 120 mm/s against 110 mm/s, medians of 3 seeds." in page
+    assert "| 32 | speed | trt | 60 | exact gradient | 3 | 120.0 | 110 to 130 | 120 after 500 s | 10 | 5 |" in page
+    assert "- 32 parameters: speed, trt, exact: 2; speed, trt, cma: 1; speed, trt, mixture: 5; " in page
+    assert "- 8 parameters: all.\n" in page
+    assert "Of the 450 searches of the plan, 443 are not there" in page
+    assert (tmp_path / "plots" / "gradients_pay_32_speed_trt_60.png").exists()
+    add_run(tmp_path, run_of("2026-01-02", search_of("exact", 2, 0.0, found=None), search_of("exact", 3, 0.1)))
+    assert "the gradient **loses**, 100 mm/s against 110 mm/s" in (tmp_path / "gradients_pay.md").read_text()
+
+
+def test_a_search_that_is_there_is_not_made_again(tmp_path, monkeypatch) -> None:
+    """What is kept is one line a measurement, as soon as it is made; the next call goes on with what is missing."""
+    made: list[int] = []
+
+    def measured(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        made.append(options["seed"])
+        if options["seed"] == 3:
+            raise KeyboardInterrupt
+        return HARDWARE, search_of("cma", options["seed"], 0.1)
+
+    monkeypatch.setattr("nermo_mjx.bench.apart", measured)
+    command = ["bench", "gradients-pay", "--parameters", "32", "--task", "speed", "--gait", "trt", "--method", "cma",
+               "--into", str(tmp_path), *(part for seed in "1234" for part in ("--seed", seed))]  # fmt: skip
+    CliRunner().invoke(main, command)
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 2
+    monkeypatch.setattr("nermo_mjx.bench.apart", lambda case, options: measured(case, options | {"seed": -3}
+                        if options["seed"] == 3 else options))  # fmt: skip
+    assert CliRunner().invoke(main, command).exit_code == 0
+    assert made == [1, 2, 3, -3, 4]

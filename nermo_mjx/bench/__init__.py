@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, Final
 
 from nermo_mjx.bench.hardware import commit, describe
 from nermo_mjx.bench.registry import CASES, Benchmark, plan
@@ -19,6 +19,8 @@ def run_bench(
     cases: Sequence[str] = ("throughput",),
     options: Mapping[str, Sequence[Any]] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    keep: Callable[[dict[str, Any]], None] | None = None,
+    known: Callable[[str, dict[str, Any]], bool] = lambda name, chosen: False,
 ) -> dict[str, Any]:
     """Measure on this machine, each measurement in a process of its own.
 
@@ -29,6 +31,8 @@ def run_bench(
         cases: names from `CASES`.
         options: option of a case -> values; each combination is measured.
         progress: called with (measurements done, measurements in all).
+        keep: called with the run of each measurement alone, as soon as it is made.
+        known: tells which measurements, of cases that are made `once`, are there already.
 
     Returns:
         `{"date", "commit", "hardware": {...}, "cases": [{"case", ...}]}`. A case that failed has `error`, a sentence,
@@ -38,18 +42,28 @@ def run_bench(
     Raises:
         ParameterError: see `registry.plan`.
     """
-    planned = plan(cases, options or {})
+    planned = [(name, chosen) for name, chosen in plan(cases, options or {})
+               if not (CASES[name].once and known(name, chosen))]  # fmt: skip
     lines, hardware = [], None
     for done, (name, chosen) in enumerate(planned):
         if progress:
             progress(done, len(planned))
         found, line = apart(CASES[name], chosen)
-        hardware = found or hardware
         lines.append({"case": name, **chosen, **line})
-    if hardware is None:  # every process ended early: a figure without its machine is worth nothing
-        hardware, _ = apart(Benchmark("", "builtins:dict", {}), {})
+        # The process may have ended early: a figure without its machine is worth nothing.
+        hardware = found or hardware or apart(_NOTHING, {})[0]
+        if keep:
+            keep(_run(hardware, lines[-1:]))
     if progress:
         progress(len(planned), len(planned))
+    return _run(hardware, lines)
+
+
+#: Measures nothing, so that a process says only where it runs.
+_NOTHING: Final = Benchmark("", "builtins:dict", {})
+
+
+def _run(hardware: dict[str, Any] | None, lines: list[dict[str, Any]]) -> dict[str, Any]:
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     return {"date": now, "commit": commit(), "hardware": hardware, "cases": lines}
 

@@ -72,6 +72,14 @@ COLUMNS: Final[dict[str, tuple[ShownColumn, ...]]] = {
         ShownColumn("to 99 %", "runs_to_99", "{:g}"),
         ShownColumn("wall [s]", "wall_s", "{:.1f}"),
     ),
+    "gradients-pay": (
+        ShownColumn("task", "task"), ShownColumn("gait", "gait"), ShownColumn("parameters", "parameters"),
+        ShownColumn("method", "method"), ShownColumn("seed", "seed", "{:g}"),
+        ShownColumn("CPU [s]", "cpu_s", "{:g}"),
+        ShownColumn("to the first [CPU s]", "ready_cpu_s", "{:.0f}"),
+        ShownColumn("evaluations", "evaluations", "{:,}"),
+        ShownColumn("best", "best", "{:.3f}"), ShownColumn("unseen starts", "unseen", "{:.3f}"),
+    ),
     "startup": (
         _ENGINE, _WORLDS, ShownColumn("cache", "cache"), ShownColumn("in all [s]", "total_s", "{:.1f}"),
         ShownColumn("import [s]", "import_s", "{:.1f}"),
@@ -113,6 +121,9 @@ def rows(line: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         yield from ({**head, **stage} for stage in line["stages"])
     elif line["case"] in ("tuning", "search"):
         yield from ({**head, **search} for search in line["searches"])
+    elif line["case"] == "gradients-pay":
+        found = line["found"]
+        yield {**head, "best": line["curve"][-1][-1], "unseen": None if found is None else found["objective"]}
     else:
         yield head
 

@@ -110,6 +110,15 @@ def read(folder: Path) -> History:
     return History({machine: _in_order(found[machine]) for machine in order}, tuple(remarks), count, tuple(commits))
 
 
+def is_known(folder: Path, case: str, options: Mapping[str, Any]) -> bool:
+    """Whether results.jsonl has good figures of a measurement, of any machine."""
+    if not (folder / RESULTS).exists():
+        return False
+    wanted = _key({"case": case, **options})
+    measured = [each for machine in read(folder).machines.values() for each in machine]
+    return any(each.good is not None and _key(each.good) == wanted for each in measured)
+
+
 def status(out: Path) -> Status:
     """How far a directory of benchmarks is: what results.jsonl has; the commits that were measured are its code."""
     history = read(out) if (out / RESULTS).exists() else History({}, (), 0, ())

@@ -11,6 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
 from nermo_mjx.bench.history import RESULTS, Measured, append, read
+from nermo_mjx.bench.paying_page import draw_searches
 from nermo_mjx.bench.registry import CASES
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
@@ -24,13 +25,22 @@ _STEPS = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 
 
 def add_run(folder: Path, run: Mapping[str, Any], write: Callable[[Path, bytes], None] = replace_file) -> None:
-    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; remake FOLDER/results.md and its plots from that.
+    """Add a run of `run_bench` to FOLDER/results.jsonl, a line, and draw the page, see `draw_page`."""
+    append(folder, run)
+    draw_page(folder, write)
+
+
+def draw_page(folder: Path, write: Callable[[Path, bytes], None] = replace_file) -> None:
+    """Remake FOLDER/results.md and its plots from FOLDER/results.jsonl, and the page of a case that has its own.
 
     Args:
-        write: how page and plots are written; by default they replace what is there.
+        write: how pages and plots are written; by default they replace what is there.
     """
-    append(folder, run)
     history = read(folder)
+    searches = [each.good for measured in history.machines.values() for each in measured
+                if each.case == "gradients-pay" and each.good]  # fmt: skip
+    if searches:
+        draw_searches(folder, searches, write)
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
     for remark in history.remarks:
         text += [remark, ""]

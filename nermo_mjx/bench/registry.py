@@ -18,13 +18,13 @@ class Option:
 
     Attributes:
         default: values measured if none is given.
-        allowed: the names it may have; None for a positive number.
+        allowed: the names, or numbers, it may have; None for a positive number.
         whole: whether the number is whole.
         before: what was measured before there was this option; the first default if it is None.
     """
 
     default: tuple[Any, ...]
-    allowed: tuple[str, ...] | None = None
+    allowed: tuple[Any, ...] | None = None
     whole: bool = False
     before: Any = None
 
@@ -36,7 +36,7 @@ class Option:
     def check(self, name: str, value: Any) -> None:
         """Raises `ParameterError` unless the value is allowed."""
         if self.allowed is not None and value not in self.allowed:
-            raise ParameterError(f"{name} is {value!r}: allowed is one of {', '.join(self.allowed)}.")
+            raise ParameterError(f"{name} is {value!r}: allowed is one of {', '.join(map(str, self.allowed))}.")
         if self.allowed is None and not (0 < value < float("inf") and (value == int(value) or not self.whole)):
             range_ = "a whole number from 1" if self.whole else "(0, inf)"
             raise ParameterError(f"{name} is {value:g}: allowed is {range_}.")
@@ -50,6 +50,7 @@ class Benchmark:
         about: what it measures, for listings.
         place: module and name of the function; it is imported in the process that measures.
         options: by name.
+        once: whether a directory that has a measurement does not need it again: those that take hours together.
         extra: of this package, without which it cannot be made, and the modules that the extra installs.
     """
 
@@ -57,6 +58,7 @@ class Benchmark:
     place: str
     options: Mapping[str, Option]
     extra: tuple[str, tuple[str, ...]] = ("", ())
+    once: bool = False
 
     def check(self, name: str) -> None:
         """Raises `ParameterError` unless what it needs is installed."""
@@ -111,6 +113,19 @@ CASES: Final[dict[str, Benchmark]] = {
         "the speed that CMA-ES finds with each of ten seeds, against a dense sweep",
         "nermo_mjx.bench.search:search_case",
         {"frequency": Option((0.5, 0.8))},
+    ),
+    "gradients-pay": Benchmark(
+        "the best gait that gradients and CMA-ES find on the same budget of processor time",
+        "nermo_mjx.bench.paying:paying_case",
+        {
+            "parameters": Option((32, 8, 2, 16, 64), (2, 8, 16, 32, 64)),
+            "task": Option(("speed", "transport"), ("speed", "transport")),
+            "gait": Option(("trt", "trt1", "lat"), ("trt", "trt1", "lat")),
+            "seed": Option((1, 2, 3, 4, 5), whole=True),
+            "method": Option(("exact", "cma", "mixture"), ("exact", "mixture", "cma")),
+            "cpu_s": Option((60.0,)),
+        },
+        once=True,
     ),
     "startup": Benchmark(
         "from a new process to the first control tick, stage by stage, with a cold and a warm cache",

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from pathlib import Path
 from typing import Any
 
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import BENCH_CASES, ENGINES, GPU_PROGRAMS, GPU_TARGETS, GRADIENT_MODES
+from nermo_mjx.cli.choices import (
+    BENCH_CASES,
+    ENGINES,
+    GAITS,
+    GPU_PROGRAMS,
+    GPU_TARGETS,
+    GRADIENT_MODES,
+    PAYING_METHODS,
+    PAYING_TASKS,
+)  # fmt: skip
 from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Progress
 
@@ -19,6 +29,8 @@ Cases:
   gradient    value and gradient of a walk against the walk alone
   tuning      what tuning finds on a tenth of a dense sweep's time, and CMA-ES
   search      what CMA-ES finds with ten seeds, against a dense sweep
+  gradients-pay  what gradients and CMA-ES find in the same processor time;
+              with --into, one line a search, and those that DIR has are left
   startup     a new process to its first control tick, cold and warm cache
   profile     a physics step, stage by stage
   speedtest   MuJoCo's own speed test of MJX on the same model
@@ -41,6 +53,13 @@ Examples:
 @options.choice("--mode", GRADIENT_MODES, "How gradients are taken; repeatable.", default=None, multiple=True)
 @options.number("--cycles", "Gait cycles that are differentiated; repeatable.", options.POSITIVE, multiple=True)
 @options.number("--frequency", "Trots that are tuned or searched [Hz]; repeatable.", options.POSITIVE, multiple=True)
+@options.number("--parameters", "Of gaits searched: 2, 8, 16, 32, 64; repeatable.", click.IntRange(1), multiple=True)
+@options.choice("--task", PAYING_TASKS, "What is searched; repeatable.", default=None, multiple=True)
+@options.choice("--gait", GAITS, "That is searched around; repeatable.", default=None, multiple=True)
+@options.choice("--method", PAYING_METHODS, "That searches; repeatable.", default=None, multiple=True)
+@options.number("--seed", "Of a search; repeatable.", click.IntRange(1), multiple=True)
+@click.option("--cpu", "cpu_s", metavar="X", type=options.POSITIVE, multiple=True,
+              help="Budget of a search [processor s]; repeatable.")  # fmt: skip
 @options.choice("--target", GPU_TARGETS, "GPU that is compiled for; repeatable.", default=None, multiple=True)
 @options.choice(
     "--program", GPU_PROGRAMS, "A walk, or its gradient in one mode; repeatable.", default=None, multiple=True
@@ -56,7 +75,8 @@ def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: boo
     """
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
-        from nermo_mjx.bench.page import add_run
+        from nermo_mjx.bench.history import append, is_known
+        from nermo_mjx.bench.page import draw_page
         from nermo_mjx.runs import RunDirectory, Written, session
         from nermo_mjx.runs.files import clear_errors
         from nermo_mjx.runs.text import plain
@@ -64,11 +84,14 @@ def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: boo
         # Held while it measures: what took an hour has a place to go to.
         with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
             with Progress("bench", "measurements", quiet=quiet, compiles=True) as progress:
-                result = run_bench(cases or ("throughput",), given, progress.count)
+                how: dict[str, Any] = {} if held is None else {
+                    "keep": lambda run: append(held.out, plain(run)), "known": functools.partial(is_known, held.out),
+                }  # fmt: skip
+                result = run_bench(cases or ("throughput",), given, progress.count, **how)
             if held is not None:
                 held.note_session(session())
                 with Written(held) as written, clear_errors(held.out):
-                    add_run(held.out, plain(result), written.write)
+                    draw_page(held.out, written.write)
                 if written.aside and not quiet:
                     click.echo(f"bench: {written.sentence()}", err=True)
     if as_json:

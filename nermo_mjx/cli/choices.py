@@ -4,7 +4,11 @@ from __future__ import annotations
 
 ENGINES = ("auto", "c", "mjx", "warp")
 GRADIENT_MODES = ("forward", "reverse")
-BENCH_CASES = ("throughput", "gradient", "tuning", "search", "startup", "profile", "speedtest", "gpu-plan")
+BENCH_CASES = (
+    "throughput", "gradient", "tuning", "search", "gradients-pay", "startup", "profile", "speedtest", "gpu-plan",
+)  # fmt: skip
+PAYING_TASKS = ("speed", "transport")
+PAYING_METHODS = ("exact", "mixture", "cma")
 GPU_TARGETS = ("h100", "a100", "l4", "t4")
 GPU_PROGRAMS = ("walk", "forward", "reverse")
 ROBOTS = ("nermo_lite",)

@@ -1,0 +1,150 @@
+"""The page of searches by gradient and by CMA-ES: what each found in the same processor time, and what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from nermo_mjx.bench.registry import CASES
+from nermo_mjx.plotting.files import write_figures
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.style import BEST, LINE, SERIES, horizontal_grid
+from nermo_mjx.runs.text import table
+
+PAGE: Final = "gradients_pay.md"
+_CASE: Final = "gradients-pay"
+_COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2]}
+_CALLED: Final = {"exact": "exact gradient", "mixture": "mixture", "cma": "CMA-ES"}
+_WAY: Final = ("parameters", "task", "gait", "cpu_s")
+#: Share of a budget at which a curve is read, so that the last evaluation, which goes beyond it, does not count.
+_GRID: Final = 200
+
+Line = Mapping[str, Any]
+Cell = tuple[Any, ...]
+
+
+def draw_searches(folder: Path, lines: Sequence[Line], write: Callable[[Path, bytes], None]) -> None:
+    """Write FOLDER/gradients_pay.md and its plots from the searches' figures, those that are there."""
+    cells: dict[Cell, list[Line]] = {}
+    for line in lines:
+        cells.setdefault(tuple(line[name] for name in _WAY), []).append(line)
+    figures = {_name(cell): _figure(cell, own) for cell, own in cells.items() if len({x["method"] for x in own}) > 1}
+    paths = [path for path in write_figures(figures.items(), folder / "plots", write) if path.suffix == ".png"]
+    text = ["# Where gradients pay: the searches", "", *_INTRODUCTION, ""]
+    headings = ["parameters", "task", "gait", "budget [CPU s]", "method", "seeds", "found", "range",
+                "at equal simulated time", "to the first evaluation [CPU s]", "evaluations"]  # fmt: skip
+    text += [table(headings, [row for cell, own in cells.items() for row in _rows(cell, own)]), ""]
+    text += [sentence for cell, own in cells.items() if (sentence := _verdict(cell, own))]
+    text += ["", *_missing(list(cells), cells), ""]
+    text += [f"![{path.stem}](plots/{path.name})" for path in paths]
+    write(folder / PAGE, ("\n".join(text).rstrip() + "\n").encode())
+
+
+_INTRODUCTION: Final = (
+    "Made by `nermo-mjx bench gradients-pay --into`, from what `results.jsonl` holds. Each search is a process of its",
+    "own that stops when it has used its processor time: imports, the traced program and the compiled one from the",
+    "cache, and all evaluations. *Found* is the median over the seeds of what the best point gives on the engine `c`,",
+    "the mean of eight walks from starts that no search has seen; speeds in mm/s, else the objective, lower is better.",
+    "At equal simulated time a gradient of reverse mode counts as five runs; the curves are the searches' own values.",
+)  # fmt: skip
+
+
+def _rows(cell: Cell, own: Sequence[Line]) -> list[list[str]]:
+    """A row a method."""
+    found = []
+    equal = min(max(point[2] for point in line["curve"]) for line in own)
+    for method in dict.fromkeys(line["method"] for line in own):
+        mine = [line for line in own if line["method"] == method]
+        ends, shared = [_end(line) for line in mine], [_shown(line, _at(line, 2, equal)) for line in mine]
+        ready = np.median([line["ready_cpu_s"] for line in mine])
+        count = np.median([line["evaluations"] for line in mine])
+        found.append([
+            str(cell[0]), str(cell[1]), str(cell[2]), f"{cell[3]:g}", _CALLED[method], str(len(mine)),
+            f"{np.median(ends):.1f}" if cell[1] == "speed" else f"{np.median(ends):.3f}",
+            " to ".join(f"{each:.4g}" for each in (min(ends), max(ends))),
+            f"{np.median(shared):.4g} after {equal:,.0f} s", f"{ready:.0f}", f"{count:,.0f}",
+        ])  # fmt: skip
+    return found
+
+
+def _verdict(cell: Cell, own: Sequence[Line]) -> str:
+    """Which method found the better gait, in the median of the seeds that both have; empty where one is missing."""
+    seeds = set.intersection(*({x["seed"] for x in own if x["method"] == name} for name in ("exact", "cma")))
+    if not seeds:
+        return ""
+    ends = {name: np.median([_end(x) for x in own if x["method"] == name and x["seed"] in seeds])
+            for name in ("exact", "cma")}  # fmt: skip
+    higher = cell[1] == "speed"
+    wins = (ends["exact"] > ends["cma"]) == higher
+    unit = " mm/s" if higher else ""
+    return (f"- {cell[0]} parameters, {cell[1]}, {cell[2]}: the gradient **{'wins' if wins else 'loses'}**, "
+            f"{ends['exact']:.4g}{unit} against {ends['cma']:.4g}{unit}, medians of {len(seeds)} seeds.")  # fmt: skip
+
+
+def _missing(cells: Sequence[Cell], found: Mapping[Cell, Sequence[Line]]) -> list[str]:
+    """Which searches of the plan are not there."""
+    there = {(*cell[:3], line["method"], line["seed"]) for cell in cells for line in found[cell]}
+    absent: dict[tuple[Any, ...], int] = {}
+    planned = CASES[_CASE].plan({})
+    for each in planned:
+        key = (each["parameters"], each["task"], each["gait"], each["method"])
+        if (*key, each["seed"]) not in there:
+            absent[key] = absent.get(key, 0) + 1
+    if not absent:
+        return ["All searches of the plan are there."]
+    text = [f"Of the {len(planned)} searches of the plan, {sum(absent.values())} are not there:", ""]
+    for size in CASES[_CASE].options["parameters"].default:
+        here = {key[1:]: count for key, count in absent.items() if key[0] == size}
+        whole = sum(each["parameters"] == size for each in planned)
+        parts = [f"{task}, {gait}, {method}: {count}" for (task, gait, method), count in here.items()]
+        if here:
+            text.append(f"- {size} parameters: {'all' if sum(here.values()) == whole else '; '.join(parts)}.")
+    return text
+
+
+def _end(line: Line) -> float:
+    """What the best point gave from unseen starts, as it is shown; a gait that always fell counts as standing."""
+    found = line["found"]
+    if found is None:
+        return 0.0 if line["task"] == "speed" else float("inf")
+    return 1e3 * float(found["metrics"]["speed"]) if line["task"] == "speed" else float(found["objective"])
+
+
+def _shown(line: Line, objective: float) -> float:
+    """A value of a curve, as it is shown: of the task `speed`, -1 is 100 mm/s."""
+    return -100.0 * objective if line["task"] == "speed" else objective
+
+
+def _at(line: Line, axis: int, until: float) -> float:
+    """The best objective when so much of an axis (1: processor time, 2: simulated time) was used; NaN before any."""
+    known = [point[3] for point in line["curve"] if point[axis] <= until * (1 + 1e-9) and point[3] is not None]
+    return min(known, default=float("nan"))
+
+
+def _figure(cell: Cell, own: Sequence[Line]) -> Figure:
+    """The best so far over processor time and over simulated time: median and range of the seeds."""
+    title = f"{cell[0]} parameters, {cell[1]}, {cell[2]}"
+    figure = page(title, 7.0, 3.2, "Median and range over the seeds; on the left from the start of the process.")
+    for ax, axis, label in zip(figure.subplots(1, 2), (1, 2), ("processor time [s]", "simulated [s]"), strict=True):
+        for method in dict.fromkeys(line["method"] for line in own):
+            mine = [line for line in own if line["method"] == method]
+            last = min(max(point[axis] for point in line["curve"]) for line in mine)
+            until = np.linspace(0.0, last, _GRID)
+            best = np.array([[_shown(line, _at(line, axis, each)) for each in until] for line in mine])
+            known = np.isfinite(best).all(axis=0)
+            until, best = until[known], best[:, known]
+            ax.fill_between(until, best.min(axis=0), best.max(axis=0), color=_COLOURS[method], alpha=0.15, lw=0)
+            ax.plot(until, np.median(best, axis=0), color=_COLOURS[method], label=_CALLED[method])
+        ax.set(xlabel=label, ylabel="best speed [mm/s]" if cell[1] == "speed" else "best objective [1]")
+        horizontal_grid(ax)
+        if axis == 1:
+            ax.legend()
+    return figure
+
+
+def _name(cell: Cell) -> str:
+    return f"gradients_pay_{cell[0]}_{cell[1]}_{cell[2]}_{cell[3]:g}"
