@@ -576,7 +576,12 @@ def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
     import nermo_mjx.bench
 
     run = {"date": "2026-01-01", "commit": "abc", "hardware": None, "cases": []}
-    monkeypatch.setattr(nermo_mjx.bench, "run_bench", lambda *_: run)
+
+    def run_bench(*_: Any, keep: Any, known: Any) -> dict[str, Any]:
+        keep(run)
+        return run
+
+    monkeypatch.setattr(nermo_mjx.bench, "run_bench", run_bench)
     for _ in range(2):
         assert "moved aside" not in call("bench", "--into", tmp_path).stderr
     (tmp_path / "results.md").write_text("my remarks")
@@ -594,10 +599,12 @@ def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.Monke
     about = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
     asked: list[Any] = []
 
-    def run_bench(cases: Any, given: dict[str, Any], progress: Any) -> dict[str, Any]:
+    def run_bench(cases: Any, given: dict[str, Any], progress: Any, keep: Any, known: Any) -> dict[str, Any]:
         asked.append((cases, {name: values for name, values in given.items() if values}))
         progress(1, 1)
-        return {"date": "2026-11-21T00:00:00", "commit": "abc", "hardware": about, "cases": [good, bad]}
+        run = {"date": "2026-11-21T00:00:00", "commit": "abc", "hardware": about, "cases": [good, bad]}
+        keep(run)
+        return run
 
     import nermo_mjx.bench
 
