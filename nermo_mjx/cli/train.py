@@ -128,6 +128,7 @@ def _print(result: TrainingResult, exported: Path | None) -> None:
 
 def _print_cost(cost: Cost) -> None:
     click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
-    click.echo(f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
-               f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
+    time = f"about {duration(cost.wall_seconds)} here" if math.isfinite(cost.wall_seconds) else "for an unknown time"
+    click.echo(f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
+               f"{cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
     click.echo(cost.rate_from)
