@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -190,3 +191,18 @@ def test_metrics_that_an_earlier_release_did_not_know_are_unknown_in_its_rows(be
     assert [int(sum(column != column)) for column in columns.values()] == [0, 9]
     assert read_table(begun).column("code").null_count == read_table(begun).column("roll_std").null_count == 9
     assert dataclasses.asdict(next(iter(codes_of(begun).values())))["engine"] == "fake"
+
+
+def test_a_stamp_reads_every_room_that_decides_the_numbers():
+    """Whatever room the simulator's own rooms import, its sources are in the stamp, too."""
+    package = Path(code.__file__).parents[1]
+    rooms = {path.name for path in package.iterdir() if (path / "__init__.py").exists()}
+    imported = {
+        name
+        for room in code.ROOMS
+        for path in (package / room).rglob("*.py")
+        for name in re.findall(r"^\s*(?:from|import) nermo_mjx\.(\w+)", path.read_text(), re.MULTILINE)
+    }
+    assert {"dynamics", "physics"} <= imported
+    # Directories say how a run is kept, not what it is; a policy is a controller, read from a file that is stamped.
+    assert imported & rooms - {"runs", "learn"} <= set(code.ROOMS)

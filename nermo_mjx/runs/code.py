@@ -14,7 +14,7 @@ import nermo_mjx
 from nermo_mjx.version import __version__
 
 #: Rooms of the package that decide what a world does and what is measured of it.
-ROOMS: Final = ("robot", "kinematics", "control", "physics", "rollout")
+ROOMS: Final = ("robot", "kinematics", "control", "dynamics", "physics", "rollout")
 #: Sources among the files of a room, and of the robot's model.
 _SUFFIXES: Final = (".py", ".csv", ".xml", ".obj")
 #: What each field of a stamp is called in a sentence.
