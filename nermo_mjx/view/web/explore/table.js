@@ -2,9 +2,9 @@
 
 import { read } from "viewer/data.js";
 
-/** Beyond these shares of the values colours do not go on where wild ones would take most of them. */
-const TAIL = 0.005;
-const MOST_OF = 0.6;
+/** Colours leave out this share of the values at an end where a few wild ones would take most of them; as in figures. */
+const TAIL = 0.05;
+const MOST_OF = 0.5;
 /** A scale is logarithmic where the greatest values are so many times the middle one. */
 const SKEW = 12;
 
@@ -79,8 +79,8 @@ export class Field {
   /** From where to where colours go. */
   get span() {
     const at = (share) => this.sorted[Math.round(share * (this.sorted.length - 1))];
-    const [low, high] = [at(TAIL), at(1 - TAIL)];
-    return low < high && high - low < MOST_OF * (this.high - this.low) ? [low, high] : [this.low, this.high];
+    const [low, high, most] = [at(TAIL), at(1 - TAIL), MOST_OF * (this.high - this.low)];
+    return [low - this.low > most ? low : this.low, this.high - high > most ? high : this.high];
   }
 
   /** A number that is less where a value is better; of a column without a better side, where it is higher. */
