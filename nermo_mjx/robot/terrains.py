@@ -192,6 +192,15 @@ def terrain_values(scene: str) -> dict[str, float]:
     return {} if kind is None else {f"terrain.{name}": value for name, value in kind.defaults.items()}
 
 
+def scenes_reading(name: str) -> tuple[str, ...]:
+    """The scenes that read a parameter `terrain.*`.
+
+    >>> scenes_reading("terrain.slope")
+    ('ramp',)
+    """
+    return tuple(scene for scene, kind in TERRAINS.items() if name in kind.reads)
+
+
 def geom_names(scene: str) -> tuple[str, ...]:
     """Names of the geoms that a terrain's parameters move; none in another scene."""
     return tuple(f"{scene}_{i}" for i in range(TERRAINS[scene].count)) if scene in TERRAINS else ()

@@ -23,7 +23,7 @@ from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
-from nermo_mjx.robot.terrains import terrain_values
+from nermo_mjx.robot.terrains import TerrainShape, scenes_reading, terrain_values
 from nermo_mjx.rollout.catalogue import METRICS, Metric
 from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
 from nermo_mjx.rollout.parameters import WorldParameters
@@ -215,8 +215,10 @@ class Setup:
             policy: the controller's parameters, instead of the setup's; named values come into it.
 
         Raises:
-            ParameterError: an unknown name, or a policy of another structure than the controller's parameters.
+            ParameterError: an unknown name, a shape of the terrain that the scene does not read, or a policy of another
+                structure than the controller's parameters.
         """
+        self._check_terrain(values)
         world, controller = self._world, self._without_robot
         if policy is not None:
             there, here = map(str, map(jax.tree.structure, (policy, world.control)))
@@ -227,6 +229,19 @@ class Setup:
             world = dataclasses.replace(world, control=policy)
         given = controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
         return replace_quantities(world, given)
+
+    def _check_terrain(self, values: Mapping[str, Any]) -> None:
+        """Refuse a shape of terrain that the scene does not read; its default does no harm."""
+        for name in values.keys() - terrain_values(str(self.scene)).keys():
+            scenes, value = scenes_reading(name), values[name]
+            if not scenes:
+                continue
+            default = getattr(TerrainShape(), name.removeprefix("terrain."))
+            if isinstance(value, jax.core.Tracer) or not np.allclose(value, default, rtol=1e-6):
+                scene = "of one's own" if is_mjcf(self.scene) else repr(self.scene)
+                raise ParameterError(
+                    f"{name} has no effect: it is read only with scene {' or '.join(scenes)}, and the scene is {scene}."
+                )
 
     def check(self, world: WorldParameters, *, jointly: bool = True) -> None:
         """Refuse parameters that are not finite, out of their range, or outside what time step and controller allow.

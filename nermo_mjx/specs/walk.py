@@ -22,7 +22,7 @@ from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import resolve_scene, scenes
-from nermo_mjx.robot.terrains import TERRAINS, terrain_values
+from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
@@ -182,8 +182,12 @@ class WalkSpec:
 
     @property
     def constants(self) -> dict[str, float]:
-        """Every parameter with one value for all runs: `set` and the pilot's options."""
-        return dict(self.fixed) | self.pilot_parameters
+        """Every parameter with one value for all runs: `set` and the pilot's options.
+
+        Of a sweep over scenes, each has those parameters of the terrain that it reads.
+        """
+        unread_shape = {name for name in self.fixed if _is_terrain(name) and unread(self.setup, name)}
+        return {name: self.fixed[name] for name in self.fixed if name not in unread_shape} | self.pilot_parameters
 
     @property
     def pilot_parameters(self) -> dict[str, float]:
@@ -220,11 +224,15 @@ class WalkSpec:
 
 def unread(setup: Setup, name: str) -> tuple[str, str] | None:
     """The choice, and what it would have to be, without which nothing reads a parameter; None if it is read."""
-    if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
-        return "scene", next(scene for scene, kind in TERRAINS.items() if name in kind.reads)
+    if _is_terrain(name) and name not in terrain_values(str(setup.scene)):
+        return "scene", scenes_reading(name)[0]
     groups = [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)] if setup.controller is None else []
     choice, wanted = next((_NEEDS[each] for each in groups if each in _NEEDS), ("", ""))
     return (choice, wanted) if choice and wanted not in getattr(setup, choice).split("+") else None
+
+
+def _is_terrain(name: str) -> bool:
+    return name.startswith("terrain.")
 
 
 def check_sources(
@@ -248,17 +256,23 @@ def check_sources(
             doc.fail(("set", name), f"is under 'set' and also {sources[name]}: give it one source.", name)
     sources |= dict.fromkeys(walk.constants, f"set by 'pilot.{pilot}'")
     sources |= dict.fromkeys(walk.fixed, "fixed under 'set'")
+
+    def check_effect(section: str, name: str) -> None:
+        lacks = [unread(setup, name) for setup in setups or [walk.setup]]
+        if lacks[0] is not None and all(lacks):
+            choice, wanted = lacks[0]
+            chosen = " or ".join(dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup]))
+            doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
+                                      f"{chosen}.", name)  # fmt: skip
+
+    for name in filter(_is_terrain, walk.fixed):
+        check_effect("set", name)
     for section, names in sections.items():
         for name in names:
             if name in sources:
                 doc.fail((section, name), f"is under '{section}' and also {sources[name]}: give it one source.", name)
             sources[name] = f"under '{section}'"
-            lacks = [unread(setup, name) for setup in setups or [walk.setup]]
-            if lacks[0] is not None and all(lacks):
-                choice, wanted = lacks[0]
-                chosen = " or ".join(dict.fromkeys(getattr(setup, choice) for setup in setups or [walk.setup]))
-                doc.fail((section, name), f"has no effect: it is read only with {choice}: {wanted}, and {choice} is "
-                                          f"{chosen}.", name)  # fmt: skip
+            check_effect(section, name)
     for name, value in walk.pilot_parameters.items():
         key = name.removeprefix("pilot.")
         if name in walk.fixed:
