@@ -23,7 +23,7 @@ from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
-from nermo_mjx.robot.terrains import TerrainShape, scenes_reading, terrain_values
+from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout.catalogue import METRICS, Metric
 from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
 from nermo_mjx.rollout.parameters import WorldParameters
@@ -236,9 +236,9 @@ class Setup:
             scenes, value = scenes_reading(name), values[name]
             if not scenes:
                 continue
-            default = getattr(TerrainShape(), name.removeprefix("terrain."))
+            default = dict(quantities(ModelParameters))[name].default
             if isinstance(value, jax.core.Tracer) or not np.allclose(value, default, rtol=1e-6):
-                scene = "of one's own" if is_mjcf(self.scene) else repr(self.scene)
+                scene = "of one's own" if is_mjcf(str(self.scene)) else repr(self.scene)
                 raise ParameterError(
                     f"{name} has no effect: it is read only with scene {' or '.join(scenes)}, and the scene is {scene}."
                 )

@@ -1,0 +1,92 @@
+"""The environment as a `VecEnv` of Stable-Baselines3, for its trainers and those of sbx; it brings neither."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
+
+
+class NermoVecEnv(VecEnv):
+    """A batch of worlds on MuJoCo's C engine, in the form that Stable-Baselines3 had before Gymnasium had one.
+
+    A world whose episode has ended begins the next one in the same step. Its info then has the last observation in
+    `terminal_observation`, whether it was only cut off in `TimeLimit.truncated`, its return, length in control steps
+    and time in `episode` (`r`, `l`, `t`), and what `NermoVectorEnv` tells: `status`, `distance`, `duration`,
+    `servo_work`, and each term of the reward of the last step. At other steps infos are empty.
+    """
+
+    def __init__(self, environment: Environment | None = None, **given: Any) -> None:
+        """
+        Args:
+            environment: on the engine `c`.
+            given: instead of it, the arguments of one.
+
+        Raises:
+            ValueError: an environment on another engine.
+        """
+        self.door = NermoVectorEnv(environment, **given)
+        self.environment, self.render_mode = self.door.environment, None
+        self._began = time.monotonic()
+        self._returns = np.zeros(self.door.num_envs)
+        self._lengths = np.zeros(self.door.num_envs, int)
+        super().__init__(self.door.num_envs, self.door.single_observation_space, self.door.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        """Begin an episode in all worlds; the seed of `seed()` holds for one call."""
+        observation, _ = self.door.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return observation
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions (n, a) for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """One control step of all worlds."""
+        observation, reward, terminated, truncated, told = self.door.step(self._actions)
+        self._returns += reward
+        self._lengths += 1
+        ended = terminated | truncated
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for world in np.flatnonzero(ended):
+            episode = {"r": float(self._returns[world]), "l": int(self._lengths[world]),
+                       "t": time.monotonic() - self._began}  # fmt: skip
+            final = {name: column[world] for name, column in told["final_info"].items() if not name.startswith("_")}
+            infos[world] = final | {
+                "terminal_observation": told["final_obs"][world], "episode": episode,
+                "TimeLimit.truncated": bool(truncated[world] and not terminated[world]),
+            }  # fmt: skip
+        self._returns[ended], self._lengths[ended] = 0.0, 0
+        return observation, reward.astype(np.float32), ended, infos
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of the environment, which all worlds share, once for each."""
+        shared = getattr(self, attr_name) if attr_name == "render_mode" else getattr(self.door, attr_name)
+        return [shared] * len(self._places(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: worlds differ by what their episodes draw."""
+        raise NotImplementedError(f"{attr_name} cannot be set: worlds share one environment, see `Task`.")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **given: Any) -> list[Any]:
+        """Refused: worlds are no objects."""
+        raise NotImplementedError(f"{method_name} cannot be called: worlds share one environment.")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """No world is wrapped; `VecMonitor` and its like go around all of them."""
+        return [False] * len(self._places(indices))
+
+    def _places(self, indices: int | Sequence[int] | None) -> Sequence[int]:
+        return range(self.num_envs) if indices is None else [indices] if isinstance(indices, int) else indices
