@@ -188,7 +188,7 @@ def test_the_command_writes_a_file(tmp_path):
 def test_an_unknown_kind_is_wrong_use():
     ran = CliRunner().invoke(main, ["schema", "sweeps"])
     assert ran.exit_code == 2
-    assert "'sweep', 'search', 'tune', 'landscape', 'servos'" in ran.output
+    assert "'sweep', 'search', 'tune', 'landscape', 'train', 'servos'" in ran.output
 
 
 ODD = [None, True, 0, -1, 2.5, float("nan"), float("inf"), 10**400, "", "x", [], [1], ["a"], [[1, 2]], [{}], {}]

@@ -1,0 +1,173 @@
+"""The environment as an `MjxEnv` of MuJoCo Playground, in its registry; needs the extra `playground`.
+
+Importing this module registers `NermoFlat` and one environment for each terrain (`NermoPlanks`, ...); `register`
+adds others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from ml_collections import ConfigDict
+from mujoco_playground import MjxEnv, State, dm_control_suite
+
+from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.rewards import Term
+from nermo_mjx.learn.task import Outcome, Task
+from nermo_mjx.learn.worlds import MjxWorlds, World, picked
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.terrains import TERRAINS
+from nermo_mjx.rollout.setup import Setup
+
+_ARRIVED: Final = list(Outcome).index(Outcome.arrived)
+
+
+def default_config(setup: Setup | None = None, task: Task | None = None) -> ConfigDict:
+    """What may be overridden when the environment is loaded, by the names that Playground's environments use.
+
+    Returns:
+        `ctrl_dt` and `sim_dt` [s], `episode_length` in control steps, `action_repeat`, `impl` of the physics (`jax`),
+        and the weights of the reward's terms, `reward_config.scales`.
+    """
+    setup, task = setup or Setup(), task or Task()
+    control = setup.make_controller().dt
+    scales = {_name(term): float(weight) for term, weight in task.rewards.items()}
+    return ConfigDict({
+        "ctrl_dt": control * task.decimation, "sim_dt": float(setup.timestep),
+        "episode_length": round(task.duration / control / task.decimation), "action_repeat": 1, "impl": "jax",
+        "reward_config": {"scales": scales},
+    })  # fmt: skip
+
+
+class NermoMjxEnv(MjxEnv):
+    """One world on MJX, to be batched with `jax.vmap`; `reset` and `step` are pure.
+
+    Observations are `state`, for the policy, and `privileged_state`, for a critic. An episode is `done` where the robot
+    failed, or has walked the task's distance; time limits are a matter of Playground's wrappers. What the episode drew
+    and what the controller carries is in `info["world"]`; where a wrapper puts the first `data` back into a world, its
+    episode begins again there. Of `data`, time, state, controls and sensors are those of the world.
+    """
+
+    def __init__(
+        self,
+        config: ConfigDict | None = None,
+        config_overrides: Mapping[str, Any] | None = None,
+        *,
+        setup: Setup | None = None,
+        task: Task | None = None,
+    ) -> None:
+        """
+        Args:
+            config: as `default_config` gives it for this setup and task.
+            config_overrides: of single fields of it, such as `reward_config.scales.work`.
+            setup, task: see `Environment`.
+
+        Raises:
+            ParameterError: a control step that is not a multiple of the controller's, another implementation than
+                `jax`, or a task that does not fit.
+        """
+        setup, task = setup or Setup(), task or Task()
+        super().__init__(default_config(setup, task) if config is None else config, config_overrides)
+        setup, task = _configured(setup, task, self._config)
+        self._ctrl_dt, self._sim_dt = float(self._config.ctrl_dt), float(self._config.sim_dt)
+        self.environment = Environment(setup, engine="mjx", worlds=1, task=task)
+        worlds = self.environment._worlds
+        assert isinstance(worlds, MjxWorlds)
+        self._worlds = worlds
+
+    def reset(self, rng: jax.Array) -> State:
+        """Begin an episode with a key, raw or not."""
+        raw = jax.random.key_data(rng) if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else rng
+        world = self._worlds.begin(raw)
+        return self._state(world, jnp.zeros(()), {})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        """One control step under an action (a,) in [-1, 1]."""
+        world = self._again(state.info["world"], state.data)
+        world = self._worlds.act(world, action)
+        return self._state(world, state.data.time + self._ctrl_dt, state.info)
+
+    def _again(self, world: World, data: mjx.Data) -> World:
+        """The world, or its start if the data have been put back there."""
+        start = self._worlds.engine.start(world.params, data.qpos, data.qvel, data.sensordata)
+        ran = world.carry.loop.loop.tick > 0
+        return world._replace(carry=picked(ran & (data.time == 0.0), start, world.carry))
+
+    def _state(self, world: World, time: jax.Array, info: dict[str, Any]) -> State:
+        seen, carry = self._worlds.seen(world), world.carry
+        data = self._worlds.engine.data.replace(
+            time=time, qpos=carry.physics.qpos, qvel=carry.physics.qvel, act=carry.physics.act,
+            qacc_warmstart=carry.physics.qacc_warmstart, sensordata=carry.sensordata[-1],
+        )  # fmt: skip
+        done = seen.terminated | (seen.status == _ARRIVED)
+        metrics = {f"reward/{name}": value for name, value in seen.terms.items()}
+        metrics |= {f"episode/{name}": value for name, value in seen.episode.items()}
+        return State(
+            data=data, obs={"state": seen.observation, "privileged_state": seen.privileged}, reward=seen.reward,
+            done=done.astype(seen.reward.dtype), metrics=metrics, info={**info, "world": world},
+        )  # fmt: skip
+
+    @property
+    def xml_path(self) -> str:
+        """Empty: the model is put together from robot and scene; see `mj_model`."""
+        return ""
+
+    @property
+    def action_size(self) -> int:
+        """Length of an action."""
+        return self.environment.action_size
+
+    @property
+    def mj_model(self) -> mujoco.MjModel:
+        """The model that is stepped, with what is seen of it."""
+        return self.environment.robot.model
+
+    @property
+    def mjx_model(self) -> mjx.Model:
+        """The model that is stepped."""
+        return self._worlds.engine.model
+
+
+def register(name: str, setup: Setup | None = None, task: Task | None = None) -> None:
+    """Make an environment known to `mujoco_playground.registry` by a name.
+
+    Args:
+        name: free; one that there is already is replaced.
+        setup, task: see `Environment`.
+    """
+
+    def make(config: ConfigDict | None = None, config_overrides: Mapping[str, Any] | None = None) -> NermoMjxEnv:
+        return NermoMjxEnv(config, config_overrides, setup=setup, task=task)
+
+    # Of Playground's suites this is the one that does not first download all of MuJoCo Menagerie.
+    dm_control_suite.register_environment(name, make, lambda: default_config(setup, task))
+
+
+def _configured(setup: Setup, task: Task, config: ConfigDict) -> tuple[Setup, Task]:
+    """Setup and task with what a config says."""
+    if config.impl != "jax":
+        raise ParameterError(f"impl is {config.impl!r}: allowed is 'jax'.")
+    control = setup.make_controller().dt
+    held = config.ctrl_dt / control
+    if round(held) < 1 or abs(held - round(held)) > 1e-6:
+        raise ParameterError(f"ctrl_dt is {config.ctrl_dt:g}: allowed is a multiple of {control:g} s.")
+    if config.sim_dt != setup.timestep:
+        setup = dataclasses.replace(setup, timestep=config.sim_dt)
+    own = {_name(term): term for term in task.rewards}
+    rewards = {own.get(name, name): weight for name, weight in config.reward_config.scales.items()}
+    changed = {"decimation": round(held), "duration": config.episode_length * config.ctrl_dt, "rewards": rewards}
+    return setup, dataclasses.replace(task, **changed)
+
+
+def _name(term: str | Term) -> str:
+    return term.name if isinstance(term, Term) else term
+
+
+for _scene in ("flat", *TERRAINS):
+    register(f"Nermo{_scene.title().replace('_', '')}", Setup(scene=_scene, physics="fast"))
