@@ -29,7 +29,7 @@ STAGES = {
 }  # fmt: skip
 #: What stands in place of it here, under names of its own; `passive` and `rne` do not see each other.
 OURS = {"fwd_position": stages.position, "fwd_velocity": stages.velocity, "forward": differentiable.forward}
-RENAMED = {"fwd_position": "position", "fwd_velocity": "velocity", "fwd_acceleration": "acceleration"}
+RENAMED = {f"fwd_{name}": name for name in ("position", "velocity", "actuation", "acceleration")}
 UNORDERED = {"passive", "rne"}
 
 
