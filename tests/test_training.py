@@ -6,6 +6,10 @@ import dataclasses
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import jax
@@ -18,11 +22,12 @@ from learn_toy import PointMass
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
+from nermo_mjx.learn.mixture import Mixture
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.specs.reading import SpecError
 
 pytestmark = pytest.mark.compiles
-SHIPPED = Path(__file__).parents[1] / "sweeps" / "train_residual.yaml"
+SHIPPED = sorted((Path(__file__).parents[1] / "sweeps").glob("train_*.yaml"))
 #: Two sections of three iterations, and one of a single one, of a point mass.
 SPEC = {
     "worlds": 8, "steps": 8 * 4 * 7, "checkpoint": 8 * 4 * 3, "plots": False,
@@ -107,6 +112,17 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
         ({"algorithm": "dqn"}, "field 'algorithm' is 'dqn': expected ppo or short_horizon"),
         ({"vary": {"frequency": [1.0]}}, "is no field of a training: .* stands under 'randomize'"),
         ({"evaluate": {"scenes": ["moon"]}}, "moon"),
+        ({"evaluate": {"set": {"terrain.height": 0.01}}}, "'evaluate.set.terrain.height' is no parameter of the eval"),
+        ({"scene": "planks", "evaluate": {"set": {"terrain.height": 1}}}, r"is 1: allowed is \[0, 0.05\] m"),
+        ({"scenes": [{"scene": "planks"}]}, "field 'scenes' has 1: expected two or more"),
+        ({"scene": "flat", "scenes": [{"scene": "planks"}]}, "field 'scene' stands beside 'scenes'"),
+        ({"scenes": [{"scene": "planks"}, {"scene": "planks"}]}, "'scenes.1.scene' is 'planks' for a second time"),
+        (
+            {"scenes": [{"scene": "ramp"}, {"scene": "slalom", "set": {"terrain.height": 0.01}}]},
+            "'scenes.1.set' has 'terrain.height', which the scene 'slalom' has not",
+        ),
+        ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "pilot": "open_loop"}]}, "'rough', where a policy observes"),
+        ({"worlds": 1, "scenes": [{"scene": "ramp"}, {"scene": "rough"}]}, "2 scenes need at least one world each"),
     ],
 )
 def test_a_wrong_file_is_refused_in_a_sentence(fields, sentence):
@@ -122,7 +138,7 @@ def test_a_resolved_file_is_the_same_training():
                  "rewards": {"speed": 1.0}, "distance": 1.0}, "algorithm": {"short_horizon": {"hidden": [8]}},
         "set": {"contact.friction": 1.2},
     }  # fmt: skip
-    for training in (Training.from_dict(given), Training.from_file(SHIPPED)):
+    for training in (Training.from_dict(given), *map(Training.from_file, SHIPPED)):
         again = Training.from_text(training.to_yaml())
         assert again == training
         assert again.digest() == training.digest()
@@ -159,6 +175,38 @@ def test_a_policys_file_is_the_policy(policy, tmp_path):
         Setup(controller=str(tmp_path / "none.npz"))
 
 
+@pytest.mark.long
+def test_a_mixture_is_its_parts_side_by_side():
+    """What each would do alone; the critic is told which is which, and zeros of what a part does not know."""
+    tasks = [Task(duration=0.03, randomize={"contact.friction": (1.0, 1.2)}), Task(duration=0.03, randomize={})]
+    parts = [(Setup(physics="fast"), tasks[0]), (Setup(physics="fast", pilot="arc"), tasks[1])]
+    mixture, key = Mixture(parts, worlds=3, threads=2), jax.random.key(5)
+    alone = [Environment(*part[:1], worlds=n, task=part[1]) for part, n in zip(parts, (2, 1), strict=True)]
+    states = [each.reset(jax.random.fold_in(key, i)) for i, each in enumerate(alone)]
+    state, action = mixture.reset(key), np.linspace(-1, 1, 27).reshape(3, 9).astype(np.float32)
+    for _ in range(4):
+        state = mixture.step(state, action)
+        states = [each.step(own, part) for each, own, part in zip(alone, states, (action[:2], action[2:]), strict=True)]
+    for name in ("observation", "reward", "truncated", "final_observation", "status"):
+        together = np.concatenate([np.asarray(getattr(each, name)) for each in states])
+        np.testing.assert_array_equal(getattr(state, name), together)
+    told = dict(zip(mixture.privileged_names, state.privileged.T, strict=True))
+    assert told["part.0"].tolist() == [1, 1, 0]
+    assert told["part.1"].tolist() == [0, 0, 1]
+    assert told["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
+
+
+def test_a_policy_follows_another_path(policy, tmp_path):
+    path = tmp_path / "policy.npz"
+    path.write_bytes(policy[0].content())
+    setup = Setup(controller=str(path), pilot="arc")
+    assert setup.make_controller().setup.pilot == "arc"
+    assert setup.fields()["pilot"] == "arc"
+    assert "pilot" not in Setup(controller=str(path)).fields()
+    with pytest.raises(ParameterError, match="pilot is 'open_loop', which has no path, and the policy observes one"):
+        Setup(controller=str(path), pilot="open_loop")
+
+
 def test_walk_takes_a_policy(policy, tmp_path):
     """In place of the published controller, and says whose walk it is."""
     path = tmp_path / "policy.npz"
@@ -189,3 +237,42 @@ def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
     assert ran.exit_code == 0, ran.output
     assert re.search("16 iterations of 64 control steps, 1,024 in all", ran.stdout)
     assert not out.exists()
+
+
+#: On the robot itself: two scenes, four sections of two iterations.
+ROBOT = """
+scenes: [{scene: planks}, {scene: ramp}]
+physics: fast
+run: {duration: 0.3}
+task: {duration: 0.1}
+algorithm: {ppo: {horizon: 4, hidden: [8]}}
+worlds: 8
+steps: 256
+checkpoint: 64
+evaluate: {bodies: 2}
+plots: false
+"""
+
+
+@pytest.mark.long
+def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
+    """SIGKILL behind the first checkpoint; then the same bits as without, and the same policy's file."""
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(ROBOT)
+
+    def command(out):
+        return [sys.executable, "-m", "nermo_mjx", "train", str(spec), "--out", str(tmp_path / out), "--quiet"]
+
+    subprocess.run(command("whole"), check=True)
+    killed = subprocess.Popen(command("killed"))
+    while not (tmp_path / "killed" / "policy.npz").exists():
+        assert killed.poll() is None, "it ended before it could be killed"
+        time.sleep(0.002)
+    killed.kill()
+    assert killed.wait() == -signal.SIGKILL
+    begun = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
+    assert begun < 8
+    subprocess.run(command("killed"), check=True)
+    np.testing.assert_equal(lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict())
+    whole, again = (load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed"))
+    assert whole.content() == again.content()

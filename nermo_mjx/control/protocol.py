@@ -58,6 +58,14 @@ class FollowsPath(Protocol):
 
 
 @runtime_checkable
+class TakesPilot(Protocol):
+    """A controller that can follow another path than its own."""
+
+    def with_pilot(self, pilot: str, waypoints: tuple[tuple[float, float], ...] | None) -> ControllerLike:
+        """The same controller behind a pilot of the published one; raises `ParameterError` where it does not fit."""
+
+
+@runtime_checkable
 @runtime_checkable
 class PlansContact(Protocol):
     """A controller that knows which feet are to stand (`swing_loaded_rear`)."""

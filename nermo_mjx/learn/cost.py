@@ -8,7 +8,6 @@ import math
 import time
 from typing import Final
 
-from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.learned import RESET
 from nermo_mjx.learn.run import engine_for
 from nermo_mjx.learn.spec import Training
@@ -49,7 +48,7 @@ def cost_of(training: Training, engine: str = "auto") -> Cost:
     name, wall = engine_for(training, engine), math.nan
     steps = training.iterations * training.steps_per_iteration
     said = "its pace is not known before its program is compiled, which takes minutes, once per machine"
-    worlds = Environment(training.setup, engine=name, worlds=training.worlds, task=training.task)
+    worlds = training.environment(name)
     if not worlds.pure:
         iterate = training.algorithm.iteration(worlds)
         learned = training.algorithm.begin(worlds, training.seed)

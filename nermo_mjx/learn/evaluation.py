@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.learn.policy import Policy
 from nermo_mjx.learn.spec import Training
-from nermo_mjx.learn.task import GIVEN
+from nermo_mjx.learn.task import GIVEN, Task, task_parameters
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
@@ -35,20 +34,30 @@ def evaluate(
         One row a walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
         it lasted, and led at least as far as the training's evaluation asks for.
     """
-    drawn, parts = bodies(training), list[tuple[str, str, RunResult]]()
-    scenes = training.evaluation.scenes or (str(training.setup.scene),)
-    cases = [(scene, who) for scene in scenes for who in (POLICY, ALONE)]
-    for i, (scene, who) in enumerate(cases):
-        simulator = Simulator(_setup(training, policy if who == POLICY else None, scene), engine=engine)
-        values = _known(simulator.setup, {**training.task.set, **drawn})
+    cases = [(setup, task, who) for setup, task in training.evaluated() for who in (POLICY, ALONE)]
+    parts: list[_Part] = []
+    for i, (setup, task, who) in enumerate(cases):
+        simulator = Simulator(_setup(setup, policy if who == POLICY else None), engine=engine)
+        drawn = bodies(training, task)
+        values = _known(simulator.setup, {**task.set, **drawn})
         share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
-        parts.append((scene_name(scene), who, simulator.run(values, training.run, progress=share)))
-    return _table(training, drawn, parts)
+        result = simulator.run(values, training.run, progress=share)
+        parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result))
+    return _table(training, parts)
 
 
-def bodies(training: Training) -> dict[str, np.ndarray]:
+class _Part(NamedTuple):
+    """The walks of one scene by one of the two."""
+
+    scene: str
+    who: str
+    drawn: Mapping[str, np.ndarray]
+    result: RunResult
+
+
+def bodies(training: Training, task: Task) -> dict[str, np.ndarray]:
     """Parameters of the unseen bodies and starts (n,): from the ranges, and from the ensemble, that it learned on."""
-    count, task = training.evaluation.bodies, training.task
+    count = training.evaluation.bodies
     random = np.random.default_rng([training.seed, UNSEEN])
     drawn = {name: random.uniform(low, high, count) for name, (low, high) in task.randomize.items()}
     if task.bodies:
@@ -75,12 +84,12 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
     return found
 
 
-def _setup(training: Training, policy: Policy | None, scene: str) -> Setup:
-    setup = dataclasses.replace(training.setup, scene=scene)
+def _setup(setup: Setup, policy: Policy | None) -> Setup:
     if policy is None:
         return setup
     own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "metrics")
-    return Setup(**{name: getattr(setup, name) for name in own}, controller=policy)
+    there = policy.with_pilot(setup.pilot, setup.waypoints)
+    return Setup(**{name: getattr(setup, name) for name in own}, controller=there)
 
 
 def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -89,23 +98,26 @@ def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name in known or name not in GIVEN}
 
 
-def _table(training: Training, drawn: Mapping[str, np.ndarray], parts: list[tuple[str, str, RunResult]]) -> pa.Table:
-    table, n, known = Columns(), training.evaluation.bodies, training.parameters
-    each = range(len(parts))
-    table.add("scene", np.repeat(np.array([scene for scene, _, _ in parts], object), n), "index", "1", "where it walks")
-    who = np.repeat(np.array([name for _, name, _ in parts], object), n)
-    table.add("controller", who, "index", "1", "the policy, or what it acts on alone")
+def _table(training: Training, parts: list[_Part]) -> pa.Table:
+    table, n, metrics = Columns(), training.evaluation.bodies, training.metrics
+    known = {name: about for setup, _ in training.evaluated() for name, about in task_parameters(setup).items()}
+
+    def repeated(values: list[str]) -> np.ndarray:
+        return np.repeat(np.array(values, object), n)
+
+    table.add("scene", repeated([part.scene for part in parts]), "index", "1", "where it walks")
+    table.add("controller", repeated([part.who for part in parts]), "index", "1",
+              "the policy, or what it acts on alone")  # fmt: skip
     table.add("body", np.tile(np.arange(n), len(parts)), "index", "1", "which body and start")
-    for name, values in drawn.items():
-        about = known.get(name) or GIVEN[name]
-        table.add(name, np.tile(values, len(parts)), "randomized", about.unit, about.doc)
-    metrics = training.metrics
+    for name in dict.fromkeys(name for part in parts for name in part.drawn):
+        values = np.concatenate([part.drawn.get(name, np.full(n, np.nan)) for part in parts])
+        table.add(name, values, "randomized", known[name].unit, known[name].doc)
     for name in METRICS:
-        column = np.concatenate([np.asarray(parts[i][2].metrics[name]) for i in each])
+        column = np.concatenate([np.asarray(part.result.metrics[name]) for part in parts])
         table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)
-    status = np.concatenate([np.asarray(parts[i][2].status) for i in each])
-    distance = np.concatenate([np.asarray(parts[i][2].metrics["distance"]) for i in each])
+    status = np.concatenate([np.asarray(part.result.status) for part in parts])
+    distance = np.concatenate([np.asarray(part.result.metrics["distance"]) for part in parts])
     table.add("status", status, "status", "1", "ok, or what became of the walk")
     enough = (status == "ok") & (distance >= training.evaluation.distance)
     table.add("success", enough, "status", "1", "whether it lasted and led far enough")
-    return table.table({"training": training.digest(), "engine": parts[0][2].engine})
+    return table.table({"training": training.digest(), "engine": parts[0].result.engine})

@@ -143,5 +143,6 @@ def _smooth(values: np.ndarray) -> np.ndarray:
 
 
 def _what(training: Training) -> str:
-    setup = training.setup
-    return f"{setup.robot}, scene {scene_name(str(setup.scene))}, seed {training.seed}, {training.worlds:,} worlds"
+    setup, several = training.setup, training.scenes
+    where = f"{len(several)} scenes" if several else f"scene {scene_name(str(setup.scene))}"
+    return f"{setup.robot}, {where}, seed {training.seed}, {training.worlds:,} worlds"

@@ -121,6 +121,12 @@ class Policy:
             fixed | given, about or {},
         )  # fmt: skip
 
+    def with_pilot(self, pilot: str, waypoints: tuple[tuple[float, float], ...] | None) -> Policy:
+        """See `TakesPilot`: what it observes of a path is that of the new one."""
+        if self.observer.path and pilot == "open_loop":
+            raise ParameterError("pilot is 'open_loop', which has no path, and the policy observes one.")
+        return dataclasses.replace(self, base={**self.base, "pilot": pilot, "waypoints": waypoints})
+
     @functools.cached_property
     def setup(self) -> Setup:
         """Whose controller is acted on."""

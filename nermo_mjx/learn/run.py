@@ -20,6 +20,7 @@ from nermo_mjx.learn.evaluation import evaluate, summary_of
 from nermo_mjx.learn.experience import EnvironmentLike, Scores
 from nermo_mjx.learn.history import Curves
 from nermo_mjx.learn.learned import RESET, Learned
+from nermo_mjx.learn.mixture import Mixture
 from nermo_mjx.learn.plots import figures_of
 from nermo_mjx.learn.policy import Policy
 from nermo_mjx.learn.spec import Training
@@ -119,7 +120,7 @@ def run_training(
         _explained(directory) as interruption,
         contextlib.ExitStack() as stack,
     ):
-        worlds = environment or Environment(training.setup, engine=name, worlds=training.worlds, task=training.task)
+        worlds = environment or training.environment(name)
         learned, curves = directory.restore(training.algorithm.begin(worlds, training.seed), accept=accept_new_code)
         begun = len(curves)
         code = directory.take_code(curves, accept=accept_new_code) if begun < training.iterations else ""
@@ -200,17 +201,21 @@ class _Learning:
 
     def policy(self, learned: Learned) -> Policy | None:
         """What was learned, as a controller; None in an environment that is not of a robot."""
-        if not isinstance(self.environment, Environment):
+        if self._robot is None:
             return None
         about = {"trained": {"steps": int(learned.steps), "training": self.directory.training.digest()}}
-        return Policy.of(self.environment, learned, about)
+        return Policy.of(self._robot, learned, about)
 
     @property
     def units(self) -> dict[str, str]:
         """Units of the reward's terms, by name."""
-        if not isinstance(self.environment, Environment):
-            return {}
-        return {term.name: term.unit for term in self.environment.loop.terms}
+        return {} if self._robot is None else {term.name: term.unit for term in self._robot.loop.terms}
+
+    @property
+    def _robot(self) -> Environment | None:
+        """The robot's environment, the first of several."""
+        first = self.environment.parts[0] if isinstance(self.environment, Mixture) else self.environment
+        return first if isinstance(first, Environment) else None
 
     def _tell(self, numbers: Mapping[str, float]) -> None:
         self.interruption.check()

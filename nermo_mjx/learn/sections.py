@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, Field
@@ -15,6 +16,7 @@ from nermo_mjx.learn.rewards import TERMS
 from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.values import Choice, Finite, Numbers, Positive, Whole
+from nermo_mjx.specs.walk import Pilot, SceneField
 
 #: Ways of learning, by the name in files.
 ALGORITHMS: Final[dict[str, Any]] = {"ppo": PPO, "short_horizon": ShortHorizon}
@@ -137,6 +139,16 @@ class EvaluationFields(Fields):
     bodies: Annotated[int, Whole(1, 100_000)] = Field(100, description="unseen bodies and starts, on each scene")
     scenes: list[str] = optional("where it is evaluated, by default where it learned")
     distance: Annotated[float, Field(ge=0)] = Field(0.0, description="way without which a walk is no success [m]")
+    set: dict[str, Finite] = Field({}, description="parameters that are not drawn there, such as terrain.height")
+
+
+class SceneFields(Fields):
+    what: ClassVar = "a field of a scene"
+    example: ClassVar = "scene: planks"
+    scene: SceneField = Field(description="where it walks, as the file's own 'scene'")
+    pilot: Pilot = optional("what steers the robot there, by default the file's own")
+    set: dict[str, Finite] = Field({}, description="parameters with one value there")
+    randomize: dict[str, _Unit] = Field({}, description="what each episode draws there, besides the file's own")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,11 +159,13 @@ class Evaluation:
         bodies: on each scene.
         scenes: by name, or MJCF; empty for the training's own.
         distance: way without which a walk is no success [m].
+        set: parameters that are not drawn, on the scenes that have them.
     """
 
     bodies: int = 100
     scenes: tuple[str, ...] = ()
     distance: float = 0.0
+    set: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
 
 def algorithm_fields(algorithm: Algorithm) -> dict[str, dict[str, Any]]:

@@ -14,23 +14,28 @@ from typing import Annotated, Any, ClassVar, Final
 from pydantic import Field
 
 from nermo_mjx.learn.acting import Acting
+from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.loop import EpisodeLoop
+from nermo_mjx.learn.mixture import Mixture, check_alike, check_worlds
 from nermo_mjx.learn.ppo import PPO
+from nermo_mjx.learn.scenes import SceneTask, read_scenes
 from nermo_mjx.learn.sections import (
     Algorithm,
     AlgorithmFields,
     Evaluation,
     EvaluationFields,
+    SceneFields,
     TaskFields,
     algorithm_fields,
     written_action,
 )
-from nermo_mjx.learn.task import RANDOMIZED, REWARDS, Task
+from nermo_mjx.learn.task import RANDOMIZED, REWARDS, Task, task_parameters
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
 from nermo_mjx.specs.controllers import controller_identity, parameters_of
-from nermo_mjx.specs.fields import Refused, read
-from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.fields import Refused, optional, read
+from nermo_mjx.specs.reading import Document, FieldPath, SpecError, dump, read_file, read_mapping, read_text
 from nermo_mjx.specs.values import Numbers, Whole
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, read_walk
 
@@ -50,6 +55,9 @@ class TrainingFile(WalkFields):
     randomize: dict[str, _Range] = Field(
         {name: list(ends) for name, ends in RANDOMIZED.items()},
         description="what each episode draws: a parameter, and its range [low, high]",
+    )
+    scenes: list[SceneFields] = optional(
+        "instead of 'scene': several, on which one policy learns, the worlds divided among them"
     )
     algorithm: AlgorithmFields = Field(AlgorithmFields(ppo=None), description="how a policy is learned")
     worlds: Annotated[int, Whole(1, 1_000_000)] = Field(256, description="robots that walk side by side")
@@ -77,6 +85,7 @@ class Training(WalkSpec):
     Attributes:
         setup, run, fixed, pilot: see `WalkSpec`; the run is that of the evaluation.
         task: what a policy does, observes, and is rewarded for.
+        scenes: where it learns, if it is on several; then the setup's own scene is none of them.
         algorithm: how it is learned.
         worlds: robots side by side.
         steps: control steps of all worlds together, rounded up to whole iterations.
@@ -87,6 +96,7 @@ class Training(WalkSpec):
     """
 
     task: Task
+    scenes: tuple[SceneTask, ...] = ()
     algorithm: Algorithm = dataclasses.field(default_factory=PPO)
     worlds: int = 256
     steps: int = 2_000_000
@@ -139,8 +149,23 @@ class Training(WalkSpec):
         """The engine that it needs, or `auto`."""
         return "auto" if isinstance(self.algorithm, PPO) else "mjx"
 
-    def check_minibatches(self) -> None:
-        """Refuse minibatches into which an iteration cannot be divided; raises `ParameterError`."""
+    def environment(self, engine: str) -> Environment | Mixture:
+        """The worlds in which it learns, on the engine `c` or `mjx`."""
+        if not self.scenes:
+            return Environment(self.setup, engine=engine, worlds=self.worlds, task=self.task)
+        return Mixture([(each.setup, each.task) for each in self.scenes], engine=engine, worlds=self.worlds)
+
+    def evaluated(self) -> list[tuple[Setup, Task]]:
+        """Setup and task of each scene of the evaluation; what is set there is not drawn."""
+        here = [(each.setup, each.task) for each in self.scenes] or [(self.setup, self.task)]
+        known = {str(setup.scene): (setup, task) for setup, task in here}
+        pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
+                 for scene in self.evaluation.scenes] or here  # fmt: skip
+        return [(setup, _with_values(setup, task, self.evaluation.set)) for setup, task in pairs]
+
+    def check_division(self) -> None:
+        """Refuse scenes and minibatches among which worlds and steps cannot be divided; raises `ParameterError`."""
+        check_worlds(self.worlds, len(self.scenes))
         parts, size = self.algorithm.minibatches, self.steps_per_iteration
         if size % parts:
             raise ParameterError(f"algorithm has {parts} minibatches, and an iteration is {self.worlds} worlds of "
@@ -165,10 +190,14 @@ class Training(WalkSpec):
         data["task"] |= {name: getattr(task, name) for name in ("distance", "corridor")
                          if getattr(task, name) is not None}  # fmt: skip
         data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in task.randomize.items()}
+        if self.scenes:
+            data["scenes"] = [dict(each.written) for each in self.scenes]
+            del data["scene"]
         data["algorithm"] = algorithm_fields(self.algorithm)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
         evaluation: dict[str, Any] = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
         evaluation |= {"scenes": list(self.evaluation.scenes)} if self.evaluation.scenes else {}
+        evaluation |= {"set": dict(self.evaluation.set)} if self.evaluation.set else {}
         return data | {"evaluate": evaluation, "plots": self.plots}
 
     def to_yaml(self, folder: Path | None = None) -> str:
@@ -192,7 +221,7 @@ class Training(WalkSpec):
 def changed(training: Training, **values: Any) -> Training:
     """The training with other steps, worlds, seed or plots; raises `SpecError`."""
     other = dataclasses.replace(training, **values)
-    other.check_minibatches()
+    other.check_division()
     return other
 
 
@@ -210,14 +239,47 @@ def _read(doc: Document) -> Training:
     task = _said(doc, ("task",), lambda: _task(file, fixed))
     _said(doc, (), lambda: task.check(setup))
     _said(doc, ("task",), lambda: _try_out(setup, task))
+    if file.scenes and "scene" in doc.data:
+        doc.fail(("scene",), "stands beside 'scenes': leave one of them out.")
+    scenes = _said(doc, ("scenes",), lambda: read_scenes(doc, file.scenes or (), setup, task))
+    if file.scenes is not None and len(scenes) < 2:
+        doc.fail(("scenes",), f"has {len(scenes)}: expected two or more; one alone is 'scene'.")
+    loops = {}
+    for i, each in enumerate(scenes):
+        _said(doc, ("scenes", i), lambda each=each: each.task.check(each.setup))
+        loops[str(each.setup.scene)] = _said(doc, ("scenes", i), lambda each=each: _try_out(each.setup, each.task))
+    if scenes:
+        _said(doc, (), lambda: check_alike(loops))
     for scene in file.evaluate.scenes or ():
         _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
-    evaluation = Evaluation(file.evaluate.bodies, tuple(file.evaluate.scenes or ()), file.evaluate.distance)
+    evaluation = Evaluation(file.evaluate.bodies, tuple(file.evaluate.scenes or ()), file.evaluate.distance,
+                            file.evaluate.set)  # fmt: skip
     names = ("worlds", "steps", "checkpoint", "seed", "plots")
-    training = Training(**walk, task=task, algorithm=algorithm, evaluation=evaluation,
+    training = Training(**walk, task=task, scenes=scenes, algorithm=algorithm, evaluation=evaluation,
                         **{name: getattr(file, name) for name in names})  # fmt: skip
-    _said(doc, (), training.check_minibatches)
+    _said(doc, (), training.check_division)
+    _check_evaluation(doc, training)
     return training
+
+
+def _check_evaluation(doc: Document, training: Training) -> None:
+    """Refuse values that none of the evaluation's scenes has, or that are out of range."""
+    for name, value in training.evaluation.set.items():
+        setups = [setup for setup, task in training.evaluated() if name in task.set]
+        if not setups:
+            doc.fail(("evaluate", "set", name), "is no parameter of the evaluation's scenes: leave it out.")
+        about = task_parameters(setups[0])[name]
+        _said(doc, ("evaluate",), functools.partial(about.check, f"set.{name}", value))
+
+
+def _with_values(setup: Setup, task: Task, values: Mapping[str, float]) -> Task:
+    """The task with these values where the setup has them, and without draws of a terrain that it has not."""
+    shape, known = terrain_values(str(setup.scene)), task_parameters(setup)
+    there = {name: value for name, value in values.items()
+             if (name in shape if name.startswith("terrain.") else name in known)}  # fmt: skip
+    drawn = {name: ends for name, ends in task.randomize.items()
+             if name not in there and (name in shape or not name.startswith("terrain."))}  # fmt: skip
+    return dataclasses.replace(task, set={**task.set, **there}, randomize=drawn)
 
 
 def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
@@ -231,12 +293,12 @@ def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
     )  # fmt: skip
 
 
-def _try_out(setup: Setup, task: Task) -> None:
+def _try_out(setup: Setup, task: Task) -> EpisodeLoop:
     """What fails here would fail when the environment is made."""
-    EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
+    return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
 
 
-def _said(doc: Document, path: tuple[str, ...], make: Any) -> Any:
+def _said(doc: Document, path: FieldPath, make: Any) -> Any:
     """What `make` makes; what it refuses is said of the field that it names."""
     try:
         return make()
@@ -246,4 +308,4 @@ def _said(doc: Document, path: tuple[str, ...], make: Any) -> Any:
         field, _, message = str(error).partition(" ")
         known = [(*path, *field.split(".", 1)), (*path, field), path]
         at = next((each for each in known if each in doc.lines), path)
-        doc.fail(at, message, ".".join((*path, field)))
+        doc.fail(at, message, ".".join(map(str, (*path, field))))

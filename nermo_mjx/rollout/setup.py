@@ -16,7 +16,7 @@ from nermo_mjx.control.fusion import SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.pilot import Command
-from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike
+from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
@@ -65,7 +65,8 @@ class Setup:
             of each limb.
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
             `FILE.npz`, a policy. What is chosen above from `gait` on is the published controller's, and goes with no
-            other; with a `Controller` of other parts go gait, steering and profile.
+            other; with a `Controller` of other parts go gait, steering and profile. A policy has a pilot of its own;
+            another one than `straight` takes its place.
         metrics: metrics of one's own beside `METRICS`: made by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
             `MODULE` or `MODULE:NAME`; one, or several in a list.
 
@@ -149,7 +150,10 @@ class Setup:
     def _without_robot(self) -> ControllerLike:
         """The controller, but for the spine's balance. A file is read once: a setup stays what it is if it changes."""
         if self.controller is not None:
-            return load_controller(self.controller) if isinstance(self.controller, str) else self.controller
+            own = load_controller(self.controller) if isinstance(self.controller, str) else self.controller
+            if isinstance(own, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
+                return own.with_pilot(self.pilot, self.waypoints)
+            return own
         return published_controller(
             tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot, waypoints=self.waypoints,
             command=self.command, trajectory=self.trajectory, routing=self.routing,
@@ -173,6 +177,8 @@ class Setup:
         """Whether a choice means something to the controller."""
         if self.controller is None or name not in PUBLISHED:
             return True
+        if isinstance(self._without_robot, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
+            return name == "pilot" or (name == "waypoints" and self.pilot == name)
         return isinstance(self._without_robot, Controller) and name in ("gait", "steering", "profile")
 
     def _check_own(self, controller: ControllerLike) -> None:

@@ -54,14 +54,19 @@ def _kept(given: Any) -> Any:
         raise Refused(str(error).removeprefix("scene ")) from None
 
 
+SceneField = Annotated[
+    str, BeforeValidator(_kept),
+    Field(json_schema_extra={"anyOf": [{"enum": [*scenes()]}, {"pattern": r"\.xml$|^\s*<"}]}),
+]  # fmt: skip
+
+
 class SetupFields(Fields):
     """The static choices; `Setup` says which names there are, and their defaults."""
 
     robot: str = chosen(Setup.robot, ROBOTS, "which robot")
-    scene: Annotated[str, BeforeValidator(_kept)] = Field(
+    scene: SceneField = Field(
         str(Setup.scene),
         description="where it walks: a scene of mjcf/scenes, or one's own, as the path of an MJCF file or MJCF itself",
-        json_schema_extra={"anyOf": [{"enum": [*scenes()]}, {"pattern": r"\.xml$|^\s*<"}]},
     )
     tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
     routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
@@ -214,7 +219,7 @@ class WalkSpec:
         data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
         data |= {"controller": written_controller(self.setup, folder)} if own else {}
         data["timestep"] = float(self.setup.timestep)
-        if not own or self.pilot:
+        if not own or self.pilot or self.setup.pilot != Setup.pilot:
             data["pilot"] = {self.setup.pilot: dict(self.pilot)} if self.pilot else self.setup.pilot
         names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
         data["run"] = {name: float(getattr(self.run, name)) for name in names}
@@ -285,9 +290,8 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     given = doc.data.get("pilot", Setup.pilot)
     pilot, options = fields.pilot.chosen
     choices = {name: getattr(fields, name) for name in SETUP_FIELDS if name in doc.data} | {"pilot": pilot}
-    beside = Path(doc.source).parent / str(choices.get("scene", ""))
-    if beside.suffix == ".xml" and os.path.isfile(beside):
-        choices["scene"] = str(beside)
+    if "scene" in choices:
+        choices["scene"] = scene_beside(doc, choices["scene"])
     if pilot == "waypoints":
         choices["waypoints"] = tuple(map(tuple, options.points))
     if fields.controller is not None:
@@ -297,13 +301,23 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
         setup = Setup(**choices)
     except ParameterError as error:
         _refuse_setup(doc, choices, str(error))
-    # In the order of the file: what a directory holds is known by it.
-    values = {key: getattr(options, key) for key in given[pilot] or ()} if isinstance(given, dict) else {}
-    values |= {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
+    values = pilot_options(given, pilot, options)
     parameters = all_parameters(setup)
     for name, value in fields.set.items():
         check_value(doc, ("set", name), name, parameters[name], value)
     return {"setup": setup, "run": _read_run(doc, fields.run, values), "fixed": fields.set, "pilot": values}
+
+
+def scene_beside(doc: Document, scene: str) -> str:
+    """The scene, or the file of one's own of that name beside the document."""
+    beside = Path(doc.source).parent / scene
+    return str(beside) if beside.suffix == ".xml" and os.path.isfile(beside) else scene
+
+
+def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
+    """The options of a pilot, in the order of the file: what a directory holds is known by it."""
+    values = {key: getattr(options, key) for key in given[pilot] or ()} if isinstance(given, dict) else {}
+    return values | {key: _SIDES[side] for key, side in values.items() if isinstance(side, str)}
 
 
 def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> NoReturn:

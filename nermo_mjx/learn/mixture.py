@@ -1,0 +1,143 @@
+"""Several environments as one: a policy that learns in all of them at once, in one batch of worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.learn.environment import Environment, State
+from nermo_mjx.learn.loop import EpisodeLoop
+from nermo_mjx.learn.task import Task
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.rollout.setup import Setup
+from nermo_mjx.runtime import thread_count
+
+
+class Mixture:
+    """Worlds of several setups side by side, in the form of one `Environment`; `State.engine` is the parts' states.
+
+    Every part has the same observation and the same action. What a critic is told differs: it is told all that any part
+    tells, zeros where a part does not, and which part it is.
+
+    >>> parts = [(Setup(), Task(duration=1.0)), (Setup(pilot="arc"), Task(duration=1.0))]
+    >>> [part.worlds for part in Mixture(parts, worlds=5).parts]
+    [3, 2]
+
+    Attributes:
+        parts: the environments; the worlds of the first come first.
+    """
+
+    def __init__(
+        self, parts: Sequence[tuple[Setup, Task]], *, engine: str = "c", worlds: int = 256, threads: int | None = None
+    ) -> None:
+        """
+        Args:
+            parts: what is chosen by name, and the task, of each environment.
+            engine: `c`, `mjx`, or `auto`.
+            worlds: of all parts together, divided evenly.
+            threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
+
+        Raises:
+            ParameterError: fewer worlds than parts, or parts with different observations, actions or step lengths; and
+                what `Environment` refuses.
+        """
+        check_worlds(worlds, len(parts))
+        counts = [len(each) for each in np.array_split(np.arange(worlds), len(parts))]
+        # The parts take turns on the processors: a part alone may have too few worlds for all of them.
+        self.parts = tuple(
+            Environment(setup, engine=engine, worlds=count, task=task, threads=1)
+            for (setup, task), count in zip(parts, counts, strict=True)
+        )
+        check_alike({str(part.setup.scene): part.loop for part in self.parts})
+        self.worlds = worlds
+        self._spans = np.split(np.arange(worlds), np.cumsum(counts)[:-1])
+        told = dict.fromkeys(name for part in self.parts for name in part.privileged_names)
+        self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
+        self._columns = [np.array([self.privileged_names.index(name) for name in part.privileged_names])
+                         for part in self.parts]  # fmt: skip
+        self._pool = ThreadPoolExecutor(thread_count(threads), thread_name_prefix="nermo_mjx")
+
+    @property
+    def pure(self) -> bool:
+        """Whether `reset` and `step` are pure functions, which can be traced."""
+        return self.parts[0].pure
+
+    @property
+    def observation_size(self) -> int:
+        """Length of an observation."""
+        return self.parts[0].observation_size
+
+    @property
+    def privileged_size(self) -> int:
+        """Length of what a critic is told."""
+        return len(self.privileged_names)
+
+    @property
+    def action_size(self) -> int:
+        """Length of an action."""
+        return self.parts[0].action_size
+
+    @property
+    def step_seconds(self) -> float:
+        """Simulated seconds of a control step."""
+        return self.parts[0].step_seconds
+
+    def reset(self, key: Any) -> State:
+        """Begin an episode in every world; each part draws from a key of its own."""
+        key = jax.random.key(key) if isinstance(key, int) else key
+        keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
+        return self._joined([part.reset(each) for part, each in zip(self.parts, keys, strict=True)])
+
+    def step(self, state: State, action: Any) -> State:
+        """One control step of all worlds; see `Environment.step`."""
+        actions = [action[span[0] : span[-1] + 1] for span in self._spans]
+        calls = zip(self.parts, state.engine, actions, strict=True)
+        if self.pure:
+            return self._joined([part.step(each, own) for part, each, own in calls])
+        return self._joined(list(self._pool.map(lambda call: call[0].step(*call[1:]), calls)))
+
+    def _joined(self, states: list[State]) -> State:
+        numbers = jnp if self.pure else np
+        fields = {name: [getattr(state, name) for state in states] for name in State._fields if name != "engine"}
+        for name in ("privileged", "final_privileged"):
+            fields[name] = [self._told(i, each) for i, each in enumerate(fields[name])]
+        joined = {name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each)
+                  for name, each in fields.items()}  # fmt: skip
+        return State(**joined, engine=tuple(states))
+
+    def _told(self, i: int, own: Any) -> Any:
+        """What part i tells a critic, in the columns of all parts."""
+        which = len(self.privileged_names) - len(self.parts) + i
+        if not self.pure:
+            told = np.zeros((len(own), self.privileged_size), np.float32)
+            told[:, self._columns[i]], told[:, which] = own, 1.0
+            return told
+        zeros = jnp.zeros((len(own), self.privileged_size), jnp.float32)
+        return zeros.at[:, self._columns[i]].set(own).at[:, which].set(1.0)
+
+
+def check_worlds(worlds: int, parts: int) -> None:
+    """Raise `ParameterError` where a part would have no world."""
+    if worlds < parts:
+        raise ParameterError(f"worlds is {worlds}: {parts} scenes need at least one world each.")
+
+
+def check_alike(loops: Mapping[str, EpisodeLoop]) -> None:
+    """Raise `ParameterError` where one policy cannot learn in all of these loops, by the names of their scenes."""
+    (name, first), *others = loops.items()
+    for other, loop in others:
+        names = set(loop.observation_names) ^ set(first.observation_names)
+        same = (loop.observer, loop.controller.kind, loop.dt * loop.task.decimation) == (
+            first.observer, first.controller.kind, first.dt * first.task.decimation
+        )  # fmt: skip
+        if not same:
+            differs = f" ({', '.join(sorted(names))})" if names else ""
+            raise ParameterError(
+                f"scenes has {other!r}, where a policy observes or does something else than on {name!r}{differs}: one "
+                "policy needs the same on all."
+            )

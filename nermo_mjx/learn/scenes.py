@@ -1,0 +1,69 @@
+"""Several scenes in one training: each has its own pilot, values and draws, and some of the worlds."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nermo_mjx.learn.sections import SceneFields
+from nermo_mjx.learn.task import Task
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Setup
+from nermo_mjx.specs.reading import Document
+from nermo_mjx.specs.walk import pilot_options, scene_beside
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneTask:
+    """A scene in which a policy learns.
+
+    Attributes:
+        setup: what is chosen by name there.
+        task: what the policy does there.
+        written: as it stands in a training file.
+    """
+
+    setup: Setup
+    task: Task
+    written: Mapping[str, Any]
+
+
+def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task) -> tuple[SceneTask, ...]:
+    """The scenes of a training file.
+
+    Args:
+        doc: the file.
+        fields: its section `scenes`.
+        setup, task: what all scenes have in common.
+
+    Raises:
+        SpecError: a choice that is refused there, or a scene that stands there twice.
+        ParameterError: a value that is refused there.
+    """
+    found: list[SceneTask] = []
+    for i, each in enumerate(fields):
+        at = ("scenes", i)
+        if each.scene in [other.written["scene"] for other in found]:
+            doc.fail((*at, "scene"), f"is {each.scene!r} for a second time: leave one out.")
+        choices: dict[str, Any] = {"scene": scene_beside(doc, each.scene)}
+        values, written = dict(each.set), dict[str, Any](scene=each.scene)
+        if each.pilot is not None:
+            pilot, options = each.pilot.chosen
+            given = pilot_options(doc.data["scenes"][i]["pilot"], pilot, options)
+            if "distance" in given:
+                doc.fail((*at, "pilot", pilot, "distance"), "has no effect on a scene of several: leave it out.")
+            points = tuple(map(tuple, options.points)) if pilot == "waypoints" else None
+            choices |= {"pilot": pilot, "waypoints": points}
+            values |= {f"pilot.{key}": value for key, value in given.items() if key != "points"}
+            written["pilot"] = {pilot: given} if given else pilot
+        try:
+            there = dataclasses.replace(setup, **choices)
+        except ParameterError as error:
+            doc.fail(at, f"is refused: {error}")
+        drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
+        drawn |= {name: (low, high) for name, (low, high) in each.randomize.items()}
+        own = dataclasses.replace(task, set={**task.set, **values}, randomize=drawn)
+        written |= {name: dict(section) for name in ("set", "randomize") if (section := getattr(each, name))}
+        found.append(SceneTask(there, own, written))
+    return tuple(found)
