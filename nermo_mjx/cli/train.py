@@ -22,7 +22,6 @@ Examples:
   nermo-mjx train sweeps/train_residual.yaml --out runs/walker
   nermo-mjx train sweeps/train_residual.yaml --out runs/walker --dry-run
   nermo-mjx train sweeps/train_residual.yaml --seed 1 --out runs/walker-1
-  nermo-mjx walk --controller runs/walker/policy.npz --video walker.mp4
 """
 
 
