@@ -226,8 +226,8 @@ def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path
         result = status(tmp_path / name)
         assert result.exit_code == 2
         assert sentence in result.stderr
-    (tmp_path / "run.json").write_text('{"kind": "training"}')
-    assert "holds a training, which this version of nermo-mjx does not know" in status(tmp_path).stderr
+    (tmp_path / "run.json").write_text('{"kind": "census"}')
+    assert "holds a census, which this version of nermo-mjx does not know" in status(tmp_path).stderr
     (tmp_path / "run.json").write_text('{"kind": ')
     result = status(tmp_path)
     assert result.exit_code == 1

@@ -202,7 +202,8 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
         display = tune_command._Display(stages, tuning)
         run_tuning(tuning, tmp_path, progress=display.report, drawing=stages.share)
     lines = stream.getvalue().splitlines()
-    assert len(lines) == 8
+    assert len(lines) == 9
+    assert lines[-1].startswith("engine c: ")  # what was found is walked again
     assert lines[0] == "tune: 0%, 0 of 7 evaluations"
     assert re.fullmatch(
         r"tune: 29%, 2 of 7 evaluations, [\d.]+ evaluations/s, \d+ s left, "
