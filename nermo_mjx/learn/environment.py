@@ -144,4 +144,6 @@ def _raw_key(key: Any) -> Any:
     if isinstance(key, (int, np.integer)):
         return jax.random.key_data(jax.random.key(int(key)))
     array = jnp.asarray(key)
-    return jax.random.key_data(array) if jnp.issubdtype(array.dtype, jax.dtypes.prng_key) else array
+    if jnp.issubdtype(array.dtype, jax.dtypes.prng_key):
+        return jax.random.key_data(array)
+    return array if array.ndim else jax.random.key_data(jax.random.key(array))  # a traced whole number
