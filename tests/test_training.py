@@ -6,6 +6,10 @@ import dataclasses
 import json
 import re
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import jax
@@ -233,3 +237,42 @@ def test_a_dry_run_says_what_it_would_take_and_writes_nothing(tmp_path):
     assert ran.exit_code == 0, ran.output
     assert re.search("16 iterations of 64 control steps, 1,024 in all", ran.stdout)
     assert not out.exists()
+
+
+#: On the robot itself: two scenes, four sections of two iterations.
+ROBOT = """
+scenes: [{scene: planks}, {scene: ramp}]
+physics: fast
+run: {duration: 0.3}
+task: {duration: 0.1}
+algorithm: {ppo: {horizon: 4, hidden: [8]}}
+worlds: 8
+steps: 256
+checkpoint: 64
+evaluate: {bodies: 2}
+plots: false
+"""
+
+
+@pytest.mark.long
+def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
+    """SIGKILL behind the first checkpoint; then the same bits as without, and the same policy's file."""
+    spec = tmp_path / "spec.yaml"
+    spec.write_text(ROBOT)
+
+    def command(out):
+        return [sys.executable, "-m", "nermo_mjx", "train", str(spec), "--out", str(tmp_path / out), "--quiet"]
+
+    subprocess.run(command("whole"), check=True)
+    killed = subprocess.Popen(command("killed"))
+    while not (tmp_path / "killed" / "policy.npz").exists():
+        assert killed.poll() is None, "it ended before it could be killed"
+        time.sleep(0.002)
+    killed.kill()
+    assert killed.wait() == -signal.SIGKILL
+    begun = pq.read_table(tmp_path / "killed" / "history.parquet").num_rows
+    assert begun < 8
+    subprocess.run(command("killed"), check=True)
+    np.testing.assert_equal(lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict())
+    whole, again = (load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed"))
+    assert whole.content() == again.content()
