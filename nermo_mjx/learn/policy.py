@@ -171,7 +171,7 @@ class Policy:
         return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
 
     def act(self, observation: Array) -> Array:
-        """The action (*batch, a) at observations (*batch, o)."""
+        """The action (..., a) at observations (..., o)."""
         seen = self.statistics.normalized(jnp.asarray(observation, jnp.float32))
         return jnp.clip(self.actor.mean(seen), -1.0, 1.0)
 
