@@ -233,7 +233,7 @@ def test_the_derivatives_of_the_feet_are_those_of_finite_differences():
 def _start(controller):
     def run(params, phase):
         start = controller.init(params, sensors_at(), phase)
-        return start, controller.initial_servo(params, phase), controller.servo_angles(start)
+        return start, controller.initial_servo(params, phase), controller.servo_angles(params, start)
 
     return jax.jit(run)
 

@@ -159,7 +159,10 @@ def test_an_atlas_shows_its_cells_where_its_measures_are(tab: Any, tmp_path: Pat
         assert top + height == pytest.approx(frame["top"] + frame["height"] - up * frame["height"] / 4, abs=0.1)
     tab.evaluate(f"explorer.choose(explorer.table.placeOf.get({values['row'][0]}))")
     commands = tab.evaluate("[...document.querySelectorAll('#row code')].map((code) => code.textContent)")
-    assert commands == [f"nermo-mjx walk --gait lat --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"]
+    again, walk = commands
+    assert again.startswith("nermo-mjx replay ")
+    assert again.endswith(f" --row {values['row'][0]}")
+    assert walk == f"nermo-mjx walk --gait lat --cycles 8 --warmup 2 --set frequency={values['frequency'][0]}"
 
 
 # --- pointer and keys

@@ -178,7 +178,7 @@ class Nested:
         ({"controller": Controller(), "spine": "balance"}, "spine is 'balance' beside a controller of one's own"),
         ({"controller": Still(dt=0.007)}, "timestep is 0.002: allowed is the control period 0.007 s divided by"),
         ({"controller": Still(parameters=Nested())}, "controller has a parameter 'start.x', which is one of the robot"),
-        ({"controller": "bound"}, "controller is 'bound': expected FILE.py:NAME or MODULE:NAME"),
+        ({"controller": "bound"}, "controller is 'bound': expected FILE.py:NAME, MODULE:NAME or FILE.npz"),
         ({"controller": "nowhere.py:Bound"}, r"nowhere.py cannot be read \(No such file or directory\)"),
         ({"controller": "no_such_module:Bound"}, "there is no module 'no_such_module' here"),
         ({"controller": f"{EXAMPLES / 'bound.py'}:Bond"}, "has no 'Bond'; did you mean 'Bound'?"),

@@ -147,7 +147,7 @@ class Setup:
         return dataclasses.replace(self._without_robot, spine=SpineModes(self.spine, self.load().mass_model))
 
     @functools.cached_property
-    def _without_robot(self) -> ControllerLike:
+    def _without_robot(self) -> Any:
         """The controller, but for the spine's balance. A file is read once: a setup stays what it is if it changes."""
         if self.controller is not None:
             own = load_controller(self.controller) if isinstance(self.controller, str) else self.controller

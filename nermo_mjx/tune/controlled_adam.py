@@ -47,6 +47,7 @@ def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs
     Args:
         rate: the first one, in coordinates u a step.
 
+    >>> import jax
     >>> bowl = lambda u: jnp.sum((u - jnp.array([1.0, 3.0])) ** 2 * jnp.array([1.0, 20.0]))
     >>> optimizer, u = controlled_adam(), jnp.zeros(2)
     >>> state = optimizer.init(u)

@@ -176,7 +176,13 @@ def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
 
 def _batch(cases: Sequence[Lift], starts: Sequence[Nudge], spine: Spine, servo_speed: np.ndarray) -> BalanceParameters:
     """Parameters of all worlds, every leaf with a leading axis, in JAX's default precision."""
-    spines = [jax.tree.map(lambda leaf, i=i: np.broadcast_to(leaf, len(cases))[i], spine) for i in range(len(cases))]
+    values, harmonics = dataclasses.replace(spine, harmonics=0.0), np.asarray(spine.harmonics)
+    spines = [
+        dataclasses.replace(
+            jax.tree.map(lambda leaf, i=i: np.broadcast_to(leaf, len(cases))[i], values), harmonics=harmonics
+        )
+        for i in range(len(cases))
+    ]
     worlds = [
         BalanceParameters(np.eye(4)[case.limb], float(case.sbc), case.clock_ratio, each, start.servo, float(speed))
         for case, start, each, speed in zip(cases, starts, spines, servo_speed, strict=True)
