@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from nermo_mjx.kinematics import leg as kin
-from nermo_mjx.kinematics.tendon import arm_range, knee_range, pull
+from nermo_mjx.kinematics.tendon import arm_range, knee_range
+from nermo_mjx.robot.leg_plane import pull
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
 

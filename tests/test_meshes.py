@@ -11,13 +11,14 @@ import pytest
 from mujoco import mjx
 
 from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
-from nermo_mjx.robot.files import load_file, mjcf_directory
-from nermo_mjx.robot.meshes import tail, torso
+from nermo_mjx.robot.files import mjcf_directory
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.catalogue import mesh_texts
 from nermo_mjx.robot.meshes.leg import leg_shapes, lower, upper
 from nermo_mjx.robot.meshes.numbers import MM, TENDON
 from nermo_mjx.robot.meshes.obj import read_obj
 from nermo_mjx.robot.parameters import FRONT_LEG
+from nermo_mjx.robot.placing import load_part
 
 FILES = sorted((mjcf_directory() / "meshes").glob("*.obj"))
 VIEWS = ("track_side", "track_top", "track_three_quarter")
@@ -105,15 +106,15 @@ def test_the_tendon_lies_in_the_pulleys_groove():
         assert MM * model.tendon_width[model.tendon(f"{limb}_tendon").id] == pytest.approx(TENDON)
 
 
-def test_numbers_that_meshes_share_with_the_mjcf_are_the_same():
-    """The neck's place in torso.xml; the spacing of joints and eyelets in tail.xml."""
-    np.testing.assert_allclose(np.multiply(MM, load_file("torso").frame("neck_mount").pos), torso.NECK, atol=1e-9)
-    chain = load_file("tail")
-    assert MM * chain.body("segment_2").pos[1] == pytest.approx(tail.SPACING)
-    assert MM * chain.site("left_0").pos[0] == pytest.approx(tail.BESIDE)
-    for i in range(1, 20):
-        scale = chain.mesh(f"segment_{i}").scale
-        assert scale[0] * tail.BESIDE == pytest.approx(chain.site(f"left_{i}").pos[0], abs=1e-4)
+def test_each_bead_of_the_tail_is_as_wide_as_its_eyelets_and_reaches_to_the_next():
+    """Bead by bead: the mesh spans from the joint to the next one, and its eyelets lie where the tendons run."""
+    chain = load_part("tail", Geometry())
+    for i in range(1, 19):
+        mesh = chain.mesh(f"segment_{i}")
+        x, y, _ = (np.reshape(mesh.uservert, (-1, 3)) * mesh.scale).T
+        place = chain.body(f"segment_{i + 1}").pos
+        assert y.max() == pytest.approx(np.hypot(*place[1:]) - 0.0004, abs=1e-4)
+        assert x.max() - mesh.scale[0] == pytest.approx(chain.site(f"left_{i}").pos[0], abs=1e-4)
 
 
 def test_the_spines_tendons_pass_the_vertebrae_at_their_eyelets():
@@ -216,10 +217,10 @@ def test_one_file_holds_the_meshes(tail, tmp_path, monkeypatch):
     assert mjx.put_model(again).nmesh == again.nmesh
 
 
-@pytest.mark.parametrize("part", ["front_leg", "rear_leg", "head", "torso", "spine"])
+@pytest.mark.parametrize("part", ["front_leg", "rear_leg", "head", "torso", "spine", "tail"])
 def test_a_part_opens_alone(part):
-    """Each file loads in plain MuJoCo, from where it lies."""
-    assert mujoco.MjModel.from_xml_path(str(mjcf_directory() / f"{part}.xml")).nmesh > 0
+    """Each part compiles by itself, once its numbers are in their places."""
+    assert load_part(part, Geometry()).compile().nmesh > 0
 
 
 # --- cameras

@@ -14,7 +14,6 @@ import pytest
 
 from nermo_mjx.kinematics import body, leg, spine
 from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
-from nermo_mjx.robot.assembly import STANCE_HEIGHT
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.masses import PARTS, part_of
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
@@ -356,7 +355,7 @@ def test_zero_pose_stands_on_the_front_feet():
     """With a level torso, Table A.7 puts the front soles on the mat within 0.2 mm, the rear ones 2.1 mm above it."""
     model = load_robot().model
     data = at_rest(model)
-    assert data.body("torso").xpos[2] == pytest.approx(STANCE_HEIGHT)
+    assert data.body("torso").xpos[2] == pytest.approx(0.0794)
     clearance = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
     # From Tables A.5 and A.7: (hip - shoulder) - (rear - front leg) = 7.1 mm - 5.0 mm.
     np.testing.assert_allclose(clearance, [0.0, 0.0, 0.0021, 0.0021], atol=2e-4)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nermo_mjx.robot.nearest import nearest
-from nermo_mjx.robot.parameters import GAIT_PATTERNS, LIMBS
+from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_PATTERNS, LIMBS, REAR_LEG
 from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
 
 #: Pairs of limbs, then limbs: a number of a pair holds for its two limbs alike, and that of a limb comes on top.
@@ -56,10 +56,16 @@ class Gait:
 class Stance:
     """Where the feet stand and how they lift, in the leg's frame (Table A.7)."""
 
-    front_y: Any = quantity(-0.005, unit="m", low=-0.03, high=0.03, doc="neutral foot behind the shoulder axis")
-    front_z: Any = quantity(-0.045, unit="m", low=-0.062, high=-0.025, doc="neutral front foot height")
-    rear_y: Any = quantity(0.0, unit="m", low=-0.03, high=0.03, doc="neutral foot behind the hip axis")
-    rear_z: Any = quantity(-0.050, unit="m", low=-0.072, high=-0.030, doc="neutral rear foot height")
+    front_y: Any = quantity(
+        FRONT_LEG.neutral_foot[0], unit="m", low=-0.03, high=0.03, doc="neutral foot behind the shoulder axis"
+    )
+    front_z: Any = quantity(
+        FRONT_LEG.neutral_foot[1], unit="m", low=-0.062, high=-0.025, doc="neutral front foot height"
+    )
+    rear_y: Any = quantity(
+        REAR_LEG.neutral_foot[0], unit="m", low=-0.03, high=0.03, doc="neutral foot behind the hip axis"
+    )
+    rear_z: Any = quantity(REAR_LEG.neutral_foot[1], unit="m", low=-0.072, high=-0.030, doc="neutral rear foot height")
     swing_amplitude: Any = quantity(0.010, unit="m", low=0.0, high=0.03, doc="foot lift at mid-swing")
     stance_amplitude: Any = quantity(0.005, unit="m", low=0.0, high=0.02, doc="foot push-down at mid-stance")
     max_stride: Any = quantity(0.060, unit="m", low=0.0, high=0.08, doc="stride length at stride = 1")

@@ -25,8 +25,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from nermo_mjx.kinematics.root import bracketed_root
-from nermo_mjx.kinematics.tendon import arm_range, check_routing, knee_range, pull, shank
+from nermo_mjx.kinematics.tendon import arm_range, knee_range
 from nermo_mjx.robot.interface import SERVOS, servo_range
+from nermo_mjx.robot.leg_plane import check_routing, pull, shank
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, LegGeometry
 from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 

@@ -1,10 +1,8 @@
 """The three ways to lead the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
 
 All three obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
-depends on hip and knee angle alone; the servo angle is then (pull - l_t0) / (k r_p).
-
-Lengths are worked out in a frame whose y is multiplied by the knee direction s: in it every knee bends towards +y, the
-tendon leaves the pulley on the +y side, and front and rear leg are one.
+depends on hip and knee angle alone (`robot.leg_plane`); the servo angle is then (pull - l_t0) / (k r_p). As there,
+lengths are worked out in a frame whose y is multiplied by the knee direction s.
 """
 
 from __future__ import annotations
@@ -15,48 +13,14 @@ from typing import TYPE_CHECKING, Final
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from nermo_mjx.robot.parameters import ROUTINGS
-from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.shapes import Array, Scalars
+from nermo_mjx.robot.leg_plane import TINY, check_routing, shank
+from nermo_mjx.shapes import Array
 
 if TYPE_CHECKING:
     from nermo_mjx.kinematics.leg import Leg
 
 #: Distance kept from the singular ends of the knee's range, where the foot or the tendon loses its grip on it [rad].
 KNEE_MARGIN: Final = 0.05
-#: Shortest length that is divided by [m].
-_TINY: Final = 1e-4
-
-
-def check_routing(routing: str) -> None:
-    """Raise `ParameterError` unless `routing` is one of `ROUTINGS`."""
-    if routing not in ROUTINGS:
-        raise ParameterError(f"routing is {routing!r}: allowed is one of {', '.join(ROUTINGS)}.")
-
-
-def pull(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, routing: str) -> Scalars:
-    """Tendon length less its wrap on the pulley, l_t - r_p theta_2 [m]; it falls as the knee flexes.
-
-    Type 3 leads through the hip axis: |OB|, whatever q1. Type 2 leads through the guide point: |CB|. Both have
-    theta_2 = 0. Type 1 is the tangent from the pulley to B, whose touching point moves with the leg (5.3-5.11).
-    """
-    check_routing(routing)
-    if routing == "type3":
-        squared = leg.l1**2 + leg.l2**2 + 2 * leg.l1 * leg.l2 * jnp.cos(knee_angle)
-        return jnp.sqrt(jnp.maximum(squared, _TINY**2))
-    hip = leg.knee_direction * q1
-    y = leg.l1 * jnp.sin(hip) + leg.l2 * jnp.sin(hip + knee_angle)
-    z = -leg.l1 * jnp.cos(hip) - leg.l2 * jnp.cos(hip + knee_angle)
-    if routing == "type2":
-        y, z = y - leg.knee_direction * leg.guide[..., 0], z - leg.guide[..., 1]
-        return jnp.sqrt(jnp.maximum(y**2 + z**2, _TINY**2))
-    down = leg.pulley_height - z
-    outside = y**2 + down**2 > leg.pulley_radius**2 + _TINY**2
-    y, down = jnp.where(outside, y, 0.0), jnp.where(outside, down, leg.pulley_radius + 1.0)
-    tangent = jnp.sqrt(y**2 + down**2 - leg.pulley_radius**2)
-    # theta_2 = atan(l_t/r_p) - th_s of the spiral model; th_s = pi/2 - atan2(y, down) puts its cut above the pulley.
-    wrap = jnp.arctan2(tangent, leg.pulley_radius) - math.pi / 2 + jnp.arctan2(y, down)
-    return jnp.where(outside, tangent - leg.pulley_radius * wrap, 0.0)
 
 
 def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Array]:
@@ -85,13 +49,6 @@ def arm_range(leg: Leg) -> tuple[Array, Array]:
     return low, jnp.minimum(bend, 0.0) + math.pi - KNEE_MARGIN
 
 
-def shank(leg: Leg) -> tuple[Array, Array]:
-    """Length L [m] of the rigid link from knee to foot, and the angle gamma [rad] by which theta_3 turns it back."""
-    along = leg.l3 + leg.l4 * jnp.cos(leg.theta3)
-    across = leg.l4 * jnp.sin(leg.theta3)
-    return jnp.sqrt(along**2 + across**2), jnp.arctan2(across, along)
-
-
 def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     """Folded knee angle at which the tendon's line passes through the knee; it is pi for type 3."""
     check_routing(routing)
@@ -108,6 +65,6 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     angle = math.pi + jnp.arctan2(across, towards)
     if routing == "type2":
         return angle, jnp.asarray(True)
-    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, _TINY**2))
+    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, TINY**2))
     turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
-    return angle - turned, distance**2 > (leg.l2 + _TINY) ** 2 + leg.pulley_radius**2
+    return angle - turned, distance**2 > (leg.l2 + TINY) ** 2 + leg.pulley_radius**2

@@ -1,7 +1,8 @@
 """Assembly of the robot, and of its test stands, from the MJCF files of `mjcf/`.
 
-The files hold the geometry; this module joins them, and `equipment` writes what the parameter trees and the table of
-masses hold. Every build starts from the left limbs' files; right is mirrored.
+The files hold the structure, and `placing` writes the geometry into them; this module joins them, and `equipment`
+writes what the parameter trees and the table of masses hold. Every build starts from the left limbs' files; right is
+mirrored.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ from nermo_mjx.robot.equipment import (
     set_masses,
     set_tendons,
 )
-from nermo_mjx.robot.files import load_file
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.gravity import gravity_vector
+from nermo_mjx.robot.leg_plane import standing
 from nermo_mjx.robot.mirror import mirror
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import LIMBS, ROUTINGS
+from nermo_mjx.robot.parameters import LEGS, LIMBS, ROUTINGS
+from nermo_mjx.robot.placing import load_part, stance_height
 from nermo_mjx.robot.presets import PRESETS, PhysicsPreset, PresetTimestep
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
@@ -35,18 +38,6 @@ TAILS: Final = ("rigid", "articulated")
 CONES: Final = ("elliptic", "pyramidal")
 #: The torso's cameras that follow the robot without turning with it.
 FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
-
-#: Joint angles of the published stance, hip and knee [rad]. The model's zero pose (qpos0) stands in it, so that
-#: MuJoCo's reference inertias are those of the standing robot.
-STANCE: Final = {"front": (0.8165, 1.4782), "rear": (-0.9712, 2.1480)}
-#: Pulley angles that just tighten the tendons of that stance [rad], by routing.
-STANCE_PULLEY: Final = {
-    "type1": {"front": 2.0114, "rear": -1.1922},
-    "type2": {"front": 0.1208, "rear": 0.7110},
-    "type3": {"front": 0.1315, "rear": 0.6623},
-}
-#: Height of the spine base in that stance [m].
-STANCE_HEIGHT: Final = 0.0794
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,7 +145,7 @@ def _stand(name: str) -> mujoco.MjSpec:
 def _attach(spec: mujoco.MjSpec, place: Any, name: str, plain: tuple[str, ...] = ()) -> None:
     """Attach the file `name` with its name as prefix, but for the elements in `plain`, which keep their names."""
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
-    spec.attach(load_file(name), prefix=f"{name}_", frame=frame)
+    spec.attach(load_part(name, Geometry()), prefix=f"{name}_", frame=frame)
     for kind in (spec.body, spec.joint, spec.site, spec.frame, spec.camera):
         for short in plain:
             element = kind(f"{name}_{short}")
@@ -164,7 +155,7 @@ def _attach(spec: mujoco.MjSpec, place: Any, name: str, plain: tuple[str, ...] =
 
 def _attach_leg(spec: mujoco.MjSpec, place: Any, limb: str, routing: str) -> None:
     pair, side = limb.split("_")
-    leg = load_file(f"{pair}_leg")
+    leg = load_part(f"{pair}_leg", Geometry())
     for tendon in list(leg.tendons):
         if tendon.name != routing:
             leg.delete(tendon)
@@ -191,9 +182,10 @@ def _stiffen_tail(spec: mujoco.MjSpec) -> None:
 
 
 def _pose(spec: mujoco.MjSpec, routing: str) -> None:
-    """Make the published stance the model's zero pose; joint values still count from the straight leg."""
-    for pair, (hip, knee) in STANCE.items():
-        pulley = STANCE_PULLEY[routing][pair]
+    """Make the published stance the model's zero pose, so that MuJoCo's reference inertias are those of the standing
+    robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad."""
+    for pair, leg in LEGS.items():
+        hip, knee, pulley = (round(angle, 4) for angle in standing(leg, routing))
         for joint in spec.joints:
             angle = {"hip": hip, "knee": knee, "pulley": pulley}.get(joint.name.rsplit("_", 1)[-1])
             if joint.name.startswith(pair) and angle is not None:
@@ -202,7 +194,7 @@ def _pose(spec: mujoco.MjSpec, routing: str) -> None:
                 joint.ref = angle
     torso = spec.body("torso")
     if torso is not None:
-        torso.pos = np.array([0.0, 0.0, STANCE_HEIGHT])
+        torso.pos = np.array([0.0, 0.0, stance_height(Geometry())])
 
 
 def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameters) -> None:
@@ -216,7 +208,7 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     # A world that diverges must stay diverged, to be flagged, not start anew. One robot is one island: to look for
     # others in every step finds the same forces, bit for bit, 4 % later.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
-    set_masses(spec, parameters)
+    set_masses(spec, parameters, Geometry())
     set_joints(spec, parameters)
     set_tendons(spec)
     add_servos(spec, config.routing, parameters)

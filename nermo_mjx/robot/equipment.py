@@ -11,11 +11,12 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.robot.files import load_file
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVOS, servo_range
 from nermo_mjx.robot.masses import is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.robot.placing import load_part
 from nermo_mjx.robot.scene import SceneGeoms
 
 #: Rotor and gear inertia seen at the joint [kg m^2], as in the author's model.
@@ -43,7 +44,7 @@ TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (1
 BUMPER: Final = "_bumper"
 
 
-def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters, geometry: Geometry) -> None:
     """Give every moving body the mass, centre of mass and inertia of its part; geoms weigh nothing."""
     for geom in spec.geoms:
         if geom.group == VISUAL_GROUP:
@@ -51,7 +52,7 @@ def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
     default, mass = ModelParameters().mass, parameters.mass
     share = {True: float(mass.front / default.front), False: float(mass.rear / default.rear)}
     for body in spec.bodies[1:]:
-        part = part_of(body.name)
+        part = part_of(body.name, geometry)
         body.explicitinertial = True
         scale = share[is_front(body.name)]
         body.mass, body.inertia = scale * part.mass, scale * np.array(part.inertia)
@@ -59,15 +60,15 @@ def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
     for body in spec.bodies[1:]:
         site = part_of(body.name).site
         if site is not None:
-            pos, quat = _site_in_body("spine", site)
+            pos, quat = _site_in_body("spine", site, geometry)
             turned = np.zeros(3)
             mujoco.mju_rotVecQuat(turned, np.array(body.ipos), quat)
             body.ipos, body.iquat = pos + turned, quat
 
 
-def _site_in_body(file: str, site: str) -> tuple[np.ndarray, np.ndarray]:
-    """Pose of a site in its body, as the compiler resolves it from the nested frames of one file."""
-    model = load_file(file).compile()
+def _site_in_body(part: str, site: str, geometry: Geometry) -> tuple[np.ndarray, np.ndarray]:
+    """Pose of a site in its body, as the compiler resolves it from the nested frames of one part."""
+    model = load_part(part, geometry).compile()
     return model.site(site).pos, model.site(site).quat
 
 

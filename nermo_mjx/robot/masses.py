@@ -14,7 +14,11 @@ the robot tips in all eight cases.
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from collections.abc import Callable
+from typing import Any, Final
+
+from nermo_mjx.robot.geometry import SEGMENT_ROWS, Geometry
+from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, SPINE, TAIL
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,6 +42,15 @@ class Part:
         """Principal moments of inertia of the box [kg m^2]."""
         a, b, c = (edge**2 for edge in self.half_size)
         return self.mass / 3 * (b + c), self.mass / 3 * (a + c), self.mass / 3 * (a + b)
+
+    def stretched(self, axis: int, ratio: float) -> Part:
+        """A part of the same mass, longer along one of its axes."""
+
+        def longer(point: tuple[float, float, float]) -> tuple[float, float, float]:
+            x, y, z = (value * ratio if i == axis else value for i, value in enumerate(point))
+            return x, y, z
+
+        return dataclasses.replace(self, com=longer(self.com), half_size=longer(self.half_size))
 
 
 #: Parts before the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
@@ -81,14 +94,35 @@ PARTS: Final[dict[str, Part]] = {
     "tail_segment": TAIL_SEGMENT,
 }
 
+#: Along which of its axes a part is stretched, and how much longer than the published one it is.
+_STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
+    "front_upper": (2, lambda geometry: geometry.front_leg.upper / FRONT_LEG.l1),
+    "front_lower": (2, lambda geometry: geometry.front_leg.lower / FRONT_LEG.l3),
+    "front_foot": (2, lambda geometry: geometry.front_leg.foot / FRONT_LEG.l4),
+    "rear_upper": (2, lambda geometry: geometry.rear_leg.upper / REAR_LEG.l1),
+    "rear_lower": (2, lambda geometry: geometry.rear_leg.lower / REAR_LEG.l3),
+    "rear_foot": (2, lambda geometry: geometry.rear_leg.foot / REAR_LEG.l4),
+    "spine_vertebra": (0, lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1])),
+    "tail_segment": (1, lambda geometry: geometry.tail.length / TAIL.length),
+}
+
 #: Bodies counted to the front mass; every other moving body is counted to the rear.
 FRONT_PARTS: Final = ("torso", "head", "front_", "spine_vertebra_1", "spine_vertebra_2")
 
 
-def part_of(body: str) -> Part:
-    """The part a body stands for, by the body's name (`front_left_upper` is the part `front_upper`)."""
+def part_of(body: str, geometry: Geometry | None = None) -> Part:
+    """The part a body stands for, by the body's name (`front_left_upper` is the part `front_upper`).
+
+    Args:
+        body: its name.
+        geometry: with which a link is stretched; by default the published one. Leaves of shape ().
+    """
     key = body.replace("left_", "").replace("right_", "").rstrip("_0123456789")
-    return PARTS[key]
+    part = PARTS[key]
+    if geometry is None or key not in _STRETCHED:
+        return part
+    axis, ratio = _STRETCHED[key]
+    return part.stretched(axis, float(ratio(geometry)))
 
 
 def is_front(body: str) -> bool:

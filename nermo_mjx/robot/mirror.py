@@ -1,6 +1,8 @@
-"""The right half of the robot, mirrored from the left: there is one file a limb, never two hand-kept copies."""
+"""Turning and mirroring. The right half of the robot is mirrored from the left: there is one file a limb."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -31,6 +33,13 @@ def mirror(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         if not np.isnan(geom.fromto[0]):
             geom.fromto = np.concatenate([_point(geom.fromto[:3]), _point(geom.fromto[3:])])
     return spec
+
+
+def turn(element: Any, x: float, y: float, z: float) -> None:
+    """Give an element of a specification its orientation: Euler angles about the axes x, y, z that turn along,
+    in the unit of its file."""
+    element.alt.type = mujoco.mjtOrientation.mjORIENTATION_EULER
+    element.alt.euler = np.array([x, y, z])
 
 
 def _point(pos: np.ndarray) -> np.ndarray:

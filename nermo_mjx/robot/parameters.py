@@ -32,6 +32,12 @@ class LegGeometry:
         knee_direction: s of the leg model, -1 front and +1 rear.
         servo_direction: k of the tendon law, +1 front and -1 rear (the published servo convention).
         guide: C, the fixed guide point of tendon routing type 2 (y, z) [m].
+        tie: where the tendon is tied to the pulley, just outside its rim, at servo angle 0, (y, z) from E [m]. MuJoCo
+            picks a wrap's side by the mean of its two tangent points, so that a wrap must stay below 180 degrees: the
+            point keeps it between 40 and 175 degrees over the servo's range.
+        tie_type1: the same for routing type 1.
+        side: a point on the side on which the tendon passes the pulley, (y, z) from E [m].
+        neutral_foot: where the foot stands in the published stance, (y, z) from O [m] (Table A.7).
     """
 
     l1: float
@@ -45,16 +51,27 @@ class LegGeometry:
     knee_direction: float
     servo_direction: float
     guide: tuple[float, float]
+    tie: tuple[float, float]
+    tie_type1: tuple[float, float]
+    side: tuple[float, float]
+    neutral_foot: tuple[float, float]
 
 
 FRONT_LEG: Final = LegGeometry(
     l1=0.0295, l2=0.0145, l3=0.0225, l4=0.0145, theta3=math.radians(23), pulley_radius=0.008, pulley_height=0.0128,
     tendon_length=0.033, knee_direction=-1.0, servo_direction=1.0, guide=(-0.004, -0.002),
+    tie=(-0.0024771, 0.0076237), tie_type1=(0.0076237, -0.0024771), side=(-0.0106490, 0.0074565),
+    neutral_foot=(-0.005, -0.045),
 )  # fmt: skip
 REAR_LEG: Final = LegGeometry(
     l1=0.0317, l2=0.0200, l3=0.0305, l4=0.0205, theta3=math.radians(73), pulley_radius=0.008, pulley_height=0.0128,
     tendon_length=0.032, knee_direction=1.0, servo_direction=-1.0, guide=(0.004, -0.002),
+    tie=(0.0051526, 0.0061406), tie_type1=(-0.0074582, 0.0029379), side=(0.0117820, 0.0054940),
+    neutral_foot=(0.000, -0.050),
 )  # fmt: skip
+LEGS: Final = {"front": FRONT_LEG, "rear": REAR_LEG}
+#: Radius of the sphere with which a foot touches the ground [m].
+FOOT_RADIUS: Final = 0.002
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,6 +85,9 @@ class SpineGeometry:
         segment_length: l_v, length of a tendon segment across a straight joint [m] (5.26).
         segment_offset: d_1, its distance from the spine axis [m].
         pulley_radius: r_sp of the spine servo's pulley [m].
+        pulley_position: its centre from the spine end, in the hip's frame [m].
+        tie: where the left tendon is tied to it, just outside its rim and 120 degrees on, (x, y) from its centre [m].
+        side: a point on the side on which the left tendon passes it, (x, y) from its centre [m].
         max_joint_angle: limit of theta_v in the experiments [rad] (A.4.2).
         max_servo_angle: servo angle that bends each joint by about that limit [rad].
     """
@@ -78,6 +98,9 @@ class SpineGeometry:
     segment_length: float = 0.003
     segment_offset: float = 0.00625
     pulley_radius: float = 0.0065
+    pulley_position: tuple[float, float, float] = (0.0, 0.0107, 0.0)
+    tie: tuple[float, float] = (-0.003256, 0.005640)
+    side: tuple[float, float] = (0.0090, 0.0053)
     max_joint_angle: float = 0.1
     max_servo_angle: float = 0.4
 
@@ -109,14 +132,57 @@ class BodyGeometry:
 
     Attributes:
         shoulder: shoulder axis from the spine base, in the torso's frame [m].
-        hip: hip axis from the spine end, in the hip's frame [m]. Table A.5 gives hip and spine end from the spine base.
+        hip: hip axis from the spine end, in the hip's frame [m]. Table A.5 has both from the spine base: the hip at
+            (0.0428, 0.0604, -0.0253), the spine end at (0, 0.0517, -0.0154).
+        neck: foot of the neck's axis from the spine base, in the torso's frame [m].
     """
 
     shoulder: tuple[float, float, float] = (0.0368, -0.0615, -0.0324)
-    hip: tuple[float, float, float] = (0.0428, 0.0604 - 0.0517, -0.0253 + 0.0154)
+    hip: tuple[float, float, float] = (0.0428, 0.0087, -0.0099)
+    neck: tuple[float, float, float] = (0.0, -0.080, -0.013)
 
 
 BODY: Final = BodyGeometry()
+
+
+@dataclasses.dataclass(frozen=True)
+class TailGeometry:
+    """The tail, as it hangs in the author's model (his tail_assets/tail.xml): each joint lower than the one before.
+
+    Attributes:
+        mount: from the spine end, in the hip's frame [m].
+        first_joint: from the mount, (y, z) [m].
+        spacing: of the joints, backward [m].
+        drops: how much lower each joint lies than the one before it [m].
+        tip: centre of the last segment's end from its joint, backward and down [m].
+        eyelet: distance of the first joint's tendons from the middle [m].
+        taper: how much narrower each segment is than the one before it [m].
+        tip_radius: of the sphere that touches the ground first [m].
+        tie: where the left tendon is tied to the servo's pulley, which is like the spine's, (x, y) from its centre [m].
+        side: a point on the side on which it passes the pulley, likewise [m].
+    """
+
+    mount: tuple[float, float, float] = (0.0, 0.0455, -0.0154)
+    first_joint: tuple[float, float] = (0.0114, -0.0038)
+    spacing: float = 0.0080
+    drops: tuple[float, ...] = (
+        0.0027, 0.0026, 0.0024, 0.0022, 0.0021, 0.0019, 0.0018, 0.0017, 0.0015, 0.0013, 0.0012, 0.0010, 0.0009, 0.0007,
+        0.0006, 0.0005, 0.0002, 0.0002,
+    )  # fmt: skip
+    tip: tuple[float, float] = (0.0053, 0.0001)
+    eyelet: float = 0.0055
+    taper: float = 0.0001
+    tip_radius: float = 0.0037
+    tie: tuple[float, float] = (-0.003256, -0.005640)
+    side: tuple[float, float] = (0.0090, -0.0160)
+
+    @property
+    def length(self) -> float:
+        """From the first joint backward to the centre of the tip [m]."""
+        return len(self.drops) * self.spacing + self.tip[0]
+
+
+TAIL: Final = TailGeometry()
 
 
 @dataclasses.dataclass(frozen=True)

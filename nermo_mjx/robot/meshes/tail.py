@@ -9,11 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from nermo_mjx.robot.meshes.numbers import MM
 from nermo_mjx.robot.meshes.shapes import Shape, beam, block, join, rotation, turned_part
+from nermo_mjx.robot.parameters import TAIL
 
-#: Spacing of the joints, and distance of the first eyelets from the middle [mm], as in tail.xml.
-SPACING: Final = 8.0
-BESIDE: Final = 5.5
+#: Spacing of the joints, and distance of the first eyelets from the middle [mm].
+SPACING: Final = MM * TAIL.spacing
+BESIDE: Final = MM * TAIL.eyelet
 #: The stem, from the rump to the fork around the pulley: y, middle z, half-width, half-height [mm].
 STEM: Final = ((-19.0, 0.4, 6.0, 3.0), (-10.0, 0.2, 4.8, 2.8), (-2.0, 0.0, 4.0, 2.6))
 

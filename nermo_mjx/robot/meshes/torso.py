@@ -14,8 +14,8 @@ from nermo_mjx.robot.meshes.servo import BEFORE, BEHIND
 from nermo_mjx.robot.meshes.shapes import Shape, beam, block, join, loft, rounded_rectangle, tube, turned_part
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG
 
-#: Where the neck's servo turns the head (`neck_mount` of torso.xml) [mm].
-NECK: Final = (0.0, -80.0, -13.0)
+#: Where the neck's servo turns the head [mm].
+NECK: Final = tuple(MM * value for value in BODY.neck)
 #: The back beam: y, middle z, half-width, half-height [mm].
 BEAM: Final = (
     (-2.0, -0.6, 5.2, 3.0), (-9.0, -1.8, 4.4, 2.4), (-24.0, -4.4, 3.8, 2.0), (-44.0, -7.4, 4.0, 2.0),

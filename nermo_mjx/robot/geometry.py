@@ -1,0 +1,137 @@
+"""The robot's geometry as parameters: what a world may have of its own, and what follows from it.
+
+Defaults are the published numbers of `parameters`; what is not here is the same in all worlds. Trunk and servos keep
+their masses and where these lie; the links of legs, spine and tail keep their masses, and their centres of mass and
+boxes of inertia stretch with them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Final
+
+from nermo_mjx.robot.parameters import BODY, FOOT_RADIUS, FRONT_LEG, LEGS, REAR_LEG, SPINE, TAIL, LegGeometry
+from nermo_mjx.robot.quantity import group, parameter_tree, quantity
+
+#: Rows of the DH table that lead from one lateral joint to the next: each has half of a segment.
+SEGMENT_ROWS: Final = range(SPINE.lateral_joints[0] + 1, SPINE.lateral_joints[-1] + 1)
+
+
+def _link(length: float, doc: str) -> Any:
+    return quantity(length, unit="m", low=round(0.6 * length, 4), high=round(1.6 * length, 4), doc=doc)
+
+
+@parameter_tree
+class FrontLeg:
+    """Links of both front legs, in their sagittal plane."""
+
+    upper: Any = _link(FRONT_LEG.l1, "l1, shoulder to knee")
+    attachment: Any = _link(FRONT_LEG.l2, "l2, knee to where the tendon is tied; at most to the ankle")
+    lower: Any = _link(FRONT_LEG.l3, "l3, knee to ankle")
+    foot: Any = _link(FRONT_LEG.l4, "l4, ankle to the sole's centre")
+
+
+@parameter_tree
+class RearLeg:
+    """Links of both rear legs, in their sagittal plane."""
+
+    upper: Any = _link(REAR_LEG.l1, "l1, hip to knee")
+    attachment: Any = _link(REAR_LEG.l2, "l2, knee to where the tendon is tied; at most to the ankle")
+    lower: Any = _link(REAR_LEG.l3, "l3, knee to ankle")
+    foot: Any = _link(REAR_LEG.l4, "l4, ankle to the sole's centre")
+
+
+@parameter_tree
+class Shoulder:
+    """Axis of the left shoulder from the spine base; the right one mirrors x."""
+
+    x: Any = quantity(BODY.shoulder[0], unit="m", low=0.026, high=0.06, doc="to the left")
+    y: Any = quantity(BODY.shoulder[1], unit="m", low=-0.085, high=-0.04, doc="backward")
+    z: Any = quantity(BODY.shoulder[2], unit="m", low=-0.045, high=-0.02, doc="up")
+
+
+@parameter_tree
+class Hip:
+    """Axis of the left hip from the spine end; the right one mirrors x."""
+
+    x: Any = quantity(BODY.hip[0], unit="m", low=0.026, high=0.06, doc="to the left")
+    y: Any = quantity(BODY.hip[1], unit="m", low=-0.005, high=0.025, doc="backward")
+    z: Any = quantity(BODY.hip[2], unit="m", low=-0.022, high=0.002, doc="up")
+
+
+@parameter_tree
+class Foot:
+    """All feet."""
+
+    radius: Any = quantity(FOOT_RADIUS, unit="m", low=0.001, high=0.005, doc="of the sole, a sphere")
+
+
+@parameter_tree
+class SpineLengths:
+    """The spine's joints and its servo."""
+
+    segment: Any = quantity(
+        2 * SPINE.dh[SEGMENT_ROWS[0]][1],
+        unit="m",
+        low=0.01,
+        high=0.022,
+        doc="one lateral joint to the next; behind the third 2.2 mm more",
+    )
+    pulley_radius: Any = quantity(
+        SPINE.pulley_radius, unit="m", low=0.004, high=0.008, doc="of the spine servo's pulley"
+    )
+
+
+@parameter_tree
+class TailLength:
+    """The tail, which is stretched as a whole; its segments stay as wide as they are."""
+
+    length: Any = quantity(
+        TAIL.length, unit="m", low=0.05, high=0.2, doc="first joint to the centre of the tip, backward"
+    )
+
+
+@parameter_tree
+class Geometry:
+    """Lengths and places that may differ from world to world."""
+
+    front_leg: FrontLeg = group(FrontLeg)
+    rear_leg: RearLeg = group(RearLeg)
+    shoulder: Shoulder = group(Shoulder)
+    hip: Hip = group(Hip)
+    foot: Foot = group(Foot)
+    spine: SpineLengths = group(SpineLengths)
+    tail: TailLength = group(TailLength)
+
+
+def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:
+    """The numbers of a leg of the pair `front` or `rear`, its links those of `geometry`, as they are typed there.
+
+    A tendon is cut to its leg: at servo angle 0 the knee has the angle that it has on the published robot.
+
+    Args:
+        geometry: leaves may have leading axes where `xp` allows them.
+        pair: of legs.
+        xp: `math`, `numpy` or `jax.numpy`.
+    """
+    leg: LegGeometry = LEGS[pair]
+    links = geometry.front_leg if pair == "front" else geometry.rear_leg
+    cosine = (leg.tendon_length**2 - leg.l1**2 - leg.l2**2) / (2 * leg.l1 * leg.l2)
+
+    def squared(l1: Any, l2: Any) -> Any:
+        return l1**2 + l2**2 + 2 * l1 * l2 * cosine
+
+    stretch = xp.sqrt(squared(links.upper, links.attachment) / squared(leg.l1, leg.l2))
+    return dataclasses.replace(
+        leg, l1=links.upper, l2=links.attachment, l3=links.lower, l4=links.foot,
+        tendon_length=leg.tendon_length * stretch,
+    )  # fmt: skip
+
+
+def dh_table(geometry: Geometry) -> list[tuple[float, Any, float, float]]:
+    """Rows (alpha_prev [rad], a_prev [m], theta [rad], d [m]) of Table 5.3, with the geometry's spine segment."""
+    longer = geometry.spine.segment / 2 - SPINE.dh[SEGMENT_ROWS[0]][1]
+    return [
+        (alpha, a + longer if i in SEGMENT_ROWS else a, theta, d) for i, (alpha, a, theta, d) in enumerate(SPINE.dh)
+    ]
