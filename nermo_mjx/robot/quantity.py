@@ -8,6 +8,7 @@ metadata of result tables read them from here.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar, dataclass_transform
@@ -111,8 +112,7 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
         if component is None:
             yield name, about
         else:
-            assert isinstance(about.default, tuple)
-            yield name, dataclasses.replace(about, default=about.default[component], labels=())
+            yield name, _of_component(about, component)
 
 
 def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
@@ -152,7 +152,7 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     A value may be a number, a numpy array or a traced array, of any batch shape; a component of a vector quantity is
     written into the last axis. Nothing is checked: see `check_quantities`.
     """
-    unknown = set(values) - {name for name, _ in quantities(tree)}
+    unknown = set(values) - {name for name, _, _ in _walk(tree, "")} if values else None
     if unknown:
         raise ParameterError(f"{sorted(unknown)[0]} is not a parameter.")
     return _replace(tree, values, "")
@@ -181,6 +181,13 @@ def _check(name: str, about: Quantity, value: Any) -> None:
 def _prefix(field: dataclasses.Field[Any]) -> str:
     # A sub-tree marked `flat` stands at the top of the name space: `frequency`, not `gait.frequency`.
     return "" if field.metadata.get("flat") else field.name + "."
+
+
+@functools.cache
+def _of_component(about: Quantity, component: int) -> Quantity:
+    """The quantity that one number of a vector is."""
+    assert isinstance(about.default, tuple)
+    return dataclasses.replace(about, default=about.default[component], labels=())
 
 
 def _walk(tree: Any, prefix: str) -> Iterator[tuple[str, Quantity, int | None]]:

@@ -192,6 +192,7 @@ def terrain_values(scene: str) -> dict[str, float]:
     return {} if kind is None else {f"terrain.{name}": value for name, value in kind.defaults.items()}
 
 
+@functools.cache
 def scenes_reading(name: str) -> tuple[str, ...]:
     """The scenes that read a parameter `terrain.*`.
 

@@ -213,6 +213,15 @@ class Setup:
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
         return replace_quantities(world, values)
 
+    @functools.cached_property
+    def _quantities(self) -> dict[str, Quantity]:
+        """See `all_parameters`."""
+        known, defaults = dict(quantities(self._world)), self.defaults()
+        own = {name: dataclasses.replace(known[name], default=value) for name, value in defaults.items()
+               if repr(known[name].default) != repr(value)}  # fmt: skip
+        known |= own
+        return known | _bounded_by_step(known, self.timestep)
+
     def world(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Parameters of worlds, with the named values in their places; nothing is checked but the names.
 
@@ -225,7 +234,7 @@ class Setup:
                 structure than the controller's parameters.
         """
         self._check_terrain(values)
-        world, controller = self._world, self._without_robot
+        world = self._world
         if policy is not None:
             there, here = map(str, map(jax.tree.structure, (policy, world.control)))
             if there != here:
@@ -233,8 +242,12 @@ class Setup:
                     f"policy is {there}: expected the structure of the controller's parameters, {here}."
                 )
             world = dataclasses.replace(world, control=policy)
-        given = controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
-        return replace_quantities(world, given)
+        return replace_quantities(world, self._completed(values))
+
+    def _completed(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Named values with what follows from them."""
+        controller = self._without_robot
+        return controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
 
     def _check_terrain(self, values: Mapping[str, Any]) -> None:
         """Refuse a shape of terrain that the scene does not read; its default does no harm."""
@@ -271,8 +284,13 @@ class Setup:
     @functools.cached_property
     def timing(self) -> frozenset[str]:
         """Names of the parameters that decide how long a gait cycle is."""
-        known = dict(values_of(self._world.control))
-        return frozenset(name for name in known if np.isnan(self.cycle_rate({name: np.nan})).any())
+        names = [name for name, _ in values_of(self._world.control)]
+        probes = {name: np.full(len(names), value) for name, value in values_of(self._world.control)}
+        for world, name in enumerate(names):
+            for other, value in self._completed({name: np.nan}).items():
+                probes[other][world] = value
+        decides = np.broadcast_to(np.isnan(self.cycle_rate(probes)), len(names))
+        return frozenset(name for name, does in zip(names, decides, strict=True) if does)
 
     def cycle_rate(self, values: Mapping[str, Any], policy: Any = None) -> Float[np.ndarray, "*batch"]:
         """Gait cycles a simulated second [1/s].
@@ -317,10 +335,7 @@ def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
     >>> all_parameters()["spine.amplitude"].allowed()
     '[0, 0.6] rad'
     """
-    setup = setup or Setup()
-    defaults, world = setup.defaults(), setup.world({})
-    known = {name: dataclasses.replace(about, default=defaults[name]) for name, about in quantities(world)}
-    return known | _bounded_by_step(known, setup.timestep)
+    return dict((setup or Setup())._quantities)
 
 
 def _bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:

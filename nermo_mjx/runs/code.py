@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import importlib.metadata
 import json
 from pathlib import Path
 from typing import Any, Final
 
 import nermo_mjx
+from nermo_mjx.runs.provenance import version
 from nermo_mjx.version import __version__
 
 #: Rooms of the package that decide what a world does and what is measured of it.
@@ -81,9 +81,9 @@ def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
         sources=sources(more),
         model=model,
         engine=engine,
-        mujoco=_version("mujoco"),
-        mujoco_mjx=_version("mujoco-mjx"),
-        jax=_version("jax"),
+        mujoco=version("mujoco"),
+        mujoco_mjx=version("mujoco-mjx"),
+        jax=version("jax"),
     )
 
 
@@ -108,10 +108,3 @@ def sources(more: tuple[str, ...] = ()) -> str:
                 total.update(f"{root.name}/{path.relative_to(root).as_posix()}\0".encode())
                 total.update(path.read_bytes())
     return total.hexdigest()
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "absent"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import os
 import platform
@@ -18,13 +19,16 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "pyarrow"
 
 def versions() -> dict[str, str]:
     """Versions of this package, of Python, and of what decides the numbers."""
-    found = {"nermo-mjx": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            found[package] = "absent"
-    return found
+    return {"nermo-mjx": __version__, "python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+@functools.cache
+def version(package: str) -> str:
+    """Version of an installed package; "absent" if it is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
 
 
 def machine() -> dict[str, Any]:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
     """Every parameter, with the range that it has in all structures: the time step is one of its bounds."""
     each = {walk.setup.timestep: walk.parameters for walk in reversed(structures)}
+    if len(each) == 1:
+        return structures[0].parameters
     return {
         name: dataclasses.replace(about, low=max(other[name].low for other in each.values()),
                                   high=min(other[name].high for other in each.values()))
