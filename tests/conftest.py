@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import collections
 import functools
+import gc
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from typing import Any
 
 import chromium
 import numpy as np
@@ -22,6 +24,8 @@ from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0".strip()
 files._DPI = 100  # figures are drawn at half their size
+os.fsync = lambda _: None  # no test cuts the power, and a process that is killed has written what it wrote
+gc.disable()  # until all is imported and collected: a quarter of the time of both
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
 #: Files that take longest, the longest first; a notebook finds the program of test_tune_walk.py compiled.
@@ -52,6 +56,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     tiers.mark(items)
     tiers.sort(items, FIRST)
     config.stash[LONG] = [item.nodeid for item in items if item.get_closest_marker("long")]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, Any, Any]:
+    """What is there afterwards stays until the end: the garbage collector need not look at it again and again."""
+    result = yield
+    gc.freeze()
+    gc.enable()
+    return result
+
+
+def pytest_unconfigure() -> None:
+    gc.unfreeze()  # libraries complain of what is not collected at the end
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

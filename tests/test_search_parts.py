@@ -79,6 +79,7 @@ def gradients(values, shares):
     return np.moveaxis(np.array(rows), -1, 0) * spans
 
 
+@pytest.mark.compiles
 def test_an_atlas_along_gradients_fills_more_than_its_first_batch(tmp_path):
     """Gradients stand in the table; a search that goes on reads them there, and asks for none again."""
     result = run_search(MEGA, tmp_path / "out", simulator=FakeSimulator(), gradients=gradients)
@@ -151,6 +152,7 @@ def test_wrong_files_get_their_sentence(change, message):
         Search.from_dict(data)
 
 
+@pytest.mark.compiles
 def test_a_metric_of_ones_own_is_aimed_at_measured_and_limited(tmp_path):
     """In all three places; where no file gives it, its name is refused."""
     (tmp_path / "own.py").write_text(

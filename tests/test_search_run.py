@@ -88,6 +88,7 @@ def test_a_front_has_no_point_that_another_one_beats(tmp_path):
     assert result.best["row"] in [point["row"] for point in front]
 
 
+@pytest.mark.draws
 def test_an_atlas_has_the_best_of_each_cell(tmp_path):
     """Cells and their best from the table by hand, one row after the other."""
     result = run_search(ATLAS, tmp_path / "out", simulator=FakeSimulator())

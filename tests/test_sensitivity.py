@@ -130,6 +130,7 @@ def test_the_design_begins_as_a_smaller_one_and_changes_one_parameter_at_a_time(
     assert Sweep.from_text(pairs.to_yaml()).digest() == pairs.digest() != sweep.digest()
 
 
+@pytest.mark.draws
 def test_the_command_writes_what_plot_and_status_know(out: Path, tmp_path: Path) -> None:
     """JSON, a table for people, and figures that come out the same."""
     run = CliRunner().invoke(main, ["sensitivity", str(out), "--out", str(tmp_path / "report"), "--json"])

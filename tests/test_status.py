@@ -100,6 +100,7 @@ def test_a_sweep_of_the_previous_release_is_read(tmp_path: Path) -> None:
     assert text.count("2026-01-01T00:00, jax 0.1, on far, 4 cores") == 3
 
 
+@pytest.mark.compiles
 def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC | {"starts": 2, "iterations": 3})
     run_tuning(tuning, tmp_path, problem=FakeProblem(tuning))
@@ -109,6 +110,7 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     assert f"go on    nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
 
 
+@pytest.mark.compiles
 def test_a_landscape_counts_points_also_of_an_unfinished_one(tmp_path: Path) -> None:
     tuning = Tuning.from_dict(TUNE_SPEC)
     points = run_landscape(tuning, tmp_path, problem=FakeProblem(tuning), points=9).table.num_rows

@@ -39,6 +39,7 @@ def ray_height(model: mujoco.MjModel, data: mujoco.MjData, scene: str, x: float,
         height -= 1e-6
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("scene", GROUNDS)
 def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
     """At 150 places about the way, of a shape that is not the compiled one: what a batch's worlds are told is there."""
@@ -54,6 +55,7 @@ def test_the_height_of_a_shape_is_that_of_the_model_with_its_fields(scene):
     assert np.abs(heights - before).max() > 1e-3
 
 
+@pytest.mark.compiles
 def test_terrains_have_the_sizes_of_the_published_ones():
     """Height along the middle of the way, by default."""
     ahead = np.arange(0.0, 2.0, 0.005) + 0.0025
@@ -77,6 +79,7 @@ def test_terrains_have_the_sizes_of_the_published_ones():
     assert 0.0 <= profile["rough"].min() < profile["rough"].max() <= 0.01 + 1e-7
 
 
+@pytest.mark.compiles
 def test_the_spiral_stair_rises_along_its_circle_and_gates_alternate():
     angle = (BEGIN + 0.15 * (np.arange(15) + 0.5)) / 0.5
     heights = load_robot(scene="spiral_stairs").terrain.height(0.5 * (1 - np.cos(angle)), -0.5 * np.sin(angle))

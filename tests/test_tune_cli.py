@@ -62,6 +62,7 @@ def json_of(*arguments: str | Path) -> dict[str, Any]:
 # --- tune
 
 
+@pytest.mark.compiles
 def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = json_of("tune", spec, "--out", out)
@@ -75,6 +76,7 @@ def test_tune_json_is_one_object_in_si_units(fakes: dict[str, Any], spec: Path, 
     assert len(fakes["problems"]) == 1
 
 
+@pytest.mark.draws
 def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = ("--iterations", "2", "--starts", "3", "--seed", "8", "--plots", "--no-video")
@@ -87,6 +89,7 @@ def test_options_stand_for_fields_of_the_file(fakes: dict[str, Any], spec: Path,
     assert fakes["walker"].batches == [(272, False)]
 
 
+@pytest.mark.compiles
 def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = call("tune", spec, "--out", out)
@@ -119,6 +122,7 @@ def test_the_change_of_an_angle_is_the_shorter_way_round(name: str, change: floa
     assert tune_command._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
 
 
+@pytest.mark.compiles
 def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     fakes["options"] = {"falls": lambda points: points[:, 0] < 0.06}
     result = call("tune", spec, "--out", tmp_path / "out", "--starts", "4")
@@ -127,6 +131,7 @@ def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_pa
     assert re.search(r"^speed +- +[\d.]+ +- +[\d.]+ +[\d.]+ +mm/s$", result.stdout, re.MULTILINE)
 
 
+@pytest.mark.compiles
 def test_a_stopped_tuning_says_how_to_go_on_and_goes_on(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     fakes["options"] = {"stop_at": 3}
@@ -161,6 +166,7 @@ def test_failures_and_wrong_use_have_their_exit_codes(fakes: dict[str, Any], spe
     assert "choose other starts or bounds" in fell.stderr
 
 
+@pytest.mark.draws
 def test_what_could_not_be_made_is_a_sentence_and_no_failure(
     fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,6 +197,7 @@ def shown(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> None:
     monkeypatch.setattr("nermo_mjx.cli.progress.Progress", Seen)
 
 
+@pytest.mark.compiles
 def test_a_tuning_counts_its_evaluations_and_names_the_best(
     fakes: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -252,6 +259,7 @@ def test_a_slow_pace_is_told_by_the_time_each_takes(monkeypatch: pytest.MonkeyPa
 # --- landscape
 
 
+@pytest.mark.draws
 def test_landscape_prints_a_table_sentences_and_places(fakes: dict[str, Any], spec: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     result = call("landscape", spec, "--out", out, "--points", "21")
@@ -285,6 +293,7 @@ def test_landscape_refuses_what_cannot_be(fakes: dict[str, Any], spec: Path, tmp
 # --- directories
 
 
+@pytest.mark.compiles
 @pytest.mark.parametrize("name", ["tune", "landscape"])
 def test_other_code_is_wrong_use_until_it_is_accepted(
     fakes: dict[str, Any], spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -304,6 +313,7 @@ def test_other_code_is_wrong_use_until_it_is_accepted(
     assert here.id in codes_of(out)
 
 
+@pytest.mark.draws
 @pytest.mark.parametrize("name", ["tune", "landscape"])
 def test_what_is_moved_aside_is_said(fakes: dict[str, Any], spec: Path, tmp_path: Path, name: str) -> None:
     """A sentence on standard error, and nothing of it with --quiet; the file is kept either way."""

@@ -209,20 +209,24 @@ def test_no_turn_rate_turns_without_legs_and_spine():
     np.testing.assert_array_equal(turn_rates_for(params, CURVATURES), 0.0)
 
 
+@jax.jit
+def turn_rate(params, radius, servo):
+    bent = replace_quantities(params, {"spine.max_servo_angle": servo})
+    return turning.turn_rate_for(bent, 1.0 / radius)
+
+
+slopes_of_turn_rate = jax.jit(jax.grad(turn_rate, argnums=(1, 2)))
+
+
+@pytest.mark.compiles
 @pytest.mark.parametrize("steering", STEERING)
 @pytest.mark.parametrize("radius", [0.05, 0.2, 0.5, 1000.0])
 def test_the_turn_rates_derivatives_are_those_of_differences(steering, radius):
     """In float64, by the radius and by a parameter of the theory; zero where the turn rate is at full lock."""
     with jax.enable_x64(True):
         params = jax.tree.map(np.float64, control_parameters(steering=steering))
-
-        def rate(radius, servo):
-            bent = replace_quantities(params, {"spine.max_servo_angle": servo})
-            return turning.turn_rate_for(bent, 1.0 / radius)
-
-        place = (jnp.asarray(radius), jnp.asarray(0.4))
-        slopes = jax.grad(rate, argnums=(0, 1))(*place)
-        step = 1e-6
-        by_radius = (rate(radius * (1 + step), 0.4) - rate(radius * (1 - step), 0.4)) / (2 * step * radius)
-        by_servo = (rate(radius, 0.4 + step) - rate(radius, 0.4 - step)) / (2 * step)
+        slopes, step = slopes_of_turn_rate(params, radius, 0.4), 1e-6
+        far, near = (turn_rate(params, radius * (1 + change), 0.4) for change in (step, -step))
+        more, less = (turn_rate(params, radius, 0.4 + change) for change in (step, -step))
+        by_radius, by_servo = (far - near) / (2 * step * radius), (more - less) / (2 * step)
     np.testing.assert_allclose(slopes, [by_radius, by_servo], rtol=1e-5, atol=1e-9)

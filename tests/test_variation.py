@@ -251,6 +251,7 @@ def test_no_constant_that_mjx_reads_is_left_out():
     assert physical == {"body_mass", "body_inertia", *DERIVED_FIELDS}
 
 
+@pytest.mark.compiles
 def test_a_slope_turns_gravity_in_mjx_and_has_a_derivative():
     """A ball in free fall: after one step its velocity, and its derivatives along size, slope and direction."""
     ball = mujoco.MjModel.from_xml_string(
