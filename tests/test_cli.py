@@ -467,7 +467,7 @@ def test_an_experiment_that_fails_or_is_stopped_says_what_is_kept(fakes: dict[st
     fakes["maze"].error = KeyboardInterrupt()
     result = call("experiment", "all", "--out", tmp_path, "--no-video", "--quiet")
     assert result.exit_code == 1
-    assert result.stderr.endswith("To go on, run the same command again.\n")
+    assert result.stderr.endswith("To resume, run the same command again.\n")
     assert len(json.loads((tmp_path / "report.json").read_text())["lines"]) == 15
 
 

@@ -44,7 +44,7 @@ def test_what_is_there_is_subtracted_and_gives_the_rate(tmp_path: Path) -> None:
     assert found.rate_from == "measured: 2 chunks of the directory"
     assert found.steps_per_second == pytest.approx(9 * 100 / 0.05, rel=0.2)
     more = Sweep.from_dict(SPEC | {"randomize": {"repeats": 2}})
-    with pytest.raises(DirectoryError, match="repeats is 1 there and 2 here; --extend would go on with it"):
+    with pytest.raises(DirectoryError, match="repeats is 1 there and 2 here; --extend would extend it"):
         forecast(more, tmp_path)
     assert forecast(more, tmp_path, extend=True).rows_left == 72 - 18
     assert files == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}

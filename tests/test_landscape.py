@@ -152,7 +152,7 @@ def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
 
 
 def test_points_once_found_are_kept(tmp_path, monkeypatch):
-    """Drawing fails: the table is there, and the same call goes on from it, evaluating nothing."""
+    """Drawing fails: the table is there, and the same call resumes from it, evaluating nothing."""
     monkeypatch.setattr("nermo_mjx.tune.landscape.plots.line_figure", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         measure(tmp_path)

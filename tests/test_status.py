@@ -64,7 +64,7 @@ def test_a_sweep_says_how_far_it_is_and_how_to_go_on(tmp_path: Path) -> None:
     assert 0 < there < 36
     text = status(out).stdout
     assert f"{out}: a sweep, {there} of 36 runs, not complete" in text
-    assert f"go on    nermo-mjx sweep '{out}/sweep.yaml' --out '{out}'\n" in text
+    assert f"resume   nermo-mjx sweep '{out}/sweep.yaml' --out '{out}'\n" in text
     (out / "results" / "chunk-00002.parquet").write_text("half")
     assert said(out)["rows_done"] < there
     assert "results/chunk-00002.parquet is damaged" in status(out).stdout
@@ -107,7 +107,7 @@ def test_a_tuning_counts_the_evaluations_of_its_starts(tmp_path: Path) -> None:
     assert known(said(tmp_path)) == ("tuning", 8, 8, True)
     (tmp_path / "history.parquet").unlink()
     assert known(said(tmp_path)) == ("tuning", 8, 0, False)
-    assert f"go on    nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
+    assert f"resume   nermo-mjx tune {tmp_path}/tuning.yaml --out {tmp_path}" in status(tmp_path).stdout
 
 
 @pytest.mark.compiles
@@ -144,7 +144,7 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
     text = status(tmp_path).stdout
     assert "maze is not finished." in text
-    assert f"go on    nermo-mjx experiment all --out {tmp_path} --no-video\n" in text
+    assert f"resume   nermo-mjx experiment all --out {tmp_path} --no-video\n" in text
     fakes["maze"].error = None
     run_experiments(["turning", "maze"], tmp_path, video=False)
     assert known(said(tmp_path)) == ("experiments", 24, 24, True)

@@ -157,7 +157,7 @@ def test_the_command_refuses_a_directory_of_the_previous_release_until_it_is_tol
     assert refused.exit_code == 2
     assert refused.stderr == (
         f"nermo-mjx: {old} does not say which code made it, as those of earlier releases: choose another directory, or "
-        "go on with --accept-new-code, and tell the rows apart by their column code.\n"
+        "resume with --accept-new-code, and distinguish the rows by their column code.\n"
     )
     assert files_of(old) == before
     accepted = CliRunner().invoke(main, [*command, "--accept-new-code"])

@@ -187,7 +187,7 @@ def test_what_is_no_extension_is_refused(tmp_path, spec, sentence):
     """In one sentence, with nothing changed; and without --extend it is not offered."""
     run_sweep(SMALL, tmp_path, simulator=FakeSimulator())
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    with pytest.raises(DirectoryError, match="does not go on as this one") as refused:
+    with pytest.raises(DirectoryError, match="cannot be extended to this one") as refused:
         run_sweep(spec, tmp_path, simulator=FakeSimulator(), extend=True)
     assert sentence in str(refused.value)
     with pytest.raises(DirectoryError, match="the results of another sweep") as plain:

@@ -61,7 +61,7 @@ def test_a_stopped_sweep_goes_on_and_gives_the_same_table(tmp_path, reference, n
 
 
 def test_ctrl_c_says_how_to_go_on(tmp_path, reference):
-    """KeyboardInterrupt leaves finished chunks and an instruction; the same call goes on."""
+    """KeyboardInterrupt leaves finished chunks and an instruction; the same call resumes."""
     with pytest.raises(SweepInterrupted, match=r"run the same command again, or: nermo-mjx sweep"):
         run_sweep(SPEC, tmp_path, chunk=10, simulator=FakeSimulator(stop_at=2))
     simulator = FakeSimulator()

@@ -192,7 +192,10 @@ def test_a_full_disk_is_one_sentence(tmp_path, capfd):
 def test_another_precision_is_refused_and_nothing_is_lost(done):
     """A tuning in float32 does not go on in float64: its numbers would be others."""
     before = steps(done.out)
-    with jax.enable_x64(True), pytest.raises(DirectoryError, match="was begun in float32, and JAX computes in float64"):
+    with (
+        jax.enable_x64(True),
+        pytest.raises(DirectoryError, match="was started in float32, and JAX now computes in float64"),
+    ):
         tune(done.out)
     assert steps(done.out) == before
 

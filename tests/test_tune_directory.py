@@ -203,7 +203,7 @@ def test_a_directory_of_the_previous_release_is_refused_until_it_is_accepted_and
     """Its rows stay as they were, their code is not known, and the next ones have this code."""
     before = read_history(earlier)
     longer = dataclasses.replace(load_tuning(earlier), iterations=3)
-    with pytest.raises(OtherCode, match="go on with --accept-new-code"):
+    with pytest.raises(OtherCode, match="resume with --accept-new-code"):
         run_tuning(longer, earlier, problem=FakeProblem(longer))
     assert read_history(earlier).equals(before)
     result = run_tuning(longer, earlier, problem=FakeProblem(longer), accept_new_code=True)

@@ -175,7 +175,7 @@ def test_starts_are_shared_among_workers_in_shares_of_one_size(tmp_path, name):
 
 
 def test_workers_that_are_lost_leave_what_is_done(tmp_path):
-    """One sentence; the same command goes on."""
+    """One sentence; the same command resumes."""
 
     class Lost(Three):
         def results(self, tasks, tell):
@@ -274,7 +274,7 @@ def test_a_problem_that_says_ok_to_nan_is_not_believed():
 
 @pytest.mark.parametrize("stop_at", range(7))
 def test_an_interrupted_tuning_goes_on_bit_for_bit(tmp_path, noisy, stop_at):
-    """Stopped in any iteration, the same call goes on and ends with the same state and history."""
+    """Stopped in any iteration, the same call resumes and ends with the same state and history."""
     change = {"estimator": ESTIMATORS["mixture"]}
     with pytest.raises(TuningInterrupted, match=r"run the same command again, or: nermo-mjx tune"):
         tune(tmp_path, change, stop_at=stop_at)

@@ -54,7 +54,7 @@ def command(
 
     Writes a table of every run, a report with the published figures beside
     the simulated ones, plots, recordings and a video. DIR keeps what is
-    finished; the same command goes on.
+    finished; the same command resumes.
 
     --workers ray shares experiments, and batches of bodies, among a cluster's
     machines, which need not see DIR.

@@ -41,7 +41,7 @@ class CommandGroup(click.Group):
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt as error:
-                # Sweeps and tunings say themselves how to go on; what holds no state simply stops.
+                # Sweeps and tunings say themselves how to resume; what holds no state simply stops.
                 raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
             except (click.ClickException, click.Abort, click.exceptions.Exit):
                 raise

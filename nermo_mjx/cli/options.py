@@ -105,7 +105,7 @@ def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> A
 
 def accept_new_code(function: F) -> F:
     """`--accept-new-code`."""
-    about = "Go on with a directory of other code or another engine; the column code tells its rows apart."
+    about = "Resume a directory made by other code or another engine; the column code distinguishes its rows."
     return click.option("--accept-new-code", is_flag=True, help=about)(function)
 
 

@@ -45,7 +45,7 @@ def command(
     One objective is searched by CMA-ES, several by NSGA-II for the front
     between them, an atlas by CMA-ME for the best gait in each of its cells.
     Writes a table of all runs (Parquet), the best point, and plots to DIR.
-    After Ctrl-C or a crash, give the same command again: it goes on, and ends
+    After Ctrl-C or a crash, run the same command again: it resumes, and ends
     with the same numbers. A larger --budget prolongs a search that is done.
     """
     with stdout_reserved():

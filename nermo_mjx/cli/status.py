@@ -1,4 +1,4 @@
-"""`nermo-mjx status`: what a directory holds, how far it is, what made it, and how to go on."""
+"""`nermo-mjx status`: what a directory holds, how far it is, what made it, and how to resume."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SHOWN = 3
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
 @options.report
 def command(path: Path, as_json: bool, quiet: bool) -> None:
-    """Say what DIR holds, how far it is, what made it, and how to go on.
+    """Say what DIR holds, how far it is, what made it, and how to resume.
 
     DIR is the directory of a sweep, a search, a tuning, a training, a
     landscape, experiments, an identification or benchmarks, of this release or
@@ -49,8 +49,8 @@ def command(path: Path, as_json: bool, quiet: bool) -> None:
         click.echo(f"{path}: {kind.called}, {_amount(status)}")
         for name, text in (*_made(status, codes), *_worked(sessions), *(("note", note) for note in status.notes)):
             click.echo(f"{name:<8} {text}")
-        click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'go on':<8} {status.command}"
-                   if status.command else "go on    by the command that began it; it is not noted here")  # fmt: skip
+        click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'resume':<8} {status.command}"
+                   if status.command else "resume   with the command that started it, not recorded here")  # fmt: skip
 
 
 def _amount(status: Status) -> str:

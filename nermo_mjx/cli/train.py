@@ -47,7 +47,7 @@ def command(
 
     Writes the policy, which walk and sweep files take as a controller, its
     curves, checkpoints, and how it walks on bodies that it has not seen, to
-    DIR. After Ctrl-C or a crash, give the same command again: it goes on, and
+    DIR. After Ctrl-C or a crash, run the same command again: it resumes, and
     ends with the same numbers. More steps prolong a training that is done.
     """
     with stdout_reserved():

@@ -55,7 +55,7 @@ def command(
 
     Writes the best point, the history of all iterations, a sweep file with
     the tuned values, checkpoints, plots and, on demand, a video to DIR. After
-    Ctrl-C or a crash, give the same command again: it goes on, and ends with
+    Ctrl-C or a crash, run the same command again: it resumes, and ends with
     the same numbers. More iterations prolong a tuning that is done.
 
     --workers ray shares the starts among a cluster's machines, which need not

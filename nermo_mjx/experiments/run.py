@@ -42,7 +42,7 @@ class ExperimentError(RuntimeError):
 
 
 class ExperimentsInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to go on."""
+    """Ctrl-C or SIGTERM; the message says how to resume."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -118,7 +118,7 @@ def run_experiments(
             shares that ship with the package if nothing but the default was asked for.
         video: make the videos.
         again: run again, and replace, what the directory holds of these experiments, whichever code made it.
-        accept_new_code: go on in a directory that other code made; the tables' column `code` tells the rows apart.
+        accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
         progress: called with what is being done and the share of it.
         notify: called with a sentence on anything out of the ordinary.
         workers: who simulates; by default this process, one experiment after the other, else
@@ -129,7 +129,7 @@ def run_experiments(
         OtherCode: other code made what the directory holds; nothing has run.
         ExperimentError: an experiment failed, or all workers are lost; what was done before is kept.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+        ExperimentsInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     chosen = [experiment(name) for name in dict.fromkeys(names)]
     if repeats is None:
@@ -340,5 +340,5 @@ def _stoppable(out: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise ExperimentsInterrupted(
-            f"stopped; the experiments that are finished are kept in {out}. To go on, run the same command again."
+            f"stopped; the experiments that are finished are kept in {out}. To resume, run the same command again."
         ) from None

@@ -147,8 +147,8 @@ class Directory:
         apart = changes(there["defaults"], _plain(here["defaults"]))
         if apart and not accept:
             raise OtherCode(
-                f"{self.out} was made with other defaults: {', '.join(apart)}; choose another directory, or go on with "
-                "--accept-new-code, and tell the rows apart by their column code."
+                f"{self.out} was made with other defaults: {', '.join(apart)}; choose another directory, or resume "
+                "with --accept-new-code, and distinguish the rows by their column code."
             )
 
 

@@ -35,7 +35,7 @@ from nermo_mjx.runs.trackers import Tracker, check_trackers, finite, tracked
 
 
 class TrainingInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to go on."""
+    """Ctrl-C or SIGTERM; the message says how to resume."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +90,7 @@ def run_training(
     accept_new_code: bool = False,
     log: Sequence[str] = (),
 ) -> TrainingResult:
-    """Learn a policy into a directory, or go on with what it holds, and evaluate it.
+    """Learn a policy into a directory, or resume what it contains, and evaluate it.
 
     All that was learned is stored behind each section of iterations, and the next section begins new episodes, so that
     a training that was killed and went on ends with the same numbers as one that was not: on the engine `c` bit for
@@ -104,13 +104,13 @@ def run_training(
         progress: called before the first iteration and after each.
         evaluating: called with the share of the evaluation that is done.
         warn: called with a sentence on each thing that is moved aside.
-        accept_new_code: go on in a directory that other code began.
+        accept_new_code: resume a directory that other code started.
         log: trackers, see `nermo_mjx.runs.trackers`.
 
     Raises:
         SpecError: the training is wrong; nothing has been written.
         DirectoryError: the directory holds something else, is in use, or cannot be read or written.
-        TrainingInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+        TrainingInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     training = spec if isinstance(spec, Training) else as_training(spec)
     check_trackers(log)
@@ -275,12 +275,12 @@ def _summary(training: Training, learned: Learned, curves: Curves, table: pa.Tab
 
 @contextlib.contextmanager
 def _explained(directory: Directory) -> Iterator[Interruption]:
-    """Turn Ctrl-C and SIGTERM into an error that says how to go on."""
+    """Turn Ctrl-C and SIGTERM into an error that says how to resume."""
     try:
         with interruptible() as interruption:
             yield interruption
     except KeyboardInterrupt:
         raise TrainingInterrupted(
-            f"stopped; what is finished is kept in {directory.out}. To go on, run the same command again, or: "
+            f"stopped; what is finished is kept in {directory.out}. To resume, run the same command again, or: "
             f"nermo-mjx train {directory.out / SPEC} --out {directory.out}"
         ) from None

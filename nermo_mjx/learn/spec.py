@@ -39,7 +39,7 @@ from nermo_mjx.specs.reading import Document, FieldPath, SpecError, dump, read_f
 from nermo_mjx.specs.values import Numbers, Whole
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, read_walk
 
-#: Fields that do not change what an iteration computes: a training may go on with others.
+#: Fields that do not change what an iteration computes: a training may be resumed with others.
 FREE: Final = ("steps", "run", "evaluate", "plots")
 _Range = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 

@@ -144,12 +144,12 @@ class RunDirectory:
                 if begun is not None and begun != stamp and not accept:
                     raise OtherCode(
                         f"{self.out} was made by other code: {begun.unlike(stamp)}; use that, choose another "
-                        "directory, or go on with --accept-new-code, and tell the rows apart by their column code."
+                        "directory, or resume with --accept-new-code, and distinguish the rows by their column code."
                     )
                 if begun is None and holds_rows and not accept:
                     raise OtherCode(
                         f"{self.out} does not say which code made it, as those of earlier releases: choose another "
-                        "directory, or go on with --accept-new-code, and tell the rows apart by their column code."
+                        "directory, or resume with --accept-new-code, and distinguish the rows by their column code."
                     )
                 codes[stamp.id] = stamp.fields()
 

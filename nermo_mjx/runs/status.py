@@ -1,4 +1,4 @@
-"""How far a directory is: what each kind says about itself, and how to go on with it. Nothing here writes."""
+"""How far a directory is: what each kind says about itself, and how to resume it. Nothing here writes."""
 
 from __future__ import annotations
 

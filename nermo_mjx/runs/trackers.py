@@ -44,7 +44,7 @@ _RUN: Final = "mlflow.json"
 
 
 class TensorBoard:
-    """Scalars in DIR/tensorboard, which `tensorboard --logdir DIR` shows; a session that goes on adds a file."""
+    """Scalars in DIR/tensorboard, which `tensorboard --logdir DIR` shows; a resumed session adds a file."""
 
     def __init__(self, out: Path, part: str) -> None:
         from tensorboardX import SummaryWriter
@@ -64,7 +64,7 @@ class TensorBoard:
 class MLflow:
     """A run of the experiment `nermo_mjx`, where MLFLOW_TRACKING_URI says, else in DIR/mlruns.
 
-    DIR/mlflow.json names it, so that a session that goes on adds to it.
+    DIR/mlflow.json names it, so that a resumed session adds to it.
     """
 
     def __init__(self, out: Path, part: str) -> None:

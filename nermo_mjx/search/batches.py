@@ -117,7 +117,7 @@ class Batches:
             apart = changes(begun.decisive(), search.decisive()) or ["parameters under vary stand in another order"]
             raise WrongDirectory(
                 f"{self.out} holds another search, with another {', '.join(apart[:3])}; choose another directory, or "
-                f"go on with {path}."
+                f"resume with {path}."
             )
         elif begun.to_yaml(folder) != search.to_yaml(folder):  # another budget, or more recordings
             self.directory.write(SEARCH, search.to_yaml(folder).encode())

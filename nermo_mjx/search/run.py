@@ -43,7 +43,7 @@ PUBLISHED_EVERY: Final = 60.0
 
 
 class SearchInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to go on."""
+    """Ctrl-C or SIGTERM; the message says how to resume."""
 
 
 class SearchFailed(RuntimeError):
@@ -107,7 +107,7 @@ def run_search(
     simulator: SimulatorLike | None = None,
     gradients: Gradients | None = None,
 ) -> SearchResult:
-    """Search into a directory, or go on with what it holds.
+    """Search into a directory, or resume what it contains.
 
     >>> import tempfile
     >>> spec = {"vary": {"frequency": {"uniform": [0.6, 0.8]}}, "run": {"duration": 0.2}, "budget": 8, "batch": 4,
@@ -127,7 +127,7 @@ def run_search(
         progress: called now and then with a `SearchProgress`.
         notify: called with a sentence when something takes long (compilation).
         warn: called with a sentence on what is damaged, and is run again.
-        accept_new_code: go on with a directory that other code or another engine began.
+        accept_new_code: resume a directory that other code or another engine started.
         workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: stands in for `Simulator(search.setup, engine)`.
         gradients: stands in for those of MJX, which `cma_mega` asks for.
@@ -137,7 +137,7 @@ def run_search(
         DirectoryError: the directory holds something else, is in use, or cannot be written; `OtherCode` if other code
             made what it holds.
         SearchFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
-        SearchInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+        SearchInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     search = spec if isinstance(spec, Search) else as_search(spec)
     check_library(search.method)
@@ -265,7 +265,7 @@ class Going:
             reason = (str(failed.error).strip().splitlines() or [""])[0].rstrip(".")[:300]
             raise SearchFailed(
                 f"{named} failed: {type(failed.error).__name__}: {reason}. What is finished is kept: run the same "
-                "command again when it is mended."
+                "command again when it is fixed."
             ) from failed.error
         found = [done[k] for k in range(len(parts))]
         own = [slice(len(part)) for part in parts]
@@ -331,7 +331,7 @@ def _scores(batches: Batches, table: pa.Table, asked: Asked) -> Scores:
 
 @contextlib.contextmanager
 def _explained(batches: Batches) -> Iterator[Any]:
-    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to go on."""
+    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to resume."""
     try:
         with interruptible() as interruption:
             yield interruption
@@ -339,6 +339,6 @@ def _explained(batches: Batches) -> Iterator[Any]:
         raise SearchFailed(f"{lost} What is finished is kept in {batches.out}: run the same command again.") from None
     except KeyboardInterrupt:
         raise SearchInterrupted(
-            f"stopped; what is finished is kept in {batches.out}. To go on, run the same command again, or: "
+            f"stopped; what is finished is kept in {batches.out}. To resume, run the same command again, or: "
             f"nermo-mjx search {batches.out / 'search.yaml'} --out {batches.out}"
         ) from None

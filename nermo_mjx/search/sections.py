@@ -60,7 +60,7 @@ class CmaMegaFields(Fields):
 
 
 class MethodFields(OneOf):
-    """How a search goes on, as it stands in a file."""
+    """How a search continues, as it stands in a file."""
 
     alone: ClassVar = ("cma", "nsga2", "cma_me", "cma_mega", "sobol")
     short: ClassVar = ({"enum": [*alone]},)
@@ -75,7 +75,7 @@ class MethodFields(OneOf):
 
 
 class BudgetFields(OneOf):
-    """How long a search goes on, as it stands in a file."""
+    """How long a search runs, as it stands in a file."""
 
     short: ClassVar = ({"type": "integer", "minimum": 1, "maximum": MOST_EVALUATIONS},)
     expected: ClassVar = "a number of evaluations, or {simulated_seconds: S}"
@@ -253,7 +253,7 @@ def read_bounds(doc: Document, axes: list[Axis]) -> None:
 def refuse_foreign(key: str) -> None:
     """Say of fields of sweeps and tunings what stands for them here."""
     foreign = {"sample": "how points are chosen is the method's: put sobol under 'method' for a sample",
-               "tune": "what is to change stands under 'vary'", "iterations": "how long it goes on is its 'budget'",
+               "tune": "what is to change stands under 'vary'", "iterations": "how long it runs is its 'budget'",
                "chunk": "how many points are evaluated together is its 'batch'"}  # fmt: skip
     if key in foreign:
         raise Refused(f"is not a field of a search: {foreign[key]}.", key)

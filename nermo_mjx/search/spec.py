@@ -33,7 +33,7 @@ from nermo_mjx.sweep.spec import Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
 from nermo_mjx.tune.sections import TermFields
 
-#: Fields that do not change which points are evaluated: a search may go on with others.
+#: Fields that do not change which points are evaluated: a search may be resumed with others.
 FREE: Final = ("budget", "keep", "plots")
 _BUDGET: Final = 1000.0
 
@@ -64,7 +64,7 @@ class SearchFile(WalkFields):
     subject_to: dict[str, sections.LimitFields] = Field({}, description="constraints by metric: {max: x}, {min: x}")
     method: sections.MethodFields = optional("how it searches; by default what fits")
     budget: sections.BudgetFields = Field(
-        sections.BudgetFields.model_validate(_BUDGET), description="how long it goes on, 1000 evaluations by default"
+        sections.BudgetFields.model_validate(_BUDGET), description="how long it runs, 1000 evaluations by default"
     )
     batch: Annotated[int, Whole(4, 100_000)] = optional("points that are evaluated together, a generation")
     randomize: Randomized = Field(Randomized.model_validate({}), description="what is left to chance in each run")

@@ -33,7 +33,7 @@ _NO_MEMORY = re.compile("RESOURCE_EXHAUSTED|out of memory|failed to allocate", r
 
 
 class SweepError(RuntimeError):
-    """A sweep that cannot be finished; the message is one sentence that says why, and how to go on."""
+    """A sweep that cannot be finished; the message is one sentence that says why, and how to resume."""
 
 
 class Work:
@@ -253,7 +253,7 @@ class Work:
         reason = (str(error).strip().splitlines() or [""])[0].rstrip(".")[:300]
         short = isinstance(error, MemoryError) or _NO_MEMORY.search(reason) is not None
         remedy = (
-            "take a smaller --chunk in another directory" if short else "run the same command again when it is mended"
+            "take a smaller --chunk in another directory" if short else "run the same command again when it is fixed"
         )
         return (f"{chunk} failed: {type(error).__name__}{f': {reason}' if reason else ''}. What is finished is kept in "
                 f"{self.store.out}: {remedy}.")  # fmt: skip

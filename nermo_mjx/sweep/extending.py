@@ -1,4 +1,4 @@
-"""Whether the sweep of a directory can go on as another one, and what two sweeps have that differs."""
+"""Whether the sweep of a directory can be extended to another one, and how two sweeps differ."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def differences(there: Sweep, here: Sweep) -> str:
 
 
 def refusal(there: Sweep, here: Sweep) -> str:
-    """Why a directory's sweep cannot go on as another one, in words; empty if it can."""
+    """Why a directory's sweep cannot be extended to another one, in words; empty if it can."""
     fixed = fixed_differences(there, here)
     if fixed:
         return f"{fixed}: what is not varied stays as it is"
     if there.sampler == here.sampler == "latin_hypercube" and there.samples != here.samples:
         return (
             f"a Latin hypercube of {there.samples} points is no part of one of {here.samples}: take a Sobol sample, "
-            "which goes on, or repeats"
+            "which can be extended, or repeats"
         )
     return ""
 

@@ -85,7 +85,7 @@ def forecast(
     parts: int = 1,
     measure: Callable[[Sweep, str], float] | None = None,
 ) -> Forecast:
-    """What it would cost to run a sweep, or to go on with it; see `run_sweep` for the arguments.
+    """What it would cost to run a sweep, or to resume it; see `run_sweep` for the arguments.
 
     The rate is that of the directory's chunks, if it has any; otherwise 64 worlds of the engine `c` are simulated for
     half a second, which takes some seconds in all. For other engines it is then not known, since they compile for
@@ -153,14 +153,14 @@ def measured_rate(sweep: Sweep, engine: str) -> float:
 
 
 def _begun(folder: Path | None, sweep: Sweep, extend: bool) -> Sweep | None:
-    """The sweep that a directory holds, if it can go on as this one."""
+    """The sweep that a directory contains, if it can be extended to this one."""
     if folder is None or not (folder / "sweep.yaml").exists():
         return None
     begun = Sweep.from_directory(folder)
     if begun.digest() != sweep.digest():
         why = refusal(begun, sweep)
         if why or not extend:
-            hint = why or f"{differences(begun, sweep)}; --extend would go on with it"
+            hint = why or f"{differences(begun, sweep)}; --extend would extend it"
             raise WrongDirectory(f"{folder} holds the results of another sweep: {hint}.")
     return begun
 

@@ -44,7 +44,7 @@ ATTEMPTS = 2
 
 
 class SweepInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to go on."""
+    """Ctrl-C or SIGTERM; the message says how to resume."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +96,7 @@ def run_sweep(
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
 ) -> SweepResult:
-    """Run every variant of a sweep into a directory, or go on with what it holds.
+    """Run every variant of a sweep into a directory, or resume what it contains.
 
     >>> import tempfile
     >>> spec = {"vary": {"frequency": [0.6, 0.8]}, "run": {"duration": 0.2}, "plots": False}
@@ -116,7 +116,7 @@ def run_sweep(
         chunk: rows simulated and stored together; a directory keeps the size it was begun with.
         shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same however it was split. The
             shard that finds the table complete sums up.
-        accept_new_code: go on with a directory that other code or another engine began; the table's column `code`
+        accept_new_code: resume a directory that other code or another engine started; the table's column `code`
             tells the rows apart.
         extend: if the directory holds a sweep that differs in its rows alone, make it this one; rows that are there are
             used. The result is that of this sweep run in one go.
@@ -131,7 +131,7 @@ def run_sweep(
         OtherCode: other code, another model or another engine made rows of the directory.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
         SweepError: a simulation failed, or all workers are lost; what is finished is kept.
-        SweepInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+        SweepInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     sweep = spec if isinstance(spec, Sweep) else _as_sweep(spec)
     _check(chunk, shard, extend)
@@ -188,7 +188,9 @@ def run_sweep(
 
 def _check(chunk: int | None, shard: tuple[int, int] | None, extend: bool) -> None:
     if extend and shard is not None:
-        raise SpecError("extend goes with one process: begin with it alone; when it simulates, shards may go on.")
+        raise SpecError(
+            "extend allows a single process: start it on its own; once it is simulating, shards may continue."
+        )
     if chunk is not None and chunk < 1:
         raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
     if shard is not None and not 0 <= shard[0] < shard[1]:
@@ -243,12 +245,12 @@ def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:
 
 @contextlib.contextmanager
 def _interruptible(store: Store) -> Iterator[Interruption]:
-    """Turn Ctrl-C and SIGTERM into a `SweepInterrupted` that says how to go on."""
+    """Turn Ctrl-C and SIGTERM into a `SweepInterrupted` that says how to resume."""
     try:
         with interruptible() as interruption:
             yield interruption
     except KeyboardInterrupt:
         raise SweepInterrupted(
-            f"stopped; what is finished is kept in {store.out}. To go on, run the same command again, or: "
+            f"stopped; what is finished is kept in {store.out}. To resume, run the same command again, or: "
             f"nermo-mjx sweep {store.out / 'sweep.yaml'} --out {store.out}"
         ) from None

@@ -74,7 +74,7 @@ class Store:
         out: the directory; made if it does not exist.
         sweep: what the directory is for.
         shard: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
-        extend: whether the directory may go on as this sweep if it holds another one that differs in its rows alone.
+        extend: whether a directory that contains a sweep differing only in its rows may be extended to this one.
 
     Raises:
         DirectoryError: the directory holds another sweep, is in use, or cannot be written.
@@ -213,11 +213,11 @@ class Store:
             if self.extend and not why:
                 self._extend(begun)
                 return
-            apart, go_on = differences(begun, self.sweep), f"go on with {path}"
+            apart, resume = differences(begun, self.sweep), f"resume with {path}"
             if self.extend:
-                raise self._foreign(f"a sweep that does not go on as this one: {why}; choose another directory")
+                raise self._foreign(f"a sweep that cannot be extended to this one: {why}; choose another directory")
             also = ", or add these rows to it with --extend" if not why else ""
-            raise self._foreign(f"the results of another sweep: {apart}; choose another directory, or {go_on}{also}")
+            raise self._foreign(f"the results of another sweep: {apart}; choose another directory, or {resume}{also}")
         self.sweep = dataclasses.replace(self.sweep, chunk=begun.chunk or self.sweep.chunk)
         if self.shard is None and begun.comparison != self.sweep.comparison:  # no row depends on it
             again = dataclasses.replace(begun, comparison=self.sweep.comparison)

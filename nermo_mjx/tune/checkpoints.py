@@ -70,8 +70,8 @@ class Checkpoints:
             self._check_ours(about, accept)
             if about["precision"] != str(like.u.dtype):
                 raise DirectoryError(
-                    f"{self.folder} was begun in {about['precision']}, and JAX computes in {like.u.dtype} now: go on "
-                    "with that precision, or choose another directory."
+                    f"{self.folder} was started in {about['precision']}, and JAX now computes in {like.u.dtype}: "
+                    "resume with that precision, or choose another directory."
                 )
             return {"state": like, "history": np.empty(about["rows"])}
 
@@ -100,6 +100,6 @@ class Checkpoints:
             difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
         if not accept:
             raise OtherCode(
-                f"{self._held.out} was made with other defaults: {difference}; choose another directory, or go on with "
-                "--accept-new-code, and tell the rows apart by their column code."
+                f"{self._held.out} was made with other defaults: {difference}; choose another directory, or resume "
+                "with --accept-new-code, and distinguish the rows by their column code."
             )

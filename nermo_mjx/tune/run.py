@@ -35,11 +35,11 @@ from nermo_mjx.tune.verifying import verified
 
 
 class TuningInterrupted(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; the message says how to go on."""
+    """Ctrl-C or SIGTERM; the message says how to resume."""
 
 
 class TuningFailed(RuntimeError):
-    """No robot walks, or nobody is left who computes; the message says how to go on."""
+    """No robot walks, or no worker is left; the message says how to resume."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +101,7 @@ def run_tuning(
     accept_new_code: bool = False,
     workers: Workers | None = None,
 ) -> TuningResult:
-    """Tune parameters by gradient, or by another method, into a directory, or go on with what it holds.
+    """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
     more is gained (`nermo_mjx.tune.stopping`); every evaluation is one batch of starts x (1 + samples) worlds. After
@@ -119,7 +119,7 @@ def run_tuning(
         progress: called before the first evaluation and after each.
         drawing: called with what is being drawn in the end, and the share of it.
         warn: called with a sentence on each thing that is moved aside.
-        accept_new_code: go on in a directory that other code began.
+        accept_new_code: resume a directory that other code started.
         workers: who evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
             several workers numbers differ in their last digits from those of one.
 
@@ -128,7 +128,7 @@ def run_tuning(
         DirectoryError: the directory holds something else, is in use, or cannot be read or written; `OtherCode` if
             other code, or other defaults, made what it holds.
         TuningFailed: no robot walks to the end, or all workers are lost.
-        TuningInterrupted: Ctrl-C or SIGTERM; the same call goes on.
+        TuningInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
     with Directory(out, tuning, warn or (lambda _: None)) as directory, _explained(directory) as interruption:
@@ -227,7 +227,7 @@ def _reached(
 
 @contextlib.contextmanager
 def _explained(directory: Directory) -> Iterator[Interruption]:
-    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to go on."""
+    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to resume."""
     try:
         with interruptible() as interruption:
             yield interruption
@@ -235,6 +235,6 @@ def _explained(directory: Directory) -> Iterator[Interruption]:
         raise TuningFailed(f"{lost} What is finished is kept in {directory.out}: run the same command again.") from None
     except KeyboardInterrupt:
         raise TuningInterrupted(
-            f"stopped; what is finished is kept in {directory.out}. To go on, run the same command again, or: "
+            f"stopped; what is finished is kept in {directory.out}. To resume, run the same command again, or: "
             f"nermo-mjx tune {directory.out / 'tuning.yaml'} --out {directory.out}"
         ) from None

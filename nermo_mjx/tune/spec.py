@@ -37,7 +37,7 @@ MODES: Final = ("auto", "forward", "reverse")
 PATIENCE: Final = 6
 #: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
-#: Fields that do not change what an iteration computes: a tuning may go on with others.
+#: Fields that do not change what an iteration computes: a tuning may be resumed with others.
 FREE: Final = ("iterations", "patience", "plots", "video")
 #: Fields that a tuning has as they stand in its file.
 _PLAIN: Final = ("starts", "iterations", "patience", "seed", "mode", "plots", "video")

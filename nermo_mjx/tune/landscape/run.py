@@ -89,7 +89,7 @@ def run_landscape(
         span: length of the lines as a share of the bounds, in (0, 1]; shorter lines lie about the start.
         progress: called with the points done, and all of them.
         warn: called with a sentence on each thing that is moved aside.
-        accept_new_code: go on with points that other code evaluated.
+        accept_new_code: reuse points that other code evaluated.
 
     Raises:
         SpecError: the tuning is wrong; nothing has been written.
@@ -151,7 +151,7 @@ def _evaluate(
         return evaluate(tuning, problem, chosen, count, about, batches)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"stopped; {done} of {len(chosen)} walks are kept in {batches.out}: run the same command again to go on."
+            f"stopped; {done} of {len(chosen)} walks are kept in {batches.out}: run the same command again to resume."
         ) from None
 
 

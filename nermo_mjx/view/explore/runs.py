@@ -149,7 +149,7 @@ def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
         return _Read(table), table.schema.metadata or {}
     files = sorted((path / "results").glob("*.parquet"))
     if not files:
-        raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to go on.")
+        raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to resume.")
     results = Results(files)
     return results, results.schema.metadata or {}
 
