@@ -1,7 +1,7 @@
-"""Where the code is published: `Repository` under `[project.urls]` in pyproject.toml, which is the one place to say so.
+"""Where the code is published: `Repository` under `[project.urls]` in pyproject.toml, the single place that defines it.
 
 The line on how to get the code, the links to Colab, the badges of the notebooks and what they install follow from it:
-`python docs/address.py` writes them, or removes them where there is no address. A test tells when that is due.
+`python docs/address.py` writes them, or removes them if there is no address. A test fails when they are out of date.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 UNPUBLISHED = (
-    "The code is not published yet: it comes as a folder or an archive. Unpack it, and type the commands below in its\n"
-    "top folder."
+    "The code has not been published yet: it comes as a folder or an archive. Unpack it, and run the commands below in\n"
+    "its top-level folder."
 )
 
 
@@ -38,13 +38,13 @@ def source(address: str) -> str:
 
 
 def texts(address: str | None, root: Path = ROOT) -> dict[Path, str]:
-    """Every file that depends on the address, as it has to be."""
+    """Every file that depends on the address, with its expected text."""
     notebooks = sorted((root / "notebooks").glob("*.ipynb"))
     contents = {path: json.loads(path.read_text(encoding="utf-8")) for path in notebooks}
     code = (
         UNPUBLISHED
         if address is None
-        else f"Get the code: `git clone {address}`. Type the commands below in its folder."
+        else f"Get the code: `git clone {address}`. Run the commands below in its folder."
     )
     links = ", ".join(f"[{_title(content)}]({_colab(address, path)})" for path, content in contents.items() if address)
     found = {path: _notebook(content, path, address) for path, content in contents.items()}
