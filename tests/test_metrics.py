@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.control.path import straight
+from nermo_mjx.kinematics.attitude import attitude, uprightness
 from nermo_mjx.robot import LIMBS, Sensors
 from nermo_mjx.rollout import METRICS, metrics
-from nermo_mjx.rollout.attitude import attitude, uprightness
 from nermo_mjx.rollout.parameters import Window
 
 pytestmark = pytest.mark.compiles

@@ -20,6 +20,8 @@ SPINE_MODES = (
     "balance+harmonics", "stride_extension+balance+harmonics",
 )  # fmt: skip
 TRAJECTORIES = ("cubic", "linear", "parabolic", "free")
+HEADS = ("none", "gaze")
+TAIL_MOTIONS = ("none", "swing", "counter_yaw", "counter_roll")
 STEERINGS = ("leg", "spine", "mix")
 PROFILES = ("exact", "as_published")
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze", "body")
@@ -34,7 +36,8 @@ SCENES = (
 PAIRS_AND_LIMBS = ("front", "rear", "front_left", "front_right", "rear_left", "rear_right")
 METRICS = (
     "speed", "distance", "duration", "lateral_drift", "roll_mean", "roll_std", "roll_min", "roll_max", "pitch_mean",
-    "pitch_std", "pitch_min", "pitch_max", "yaw_mean", "yaw_std", "yaw_min", "yaw_max", "cross_track_peak",
+    "pitch_std", "pitch_min", "pitch_max", "yaw_mean", "yaw_std", "yaw_min", "yaw_max", "head_pitch_mean",
+    "head_pitch_std", "head_yaw_mean", "head_yaw_std", "picture_motion", "cross_track_peak",
     "cross_track_rms", "cross_track_walked", "turning_radius", "turn_rate", "slip", "slip_front_left",
     "slip_front_right", "slip_rear_left", "slip_rear_right", "duty_front_left", "duty_front_right", "duty_rear_left",
     "duty_rear_right", "loaded_front", "loaded_rear", "swing_loaded_front", "swing_loaded_rear", "load_front_left",
@@ -52,7 +55,9 @@ PARAMETERS = (
     "trim.spine", *(f"trim.{servo}.{limb}" for servo in ("hip", "knee") for limb in PAIRS_AND_LIMBS),
     "turning.exponent", "turning.leg", "turning.spine", "pilot.guidance", "pilot.look_ahead", "pilot.damping",
     "pilot.bandwidth", "pilot.grip", "pilot.error_gain", "pilot.change_gain", "pilot.output_limit",
-    "pilot.turn_rate", "pilot.radius", "pilot.direction", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
+    "pilot.turn_rate", "pilot.radius", "pilot.direction", "head.pan", "head.tilt", "head.into_turn", "head.gain",
+    "head.bandwidth", "head.lead", "tail.angle", "tail.swing_amplitude", "tail.swing_gain", "tail.swing_phase",
+    "tail.yaw_gain", "tail.roll_gain", "tail.bandwidth", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
     "servo.kv", "servo.torque_limit", "servo.speed", "contact.friction", "contact.tail_friction",
     "contact.trunk_friction", "contact.obstacle_friction",
     "contact.time_constant", "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee",

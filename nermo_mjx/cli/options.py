@@ -15,6 +15,7 @@ import click
 from nermo_mjx.cli.choices import (
     ENGINES,
     GAITS,
+    HEADS,
     METRICS,
     PARAMETERS,
     PHYSICS,
@@ -22,6 +23,7 @@ from nermo_mjx.cli.choices import (
     SCENES,
     SPINE_MODES,
     STEERINGS,
+    TAIL_MOTIONS,
     TRAJECTORIES,
     VIEWS,
 )
@@ -123,9 +125,9 @@ def scene(function: F) -> F:
 
 def camera(function: F) -> F:
     """`--camera`."""
-    known = f"{', '.join(VIEWS)}; eyes: the head's."
+    known = f"{', '.join(VIEWS)}; what the robot sees: eyes, left_eye, right_eye, stereo."
     return click.option("--camera", default=VIEWS[0], metavar="NAME", show_default=True, help=known,
-                        shell_complete=names(*VIEWS, "eyes"))(function)  # fmt: skip
+                        shell_complete=names(*VIEWS, "eyes", "left_eye", "right_eye", "stereo"))(function)  # fmt: skip
 
 
 def assigned(about: str) -> Callable[[F], F]:
@@ -149,6 +151,8 @@ def gait(function: F) -> F:
         number("--offset-compensation", "Rear legs take up the hip's rise; a share, or all if no number is given.",
                is_flag=False, flag_value=1.0, metavar="[X]"),
         choice("--trajectory", TRAJECTORIES, "Form of the foot path; free: with movable points."),
+        choice("--head", HEADS, "gaze: the neck keeps the picture still while the torso sways."),
+        choice("--tail-motion", TAIL_MOTIONS, "What the articulated tail does."),
         choice("--profile", PROFILES, "Controller as described, or as published."),
     ]  # fmt: skip
     for option in reversed(listed):

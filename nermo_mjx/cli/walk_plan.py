@@ -22,7 +22,7 @@ PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
     "offset_compensation": ("spine.offset_compensation", None),
 }
 SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory",
-                 "controller", "metrics")  # fmt: skip
+                 "head", "tail_motion", "controller", "metrics")  # fmt: skip
 DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
 
 

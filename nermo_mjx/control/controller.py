@@ -1,11 +1,12 @@
-"""The published controller: pilot, gait and spine joined into `init` and `update`.
+"""The published controller: pilot, gait, spine, head and tail joined into `init` and `update`.
 
     pilot ── drive ──► gait ──► feet ──► offset compensation, lag ──► leg kinematics ──► 8 leg servos
                │        │ phase, contact       ▲
-               └────────┴──────────► spine ────┴───────────────────────────────────────► spine servo
+               ├────────┴──────────► spine ────┴───────────────────────────────────────► spine servo
+               └───────────────────► head, tail ───────────────────────────────────────► neck, tilt and tail servos
 
 Two pytrees go through it: `ControlParameters` (what a sweep varies) and `ControllerState` (what time changes). Its
-three parts are fields, and each can be replaced by one of the same form. Values are unbatched; engines vmap.
+parts are fields, and each can be replaced by one of the same form. Values are unbatched; engines vmap.
 """
 
 from __future__ import annotations
@@ -24,12 +25,15 @@ from nermo_mjx.control import build, clock, fusion, pilot, trajectory
 from nermo_mjx.control.course import course_through
 from nermo_mjx.control.free_stepping import FREE, FreeStepping
 from nermo_mjx.control.fusion import SpineLike, SpineModes
+from nermo_mjx.control.head import HeadLike, HeldHead, named_head
 from nermo_mjx.control.parameters import ControlParameters, choice, with_gait_factor
 from nermo_mjx.control.path import PATHS, PathPoint
 from nermo_mjx.control.pilot import Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
 from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.control.state import ControllerState, canonical, with_dtypes_of
 from nermo_mjx.control.stepping import GaitLike, Stepping
+from nermo_mjx.control.sway import Pace
+from nermo_mjx.control.tail import HeldTail, TailLike, named_tail
 from nermo_mjx.robot.interface import Sensors, ServoAngles
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import ROUTINGS
@@ -45,6 +49,8 @@ class Controller:
         pilot: where to; see `PilotLike`.
         gait: how the feet go there; see `GaitLike`.
         spine: what the spine does besides; see `SpineLike`.
+        head: where the robot looks; see `HeadLike`.
+        tail: what the tail does; see `TailLike`.
         routing: knee tendon routing of the legs.
         control_rate, pilot_rate: ticks per simulated second [Hz]; their ratio is an integer.
         parameters: what a simulation starts from before values are named; any tree with the groups that the parts read.
@@ -60,6 +66,8 @@ class Controller:
     control_rate: float = 100.0
     pilot_rate: float = 50.0
     parameters: Any = dataclasses.field(default_factory=ControlParameters, compare=False, repr=False)
+    head: HeadLike = dataclasses.field(default_factory=HeldHead)
+    tail: TailLike = dataclasses.field(default_factory=HeldTail)
 
     def __post_init__(self) -> None:
         choice("routing", self.routing, ROUTINGS)
@@ -84,8 +92,13 @@ class Controller:
             phase: of the gait cycle; taken modulo 1.
         """
         state = self._start(params, phase)
-        memory = self.pilot.init(params, state.pilot, sensors, self._walk(params, state))
-        return with_dtypes_of(state, dataclasses.replace(state, pilot=memory))
+        after = dataclasses.replace(
+            state,
+            pilot=self.pilot.init(params, state.pilot, sensors, self._walk(params, state)),
+            head=self.head.init(params, state.head, sensors),
+            tail=self.tail.init(params, state.tail, sensors),
+        )
+        return with_dtypes_of(state, after)
 
     def initial_servo(self, params: ControlParameters, phase: Scalar | float = 0.0) -> ServoAngles:
         """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
@@ -100,17 +113,22 @@ class Controller:
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
         closed = trajectory.share_closed(params.tracking, self.dt)
         foot = state.foot + closed * (path + fusion.compensation(params.spine, spine) - state.foot)
+        pace = self._pace(params, gait.phase, drive)
+        head, head_angles = self.head.update(params, state.head, sensors, pace, self.dt)
+        tail, tail_angle = self.tail.update(params, state.tail, sensors, pace, self.dt)
 
         tick = state.tick + 1
         after = ControllerState(
-            tick=tick, time=tick * self.dt, pilot=memory, drive=drive, gait=gait, foot=foot, spine=spine
+            tick=tick, time=tick * self.dt, pilot=memory, drive=drive, gait=gait, foot=foot, spine=spine, head=head,
+            head_angles=head_angles, tail=tail, tail_angle=tail_angle,
         )  # fmt: skip
         after = with_dtypes_of(state, after)
         return after, self.servo_angles(params, after)
 
     def servo_angles(self, params: ControlParameters, state: ControllerState) -> ServoAngles:
-        """Servo angles for the commanded feet and spine; neck and tail look straight ahead and back."""
+        """Servo angles for the commanded feet, spine, head and tail."""
         servos = leg_servos(state.foot, state.spine, self.routing)
+        servos = dataclasses.replace(servos, neck=state.head_angles.neck, tail=state.tail_angle)
         trim = getattr(self.gait, "trim", None)
         return servos if trim is None else trim(params, servos)
 
@@ -142,11 +160,17 @@ class Controller:
         gait, path = self.gait.start(params, clock.wrap(jnp.asarray(phase, dtype=float)), drive)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
         foot = path + fusion.compensation(params.spine, spine)
+        pace = self._pace(params, gait.phase, drive)
+        head, head_angles = self.head.start(params, pace)
+        tail, tail_angle = self.tail.start(params, pace)
         state = ControllerState(
             tick=jnp.zeros((), dtype=jnp.int32), time=jnp.zeros(()), pilot=memory, drive=drive, gait=gait, foot=foot,
-            spine=spine,
+            spine=spine, head=head, head_angles=head_angles, tail=tail, tail_angle=tail_angle,
         )  # fmt: skip
         return canonical(state)
+
+    def _pace(self, params: ControlParameters, phase: Scalar, drive: Drive) -> Pace:
+        return Pace(phase, drive.speed, drive.turn_rate, self.cycle_rate(params))
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)
@@ -167,6 +191,8 @@ def published_controller(
     waypoints: Sequence[Sequence[float]] | None = None,
     command: Command | None = None,
     trajectory: str = "cubic",
+    head: str = "none",
+    tail_motion: str = "none",
     routing: str = "type3",
     masses: MassModel | None = None,
     control_rate: float = 100.0,
@@ -186,6 +212,8 @@ def published_controller(
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
         trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with numbers of
             each limb and movable points, see `free_stepping`.
+        head: "none" holds it, "gaze" keeps its direction in the world; see `control.head`.
+        tail_motion: "none" holds it, "swing", "counter_yaw" or "counter_roll"; see `control.tail`.
         routing: knee tendon routing of the legs.
         masses: two-mass model of the assembled robot, for the mode "balance".
         control_rate, pilot_rate: see `Controller`.
@@ -196,7 +224,7 @@ def published_controller(
     stepping = FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory)
     return Controller(
         named_pilot(pilot, waypoints, command), stepping, SpineModes(spine, masses), routing, control_rate,
-        pilot_rate,
+        pilot_rate, head=named_head(head), tail=named_tail(tail_motion),
     )  # fmt: skip
 
 

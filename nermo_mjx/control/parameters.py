@@ -196,6 +196,42 @@ class Pilot:
 
 
 @parameter_tree
+class Head:
+    """Where the head looks, and how it holds its gaze; the tilt needs a robot with a servo for it."""
+
+    pan: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="neck beside straight ahead, positive left")
+    tilt: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="head from level, positive down")
+    into_turn: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="how far the neck looks into a full turn")
+    gain: Any = quantity(1.0, unit="1", low=0.0, high=2.0, doc="share of the torso's sway that the gaze takes out")
+    bandwidth: Any = quantity(
+        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that the gaze holds, per gait cycle"
+    )
+    lead: Any = quantity(
+        0.0, unit="s", low=0.0, high=0.2, doc="how far ahead the gyro carries the torso's rotation, for slow servos"
+    )
+
+
+@parameter_tree
+class Tail:
+    """How the articulated tail moves; its servo's angle is positive where the tip goes left."""
+
+    angle: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="servo angle about which it moves")
+    swing_amplitude: Any = quantity(0.5, unit="rad", low=0.0, high=1.0, doc="largest servo amplitude of the swing")
+    swing_gain: Any = quantity(
+        4.5, unit="rad s^2/m^2", low=0.0, high=1e4, doc="servo amplitude of the swing over the square of gait.speed"
+    )
+    swing_phase: Any = quantity(
+        np.pi, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="of the swing A cos(2 pi phase + tail.swing_phase)"
+    )
+    # Both chosen by sweeps of the trot at 0.8 Hz (docs/control.md): beyond, the robot rolls or slows down.
+    yaw_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle against the torso's yaw off course")
+    roll_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle over the torso's roll")
+    bandwidth: Any = quantity(
+        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that yaw is counted from, per gait cycle"
+    )
+
+
+@parameter_tree
 class Tracking:
     """How the published controller differs from the exact one."""
 
@@ -224,6 +260,8 @@ class ControlParameters:
     trim: Trim = group(Trim)
     turning: Turning = group(Turning)
     pilot: Pilot = group(Pilot)
+    head: Head = group(Head)
+    tail: Tail = group(Tail)
     tracking: Tracking = group(Tracking)
 
 

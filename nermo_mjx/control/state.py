@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
+from nermo_mjx.control.head import HeadAngles
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.shapes import Array, Count, Scalar, Scalars
 
@@ -28,6 +29,8 @@ class ControllerState:
         gait: the gait's state.
         foot: commanded foot positions: those on the path, after offset compensation and tracking lag [m].
         spine: commanded spine servo angle, positive left [rad].
+        head, tail: memories of these parts.
+        head_angles, tail_angle: their commanded servo angles [rad].
     """
 
     tick: Count
@@ -37,6 +40,10 @@ class ControllerState:
     gait: Any
     foot: Float[Array, "4 2"]
     spine: Scalar
+    head: Any
+    head_angles: HeadAngles
+    tail: Any
+    tail_angle: Scalar
 
     @property
     def phase(self) -> Scalars:

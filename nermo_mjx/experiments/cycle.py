@@ -16,10 +16,10 @@ from scipy.signal import find_peaks
 
 from nermo_mjx.experiments.cases import Worlds
 from nermo_mjx.experiments.outcome import Column
+from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.robot.interface import SERVOS
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.rollout import History, Run, Simulator
-from nermo_mjx.rollout.attitude import attitude
 
 #: Parts of a gait cycle over which curves are folded; in the profile as_published it has 50 ticks.
 PARTS: Final = 50

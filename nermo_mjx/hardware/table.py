@@ -17,7 +17,9 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.head import GAZE
 from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW
 from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
 from nermo_mjx.robot import SERVOS, ParameterError, Sensors
 from nermo_mjx.rollout import Setup
@@ -30,6 +32,8 @@ HIGHEST_RATE: Final = 1000.0
 MOST_ROWS: Final = 1_000_000
 #: A table is periodic when no angle differs more than this between one of its cycles and the next [rad].
 _ALIKE: Final = 1e-6
+#: What head and tail do in answer to sensors.
+_ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL)
 #: Gait cycles after which a controller that has not settled is given up.
 _PATIENCE: Final = 200
 
@@ -124,6 +128,9 @@ def servo_table(
     setup = setup or Setup()
     if setup.controller is not None:
         raise ParameterError(f"controller is {setup.controller!r}: a servo table is of the published controller.")
+    for name, choice in (("head", setup.head), ("tail_motion", setup.tail_motion)):
+        if choice in _ANSWERING:
+            raise ParameterError(f"{name} is {choice!r}, which answers to sensors: a servo table reads none.")
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
     world = _parameters(setup, values or {})
     params, phase = world.control, float(np.asarray(world.start.phase))

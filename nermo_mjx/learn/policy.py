@@ -42,6 +42,7 @@ ACTIONS: Final[dict[str, Any]] = {"residual": Residual, "modulation": Modulation
 #: Choices of a setup that decide the controller that is acted on.
 BASE: Final = (
     "robot", "tail", "routing", "gait", "spine", "steering", "profile", "pilot", "waypoints", "trajectory",
+    "head", "tail_motion",
 )  # fmt: skip
 
 

@@ -38,6 +38,8 @@ TAILS: Final = ("rigid", "articulated")
 CONES: Final = ("elliptic", "pyramidal")
 #: The torso's cameras that follow the robot without turning with it.
 FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
+#: What each of the head's two cameras sees.
+EYES: Final = ("left_eye", "right_eye")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -99,7 +101,7 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     spec.modelname = f"{config.robot}_{scene_name(scene)}"
     _attach(spec, spec.worldbody, "torso", plain=("torso", "root", "imu", *FOLLOWING))
     _attach(spec, spec.frame("torso_spine_mount"), "spine")
-    _attach(spec, spec.frame("torso_neck_mount"), "head", plain=("head", "neck", "eyes"))
+    _attach(spec, spec.frame("torso_neck_mount"), "head", plain=("head", "neck", "eyes", *EYES))
     _attach(spec, spec.frame("spine_end"), "hip")
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"

@@ -186,6 +186,25 @@ TAIL: Final = TailGeometry()
 
 
 @dataclasses.dataclass(frozen=True)
+class EyeGeometry:
+    """The two cameras that are the robot's eyes; left side, the right side mirrors x. By pictures of the robot.
+
+    Attributes:
+        place: middle of the lens from the neck, in the head's frame [m].
+        outward, up: where it looks from straight ahead [rad].
+        dome: how far the camera that renders stands before the middle of the lens, out of the robot's own sight [m].
+    """
+
+    place: tuple[float, float, float] = (0.0099, -0.0276, 0.0186)
+    outward: float = 0.50
+    up: float = 0.16
+    dome: float = 0.0025
+
+
+EYE: Final = EyeGeometry()
+
+
+@dataclasses.dataclass(frozen=True)
 class GaitPattern:
     """A published gait [A.2, A.6]: stance share of the cycle, stance offsets of the limbs, gait factor of (5.21)."""
 

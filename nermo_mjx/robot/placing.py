@@ -16,7 +16,7 @@ from nermo_mjx.robot.files import load_file
 from nermo_mjx.robot.geometry import Geometry, dh_table, leg_geometry
 from nermo_mjx.robot.leg_plane import tendon_limit
 from nermo_mjx.robot.mirror import turn
-from nermo_mjx.robot.parameters import BODY, LEGS, ROUTINGS, SPINE, TAIL
+from nermo_mjx.robot.parameters import BODY, EYE, LEGS, ROUTINGS, SPINE, TAIL
 from nermo_mjx.robot.tail import add_tail
 
 #: From the shoulder's or hip's axis to the end of the capsule about its servos, left, back and up [m].
@@ -47,6 +47,17 @@ def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     for name in ("neck_mount", "neck_servo"):
         spec.frame(name).pos = np.array(BODY.neck)
     _limbs(spec, "front", geometry)
+
+
+def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
+    """The cameras before the lenses; a camera's own axes are right, up and back."""
+    for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
+        c, s, level, rise = np.cos(EYE.outward), side * np.sin(EYE.outward), np.cos(EYE.up), np.sin(EYE.up)
+        ahead = np.array([s * level, -c * level, rise])
+        up = np.array([-s * rise, c * rise, level])
+        camera, quat = spec.camera(name), np.zeros(4)
+        mujoco.mju_mat2Quat(quat, np.stack([np.cross(ahead, up), up, -ahead], axis=-1).ravel())
+        camera.pos, camera.quat = np.array(EYE.place) * [side, 1.0, 1.0] + EYE.dome * ahead, quat
 
 
 def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
@@ -131,6 +142,7 @@ def _limit_to_straight(spec: mujoco.MjSpec) -> None:
 
 _PLACED: Final[dict[str, Callable[[mujoco.MjSpec, Geometry], None]]] = {
     "torso": _torso,
+    "head": _head,
     "hip": _hip,
     "spine": _spine,
     "front_leg": lambda spec, geometry: _leg(spec, "front", geometry),

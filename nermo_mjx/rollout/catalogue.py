@@ -31,6 +31,12 @@ METRICS: Final[dict[str, Metric]] = {
         for angle in ANGLES
         for statistic, better in (("mean", None), ("std", "low"), ("min", None), ("max", None))
     },
+    **{
+        f"head_{angle}_{statistic}": Metric("rad", f"{statistic} of the head's {angle}", better)
+        for angle in ("pitch", "yaw")
+        for statistic, better in (("mean", None), ("std", "low"))
+    },
+    "picture_motion": Metric("rad/s", "speed of far things across the eyes' pictures, root mean square", "low"),
     "cross_track_peak": Metric("m", "largest distance from the pilot's path; NaN for a pilot without one", "low"),
     "cross_track_rms": Metric("m", "root mean square of the distance from the pilot's path; NaN without a path", "low"),
     "cross_track_walked": Metric("m", "largest distance of a gait cycle's mean position from the pilot's path", "low"),

@@ -23,9 +23,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
+from nermo_mjx.kinematics.attitude import attitude, uprightness
 from nermo_mjx.robot import LIMBS, Sensors
-from nermo_mjx.rollout import path_metrics, reduction
-from nermo_mjx.rollout.attitude import attitude, uprightness
+from nermo_mjx.rollout import eye_metrics, path_metrics, reduction
 from nermo_mjx.rollout.catalogue import ANGLES, METRICS, PAIRS
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
 from nermo_mjx.rollout.own_metrics import OwnMetric
@@ -86,6 +86,7 @@ class MetricState:
         load: force on each foot over time (4,), and on the tail [N s].
         tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
+        eyes: what the eyes went through.
         own: accumulators of metrics of one's own; None without any.
         on_path: whether the pilot has a path.
         lost: whether the readings mean nothing any more, also after the run's end.
@@ -115,6 +116,7 @@ class MetricState:
     load: Float[Array, " 5"]
     tail_loaded: Scalar
     path: path_metrics.PathState
+    eyes: eye_metrics.EyeState
     own: reduction.OwnState | None
     on_path: Truth
     lost: Truth
@@ -136,6 +138,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
         origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four,
         swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
+        eyes=eye_metrics.init(sensors),
         own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
@@ -236,6 +239,7 @@ def update(
         path=path_metrics.update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
+        eyes=eye_metrics.update(state.eyes, sensors, part.weight, share),
         own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
         on_path=jnp.asarray(path is not None),
         lost=lost,
@@ -314,6 +318,7 @@ def result(
     for i, angle in enumerate(ANGLES):
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
+    metrics |= eye_metrics.result(state.eyes, time)
     for i, limb in enumerate(LIMBS):
         metrics |= {
             f"duty_{limb}": state.loaded[i] / time,

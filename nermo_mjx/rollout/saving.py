@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
+from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.physics import Trace
 from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, Sensors
 from nermo_mjx.robot.nearest import nearest
-from nermo_mjx.rollout.attitude import attitude
 
 _XYZ: Final = ("x", "y", "z")
 _WXYZ: Final = ("w", *_XYZ)

@@ -14,9 +14,10 @@ from jaxtyping import Float
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.fusion import SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
-from nermo_mjx.control.parameters import ControlParameters, published_values
+from nermo_mjx.control.parameters import ControlParameters, choice, published_values
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
+from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.model_parameters import ModelParameters
@@ -33,10 +34,12 @@ TAKEN: Final = frozenset((
     "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
     "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
     "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
-    "trajectory",
+    "trajectory", "head", "tail_motion",
 ))  # fmt: skip
 #: Choices that only the published controller knows.
-PUBLISHED: Final = ("gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory")
+PUBLISHED: Final = (
+    "gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory", "head", "tail_motion",
+)  # fmt: skip
 
 #: Choices that give parameters their defaults, and decide nothing else.
 PRESETTINGS: Final = ("gait", "steering", "profile")
@@ -63,6 +66,8 @@ class Setup:
         command: for the pilot `external`, see `control.pilot.tabulated`.
         trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and numbers
             of each limb.
+        head: `none` or `gaze`, see `control.head`.
+        tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the articulated tail, see `control.tail`.
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
             `FILE.npz`, a policy. What is chosen above from `gait` on is the published controller's, and goes with no
             other; with a `Controller` of other parts go gait, steering and profile. A policy has a pilot of its own;
@@ -89,6 +94,8 @@ class Setup:
     waypoints: tuple[tuple[float, float], ...] | None = None
     command: Command | None = None
     trajectory: str = "cubic"
+    head: str = "none"
+    tail_motion: str = "none"
     controller: ControllerLike | str | None = None
     metrics: tuple[OwnMetric | str, ...] = ()
 
@@ -100,6 +107,8 @@ class Setup:
         object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
         mode_names(self.spine)
+        if choice("tail_motion", self.tail_motion, TAIL_MOTIONS) != Setup.tail_motion and self.tail == "rigid":
+            raise ParameterError(f"tail_motion is {self.tail_motion!r} and tail 'rigid': take the tail 'articulated'.")
         given: Any = self.metrics
         object.__setattr__(self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given))
         self._check_metrics()
@@ -156,7 +165,8 @@ class Setup:
             return own
         return published_controller(
             tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot, waypoints=self.waypoints,
-            command=self.command, trajectory=self.trajectory, routing=self.routing,
+            command=self.command, trajectory=self.trajectory, head=self.head, tail_motion=self.tail_motion,
+            routing=self.routing,
         )  # fmt: skip
 
     def _check_metrics(self) -> None:

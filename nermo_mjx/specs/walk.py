@@ -14,7 +14,9 @@ from pydantic import BeforeValidator, Field
 
 from nermo_mjx.control.free_stepping import FREE
 from nermo_mjx.control.fusion import SPINES
+from nermo_mjx.control.head import GAZE, HEADS
 from nermo_mjx.control.parameters import PROFILES, STEERING
+from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW, SWING, TAIL_MOTIONS
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAITS
 from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
@@ -38,6 +40,11 @@ _NEEDS: Final = {
     "pilot.radius": ("pilot", "arc"),
     "pilot.direction": ("pilot", "arc"),
     "spine.harmonics": ("spine", "harmonics"),
+    **{f"head.{name}": ("head", GAZE) for name in ("gain", "bandwidth", "lead")},
+    "tail.angle": ("tail", "articulated"),
+    **{f"tail.{name}": ("tail_motion", SWING) for name in ("swing_amplitude", "swing_gain", "swing_phase")},
+    **{f"tail.{name}": ("tail_motion", COUNTER_YAW) for name in ("yaw_gain", "bandwidth")},
+    "tail.roll_gain": ("tail_motion", COUNTER_ROLL),
     "limb": ("trajectory", FREE),
     "foot": ("trajectory", FREE),
     "trim": ("trajectory", FREE),
@@ -81,6 +88,8 @@ class SetupFields(Fields):
     trajectory: str = chosen(
         Setup.trajectory, (*FORMS, FREE), "form of the foot path; free: cubic, with movable points and numbers of limbs"
     )
+    head: str = chosen(Setup.head, HEADS, "gaze keeps its direction in the world")
+    tail_motion: str = chosen(Setup.tail_motion, TAIL_MOTIONS, "what the articulated tail does")
     controller: str = optional("another controller: FILE.py:NAME or FILE.npz, from this file's folder, or MODULE:NAME")
 
 

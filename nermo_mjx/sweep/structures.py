@@ -23,7 +23,8 @@ from nermo_mjx.sweep.axes import AxisForm
 
 #: Fields of a walk that may vary; in this order they stand in a message.
 STRUCTURES: Final = (
-    "gait", "spine", "steering", "pilot", "profile", "trajectory", "routing", "scene", "tail", "physics", "robot",
+    "gait", "spine", "steering", "pilot", "profile", "trajectory", "head", "tail_motion", "routing", "scene", "tail",
+    "physics", "robot",
 )  # fmt: skip
 #: Combinations in one sweep: each is a simulator, and is checked before anything runs.
 MOST_STRUCTURES: Final = 1_000
@@ -96,6 +97,8 @@ class Vary(Fields):
     pilot: Annotated[Any, Listed("pilot")] = _varied("pilot")
     profile: Annotated[Any, Listed("profile")] = _varied("profile")
     trajectory: Annotated[Any, Listed("trajectory")] = _varied("trajectory")
+    head: Annotated[Any, Listed("head")] = _varied("head")
+    tail_motion: Annotated[Any, Listed("tail_motion")] = _varied("tail_motion")
     routing: Annotated[Any, Listed("routing")] = _varied("routing")
     scene: Annotated[Any, Listed("scene")] = _varied("scene")
     tail: Annotated[Any, Listed("tail")] = _varied("tail")

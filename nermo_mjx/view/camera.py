@@ -26,6 +26,8 @@ CAMERAS: Final[dict[str, Angle]] = {
     "front": Angle(90.0, -12.0),
     "rear": Angle(-90.0, -18.0),
 }
+#: Both of the robot's eyes, side by side.
+STEREO: Final = "stereo"
 #: Standard deviation of the filter that takes the steps' shaking out of the camera's path [s].
 SMOOTHING: Final = 0.25
 #: Radius of the body over half the height of a square picture; a wide one shows the long, level body larger.

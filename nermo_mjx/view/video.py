@@ -16,9 +16,10 @@ from jaxtyping import Float, Int, UInt8
 
 from nermo_mjx import runtime
 from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.robot.assembly import EYES
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import sun
-from nermo_mjx.view.camera import CAMERAS, body_radius, following_camera, root_body, smooth_path
+from nermo_mjx.view.camera import CAMERAS, STEREO, body_radius, following_camera, root_body, smooth_path
 from nermo_mjx.view.encoding import SUFFIXES, CountDone, VideoError, require_encoder, write_video
 from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
 
@@ -53,7 +54,8 @@ def render(
         path: the file; it appears only when it is whole.
         fps: frames per second of the video.
         width, height: size of the robot's picture in pixels, even numbers for MP4; strips of overlays stand below it.
-        camera: a following view of `CAMERAS`, or the name of a camera of the model.
+        camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the pictures of both
+            eyes, each half as wide.
         speed: 1 is real time, 0.25 a quarter of it.
         overlays: names of `OVERLAYS`.
         progress: called with (frames done, frames in all).
@@ -104,8 +106,11 @@ def check_video(
     if suffix == ".mp4" and (width % 2 or height % 2):
         raise ParameterError(f"An MP4 video needs an even width and height, not {width} x {height}.")
     own = [model.camera(i).name for i in range(model.ncam)]
-    if camera not in CAMERAS and camera not in own:
-        raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join([*CAMERAS, *filter(None, own)])}.")
+    known = [*CAMERAS, *filter(None, own), *([STEREO] if set(EYES) <= set(own) else [])]
+    if camera not in known:
+        raise ParameterError(f"camera is {camera!r}: allowed is one of {', '.join(known)}.")
+    if camera == STEREO and width % 2:
+        raise ParameterError(f"width is {width}: allowed is an even number with camera {STEREO}, half for each eye.")
     check_overlays(overlays)
     if suffix == ".mp4":
         require_encoder()
@@ -160,8 +165,8 @@ def _robot(
     model = _dressed(model, width, height)
     data = mujoco.MjData(model)
     following, path = _track(recording, model, data, samples, width / height, camera, interval)
-    view: Any = camera if following is None else following
-    with _renderer(model, width, height) as renderer:
+    views: list[Any] = [following] if following else [*EYES] if camera == STEREO else [camera]
+    with _renderer(model, width // len(views), height) as renderer:
         for sample, point in zip(samples, path, strict=True):
             _pose(model, data, recording.qpos[sample])
             mujoco.mj_camlight(model, data)
@@ -169,10 +174,21 @@ def _robot(
             if following is not None:
                 following.lookat[:] = point
             sun.move_above(model, data, point)
-            renderer.update_scene(data, view)
-            if scenery is not None:
-                scenery(renderer.scene, data, int(sample))
-            yield renderer.render()
+            yield np.concatenate([_seen(renderer, data, view, scenery, int(sample)) for view in views], axis=1)
+
+
+def _seen(
+    renderer: mujoco.Renderer,
+    data: mujoco.MjData,
+    view: Any,
+    scenery: Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None,
+    sample: int,
+) -> UInt8[np.ndarray, "height width 3"]:
+    """The picture of one camera."""
+    renderer.update_scene(data, view)
+    if scenery is not None:
+        scenery(renderer.scene, data, sample)
+    return renderer.render()
 
 
 def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:

@@ -14,11 +14,11 @@ from jaxtyping import Float
 
 from nermo_mjx.experiments.balance.protocol import COMPRESSION, PHASES, ROUTING, STANCE
 from nermo_mjx.experiments.outcome import Column
+from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.kinematics.balance import diagonal_distance
 from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS
-from nermo_mjx.rollout.attitude import attitude
 
 #: For each lifted limb, the front and the rear foot of the diagonal over which it may tip. The third standing foot is
 #: the one opposite, 3 - limb: it carries what the centre of mass lies inside of the diagonal.

@@ -17,9 +17,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from nermo_mjx.experiments.line import Line
+from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.plotting.style import MUTED, OKABE_ITO, SHADE, light
 from nermo_mjx.recording import Recording
-from nermo_mjx.rollout.attitude import attitude
 
 SPINE: Final = {False: OKABE_ITO["blue"], True: OKABE_ITO["vermilion"]}
 COMPENSATED: Final = OKABE_ITO["purple"]

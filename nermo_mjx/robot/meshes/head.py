@@ -10,7 +10,9 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from nermo_mjx.robot.meshes.numbers import MM
 from nermo_mjx.robot.meshes.shapes import Shape, ball, join, loft, superellipse, turned_part
+from nermo_mjx.robot.parameters import EYE
 
 #: The skull's sections: y, middle z, half-width, half-height [mm].
 SECTIONS: Final = (
@@ -20,10 +22,6 @@ SECTIONS: Final = (
 )  # fmt: skip
 RINGS: Final = 14
 SIDES: Final = 20
-#: The left eye: middle of the lens [mm], and where it looks: outward and up from straight ahead [rad].
-EYE: Final = (9.9, -27.6, 18.6)
-EYE_OUT: Final = 0.50
-EYE_UP: Final = 0.16
 #: The left ear: middle [mm], radius, and how it is turned outward, and leans back [rad].
 EAR: Final = (12.6, -2.5, 28.0)
 EAR_RADIUS: Final = 8.6
@@ -87,4 +85,5 @@ def lens() -> Shape:
 
 
 def _at_eye(shape: Shape) -> Shape:
-    return shape.turned("z", -np.pi / 2).turned("x", -EYE_UP).turned("z", EYE_OUT).moved(*EYE)
+    turned = shape.turned("z", -np.pi / 2).turned("x", -EYE.up).turned("z", EYE.outward)
+    return turned.moved(*(MM * each for each in EYE.place))

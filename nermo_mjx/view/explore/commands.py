@@ -13,7 +13,9 @@ from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.view.explore.runs import Runs
 
 #: Choices that are options of `nermo-mjx walk`, with the values that it takes.
-_OPTIONS: Final = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory")
+_OPTIONS: Final = (
+    "robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory", "head", "tail_motion",
+)  # fmt: skip
 #: Choices that are none: only their defaults can be walked.
 _NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone}
 #: Pilots that `walk` takes, and the parameters that their options are.
@@ -48,7 +50,7 @@ def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
     words = ["nermo-mjx", "walk"]
     for name in _OPTIONS:
         value = str(spec.get(name, getattr(Setup, name)))
-        words += [f"--{name}", value] if name not in names and value != str(getattr(Setup, name)) else []
+        words += [_option(name), value] if name not in names and value != str(getattr(Setup, name)) else []
     if "pilot" not in names:
         words += ["--pilot", pilot] if pilot != Setup.pilot else []
         fixed |= {f"pilot.{key}": _SIDES.get(value, value) for key, value in chosen.items()}
@@ -60,9 +62,13 @@ def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
         words += ["--set", f"{name}={value!r}"]
     return {
         "words": shlex.join(words),
-        "options": [[f"--{name}", name] for name in (*_OPTIONS, "pilot") if name in names],
+        "options": [[_option(name), name] for name in (*_OPTIONS, "pilot") if name in names],
         "set": [each.name for each in varied if not each.is_text],
     }
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:

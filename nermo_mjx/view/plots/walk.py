@@ -12,10 +12,10 @@ import numpy as np
 from nermo_mjx.control.free_stepping import FREE, FreeStepping
 from nermo_mjx.control.parameters import ControlParameters, published_values
 from nermo_mjx.control.stepping import Stepping
+from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import GAITS, LIMBS
 from nermo_mjx.robot.quantity import quantities, replace_quantities
-from nermo_mjx.rollout.attitude import attitude
 from nermo_mjx.view.standing import STANDING
 
 #: Gait cycles that figures show of single steps: the last whole ones.

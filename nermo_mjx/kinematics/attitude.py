@@ -1,4 +1,4 @@
-"""Attitude of the torso as three angles.
+"""Attitude of a body as three angles, and directions as it sees them.
 
 Roll, pitch and yaw are right-handed rotations about the robot's own axes: roll about y (back; positive leans left),
 pitch about x (left; positive is nose down), yaw about z (positive turns left), with R = Rz(yaw) Rx(pitch) Ry(roll).
@@ -23,3 +23,9 @@ def attitude(quaternion: Quaternion) -> Spatial:
 def uprightness(quaternion: Quaternion) -> Scalars:
     """Cosine of the torso's tilt: 1 upright, 0 on its side."""
     return 1 - 2 * (quaternion[..., 1] ** 2 + quaternion[..., 2] ** 2)
+
+
+def turned_back(quaternion: Quaternion, direction: Spatial) -> Spatial:
+    """A direction of the world as a body of this attitude sees it, R^T d."""
+    w, axis = quaternion[..., :1], -quaternion[..., 1:]
+    return direction + 2.0 * jnp.cross(axis, jnp.cross(axis, direction) + w * direction)

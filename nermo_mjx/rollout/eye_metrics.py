@@ -1,0 +1,91 @@
+"""What the robot's eyes go through: yaw and pitch of its head, and how fast the picture moves; part of the metrics.
+
+The head's attitude is the torso's, turned by the neck. Far away things move across the middle of a picture as fast as
+the head turns about its own vertical and its lateral axis; a head that rolls turns the picture about its middle.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from nermo_mjx.control.sway import wrapped
+from nermo_mjx.kinematics.attitude import attitude, turned_back
+from nermo_mjx.robot import SERVOS, Sensors
+from nermo_mjx.rollout.path_metrics import root
+from nermo_mjx.shapes import Array, Quaternion, Scalar, Scalars, Spatial
+
+_NECK = SERVOS.index("neck")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class EyeState:
+    """Accumulators of one world.
+
+    Attributes:
+        angles: pitch and yaw of the head at the last tick [rad]; yaw goes on beyond half a turn.
+        mean, square: Welford's running mean and sum of squared deviations of the angles.
+        motion: integral of the squared angular speed of the picture [rad^2/s].
+    """
+
+    angles: Float[Array, " 2"]
+    mean: Float[Array, " 2"]
+    square: Float[Array, " 2"]
+    motion: Scalar
+
+
+def init(sensors: Sensors) -> EyeState:
+    """Accumulators before the first tick, from the readings at rest."""
+    angles = attitude(head_orientation(sensors))[1:]
+    zero = jnp.zeros_like(angles)
+    return EyeState(angles, zero, zero, zero[0])
+
+
+def update(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> EyeState:
+    """Add one tick.
+
+    Args:
+        state: accumulators so far.
+        sensors: readings of the tick's physics steps, leading axis (steps,).
+        weight: length of the measured part of the tick [s], and `share` of it in all that is measured so far.
+    """
+    last = jax.tree.map(lambda leaf: leaf[-1], sensors)
+    angles = state.angles + wrapped(attitude(head_orientation(last))[1:] - state.angles)
+    deviation = angles - state.mean
+    mean = state.mean + share * deviation
+    square = state.square + weight * deviation * (angles - mean)
+    return EyeState(angles, mean, square, state.motion + weight * (picture_speed(sensors) ** 2).mean())
+
+
+def result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
+    """The metrics by name; `time` is what was measured [s]."""
+    metrics = {"picture_motion": root(state.motion / time)}
+    for i, angle in enumerate(("pitch", "yaw")):
+        metrics |= {f"head_{angle}_mean": state.mean[i], f"head_{angle}_std": root(state.square[i] / time)}
+    return metrics
+
+
+def head_orientation(sensors: Sensors) -> Quaternion:
+    """Attitude of the head (w, x, y, z): the torso's, turned about its vertical axis by the neck's servo."""
+    half = 0.5 * sensors.servo_angle[..., _NECK]
+    c, s = jnp.cos(half), jnp.sin(half)
+    w, x, y, z = (sensors.orientation[..., i] for i in range(4))
+    return jnp.stack([w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s], axis=-1)
+
+
+def picture_speed(sensors: Sensors) -> Scalars:
+    """Angular speed of what is far away across the middle of the picture [rad/s]."""
+    rate = head_rate(sensors)
+    return jnp.sqrt(rate[..., 0] ** 2 + rate[..., 2] ** 2 + 1e-12)
+
+
+def head_rate(sensors: Sensors) -> Spatial:
+    """Angular velocity of the head in its own frame [rad/s]: the gyro's, and the neck's."""
+    half = 0.5 * sensors.servo_angle[..., _NECK]
+    none = jnp.zeros_like(half)
+    seen = turned_back(jnp.stack([jnp.cos(half), none, none, jnp.sin(half)], axis=-1), sensors.gyro)
+    return seen + jnp.stack([none, none, sensors.servo_velocity[..., _NECK]], axis=-1)

@@ -1,0 +1,241 @@
+"""Where the head looks and what the tail does: closed forms, signs, and what they do for the walking robot."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from nermo_mjx import SERVOS, Run, Setup, load_robot, servo_table
+from nermo_mjx.control import ControlParameters, CounterRoll, CounterYaw, Gaze, Pace, sway
+from nermo_mjx.kinematics.spine import joint_angle, yaw
+from nermo_mjx.robot import ParameterError, Sensors
+from nermo_mjx.robot.meshes import head as shapes
+from nermo_mjx.robot.quantity import replace_quantities
+from nermo_mjx.sweep import SpecError, Sweep
+
+pytestmark = pytest.mark.compiles
+
+PACE = Pace(*(jnp.asarray(value, jnp.float32) for value in (0.0, 1.0, 0.0, 0.8)))
+
+
+def sensors_at(rotation: Rotation, gyro: tuple[float, float, float] = (0.0, 0.0, 0.0), spine: float = 0.0) -> Sensors:
+    """What the robot reads with its torso turned so."""
+    shapes = {"servo_angle": 11, "servo_velocity": 11, "servo_torque": 11, "knee_angle": 4, "foot_force": 4,
+              "foot_position": (4, 3), "foot_velocity": (4, 3), "tail_force": ()}  # fmt: skip
+    zero = {f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)}
+    servo = zero["servo_angle"].at[SERVOS.index("spine")].set(spine)
+    w_first = jnp.asarray(rotation.as_quat(scalar_first=True), jnp.float32)
+    return Sensors(**zero | {"orientation": w_first, "gyro": jnp.asarray(gyro, jnp.float32), "servo_angle": servo})
+
+
+def params_with(**values: float) -> ControlParameters:
+    named = {name.replace("_", ".", 1): value for name, value in values.items()}
+    return replace_quantities(ControlParameters(), named)
+
+
+TILTED = [Rotation.from_euler("ZXY", angles) for angles in ((0.3, 0.1, -0.15), (-2.9, -0.2, 0.3), (1.6, 0.0, 0.2))]
+
+
+@pytest.mark.parametrize("torso", TILTED, ids=["left", "behind", "rolled"])
+@pytest.mark.parametrize("pan", [0.0, 0.3])
+def test_the_head_looks_along_the_course_whatever_the_torso_does(torso: Rotation, pan: float) -> None:
+    """Torso, neck and tilt one after the other, by SciPy: the gaze is level, and `pan` beside the course."""
+    params = params_with(head_lead=0.0, head_pan=pan)
+    course = torso.as_euler("ZXY")[0] + 0.2
+    begun = sway.Course(jnp.asarray(course, jnp.float32), jnp.zeros(()))
+    _, angles = Gaze().update(params, begun, sensors_at(torso), PACE, 1e-9)
+    looks = torso * Rotation.from_euler("z", float(angles.neck)) * Rotation.from_euler("x", float(angles.tilt))
+    wanted = [np.sin(course + pan), -np.cos(course + pan), 0.0]
+    np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), wanted, atol=1e-6)
+
+
+def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> None:
+    """At 2 rad/s a lead of 20 ms is worth 40 mrad, of which its first order leaves less than 1 mrad."""
+    rate, lead = np.array([0.5, -0.7, 2.0]), 0.02
+    torso = TILTED[0]
+    then = torso * Rotation.from_rotvec(rate * lead)
+    course = sway.Course(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
+    angles = [np.array(Gaze().update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
+              for ahead, seen in ((lead, sensors_at(torso, tuple(rate))), (0.0, sensors_at(then)),
+                                  (0.0, sensors_at(torso)))]  # fmt: skip
+    assert np.abs(angles[0] - angles[1]).max() < 1e-3 < 0.03 < np.abs(angles[2] - angles[1]).max()
+
+
+def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
+    """A turn of 0.2 rad/s past half a turn without lag; of a sway at 0.8 Hz what |2 b s + b^2| / |s + b|^2 says."""
+    dt, bandwidth, omega = 0.01, 0.4, 2.0 * np.pi * 0.8
+    times = np.arange(6000) * dt
+    headings = 2.5 + 0.2 * times + 0.14 * np.sin(omega * times)
+    # The spine bends as the torso sways by another 0.05 rad, which the body's heading does not have.
+    servo = 0.3 * np.sin(3.0 * times)
+    torso = headings + 0.5 * np.asarray(yaw(joint_angle(servo)))
+    still = sensors_at(Rotation.identity())
+
+    def tick(course: sway.Course, seen: tuple[jax.Array, jax.Array]) -> tuple[sway.Course, jax.Array]:
+        half, none = 0.5 * seen[0], jnp.zeros(())
+        turned = jnp.stack([jnp.cos(half), none, none, jnp.sin(half)])
+        bent = still.servo_angle.at[SERVOS.index("spine")].set(seen[1])
+        after = sway.observe(course, dataclasses.replace(still, orientation=turned, servo_angle=bent), bandwidth, dt)
+        return after, after.heading
+
+    begun = sway.Course(jnp.asarray(2.5), jnp.asarray(0.2))
+    found = np.asarray(jax.lax.scan(tick, begun, (jnp.asarray(torso), jnp.asarray(servo)))[1], float)[-2000:]
+    left = found - (2.5 + 0.2 * times[-2000:])
+    s = 1j * omega
+    expected = 0.14 * abs((2 * bandwidth * s + bandwidth**2) / (s + bandwidth) ** 2)
+    assert abs(left.mean()) < 2e-3
+    assert np.sqrt(2.0) * left.std() == pytest.approx(expected, rel=0.05)
+
+
+def test_a_gradient_goes_through_the_gaze() -> None:
+    """Also where the robot stands upright on its course, which is a zero of roots and arcs."""
+
+    def neck(gain: jax.Array, sensors: Sensors) -> jax.Array:
+        params = replace_quantities(ControlParameters(), {"head.gain": gain})
+        return sum(Gaze().update(params, sway.begin(sensors), sensors, PACE, 0.01)[1])
+
+    for torso in (Rotation.identity(), TILTED[0]):
+        slopes = jax.grad(neck, argnums=(0, 1))(jnp.asarray(1.0), sensors_at(torso))
+        assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+
+
+def test_the_head_looks_into_a_turn_and_where_it_is_held() -> None:
+    """Without a gaze: `pan` and `into_turn` times the turn rate, in the open loop of a servo table."""
+    values = {"head.pan": 0.1, "head.into_turn": 0.5, "pilot.turn_rate": 0.4, "frequency": 1.0}
+    table = servo_table(Setup(), values, rate=10.0)
+    np.testing.assert_allclose(table.angles[:, SERVOS.index("neck")], np.degrees(0.3), atol=1e-4)
+
+
+@pytest.mark.parametrize(("speed", "amplitude"), [(0.2, 0.18), (1.0, 0.5)])
+def test_the_tail_swings_as_in_the_authors_software(speed: float, amplitude: float) -> None:
+    """min(4.5 v^2, 0.5) cos(2 pi phase), his positive angle to the right, where ours is negative."""
+    values = {"speed": speed, "frequency": 1.0, "start.phase": 0.1}
+    table = servo_table(Setup(tail="articulated", tail_motion="swing"), values, rate=20.0)
+    phase = 0.1 + table.time
+    wanted = -np.degrees(amplitude) * np.cos(2.0 * np.pi * phase)
+    np.testing.assert_allclose(table.angles[:, SERVOS.index("tail")], wanted, atol=1e-3)
+
+
+def test_the_tail_turns_with_the_body_and_props_it() -> None:
+    """Torso 0.1 rad to the left of its course: tip to the right. Torso leaning 0.1 rad to the left: tip to the left."""
+    params = params_with(tail_yaw_gain=3.0, tail_roll_gain=3.0)
+    course = sway.Course(jnp.zeros(()), jnp.zeros(()))
+    _, against_yaw = CounterYaw().update(params, course, sensors_at(Rotation.from_euler("z", 0.1)), PACE, 1e-9)
+    _, against_roll = CounterRoll().update(params, (), sensors_at(Rotation.from_euler("y", 0.1)), PACE, 1e-9)
+    assert (float(against_yaw), float(against_roll)) == (pytest.approx(-0.3, abs=1e-5), pytest.approx(0.3, abs=1e-5))
+
+
+WALK = Run(cycles=6, warmup_cycles=2)
+
+
+@pytest.fixture(scope="module")
+def gazing(simulator):
+    """Trots with the spine at 0.8 Hz, the head held and gazing, recorded."""
+    return {
+        head: simulator(head=head, spine="stride_extension").run({"frequency": [0.8]}, WALK, record=True)
+        for head in ("none", "gaze")
+    }
+
+
+def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
+    """In trot with the spine, and with it the motion of the picture; the walk stays the same."""
+    held, gaze = (gazing[head].metrics for head in ("none", "gaze"))
+    assert np.degrees(held["head_yaw_std"]) == pytest.approx(np.degrees(held["yaw_std"]), rel=0.02)
+    assert np.degrees(held["head_yaw_std"]) > 6.0
+    assert gaze["head_yaw_std"] < 0.3 * held["head_yaw_std"]
+    assert gaze["picture_motion"] < 0.8 * held["picture_motion"]
+    assert gaze["speed"] == pytest.approx(held["speed"], rel=0.03)
+
+
+@pytest.mark.parametrize("head", ["none", "gaze"])
+def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
+    """Where the head looks as MuJoCo turns it in each recorded pose: its yaw and pitch, and how fast they change."""
+    result = gazing[head]
+    model = load_robot().model
+    data = mujoco.MjData(model)
+    poses = np.asarray(result.trace.qpos)[0][round(2 / 0.8 * 100) :]
+    ahead = np.empty((len(poses), 3))
+    for i, qpos in enumerate(poses):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        ahead[i] = -data.body("head").xmat.reshape(3, 3)[:, 1]
+    metrics = {name: float(value[0]) for name, value in result.metrics.items()}
+    heading = np.unwrap(np.arctan2(ahead[:, 0], -ahead[:, 1]))
+    assert metrics["head_yaw_std"] == pytest.approx(heading.std(), rel=0.03)
+    assert metrics["head_yaw_mean"] == pytest.approx(heading.mean(), abs=2e-3)
+    down = -np.arcsin(ahead[:, 2])
+    assert metrics["head_pitch_std"] == pytest.approx(down.std(), rel=0.03)
+    assert metrics["head_pitch_mean"] == pytest.approx(down.mean(), abs=2e-3)
+    moved = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
+    assert metrics["picture_motion"] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.08)
+
+
+def test_the_eyes_look_out_of_their_lenses() -> None:
+    """A camera stands before the dome of its lens, as the meshes have it, and looks along the dome's axis."""
+    model = load_robot().model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    head = data.body("head")
+    glass = shapes.lens().with_mirror_image().vertices / 1e3  # of the head, in its frame
+    for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
+        camera = model.camera(name).id
+        to_head = head.xmat.reshape(3, 3).T
+        place = to_head @ (data.cam_xpos[camera] - head.xpos)
+        ahead = to_head @ -data.cam_xmat[camera].reshape(3, 3)[:, 2]
+        dome = glass[side * glass[:, 0] > 0]
+        before = (dome - place) @ ahead
+        beside = np.linalg.norm(dome - place - before[:, None] * ahead, axis=1)
+        assert -0.003 < before.min() < before.max() < -0.0004, "all of the lens is behind the camera"
+        assert beside.min() < 1e-5, "its top in the middle of the view"
+        right = to_head @ data.cam_xmat[camera].reshape(3, 3)[:, 0]
+        assert abs(right[2]) < 1e-6, "upright"
+        assert (right[0] < 0, side * ahead[0] > 0) == (True, True)
+
+
+@pytest.mark.long
+def test_the_moving_tail_does_what_it_is_for(simulator) -> None:
+    """In trot at 0.8 Hz the tail lowers the yaw with the spine, and the roll without it."""
+    for motion, spine, name in (("counter_yaw", "stride_extension", "yaw"), ("counter_roll", "none", "roll")):
+        chosen = simulator(tail="articulated", tail_motion=motion, spine=spine)
+        values = {"frequency": 0.8, f"tail.{name}_gain": [0.0, 2.0]}
+        still, moving = chosen.run(values, Run(cycles=10, warmup_cycles=3)).metrics[f"{name}_std"]
+        assert moving < 0.97 * still
+
+
+@pytest.mark.parametrize(
+    ("choices", "message"),
+    [
+        ({"tail_motion": "swing"}, "tail_motion is 'swing' and tail 'rigid': take the tail 'articulated'"),
+        ({"tail_motion": "swings", "tail": "articulated"}, "tail_motion is 'swings': did you mean 'swing'"),
+        ({"head": "gazing"}, "head is 'gazing': did you mean 'gaze'"),
+    ],
+)
+def test_choices_that_cannot_be_get_a_sentence(choices: dict[str, str], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        Setup(**choices)
+
+
+@pytest.mark.parametrize("choices", [{"head": "gaze"}, {"tail": "articulated", "tail_motion": "counter_roll"}])
+def test_a_servo_table_has_no_sensors_to_answer_to(choices: dict[str, str]) -> None:
+    with pytest.raises(ParameterError, match="which answers to sensors: a servo table reads none"):
+        servo_table(Setup(**choices))
+
+
+def test_a_sweep_varies_what_head_and_tail_do() -> None:
+    """As structures; and a number that nothing reads is refused with what would read it."""
+    sweep = Sweep.from_text(
+        "tail: articulated\nvary:\n  head: [none, gaze]\n  tail_motion: [none, swing]\n"
+        "  tail.swing_amplitude: [0.2, 0.4]\n"
+    )
+    chosen = {(each.setup.head, each.setup.tail_motion) for each in sweep.structures}
+    assert chosen == {(head, tail) for head in ("none", "gaze") for tail in ("none", "swing")}
+    with pytest.raises(SpecError, match=r"'head.gain' has no effect: it is read only with head: gaze"):
+        Sweep.from_text("vary: {head.gain: [0.5, 1.0]}")
+    with pytest.raises(SpecError, match=r"'tail.angle' has no effect: it is read only with tail: articulated"):
+        Sweep.from_text("vary: {tail.angle: [0.0, 0.2]}")
