@@ -134,12 +134,15 @@ def test_channels_order_turn_and_shift_the_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"spin": {"channel": 3}}, "neck, tail; did you mean 'spine'?"),
+        ({"spin": {"channel": 3}}, "neck, tail, head; did you mean 'spine'?"),
         ({"neck": {"channel": 2}}, "is 2, which front_left_hip has already."),
         ({"neck": {"channel": -1}}, "is -1: expected a whole number from 0"),
         ({"neck": {"zero": 90}}, "field 'neck' has no 'channel': expected a mapping such as {channel: 0"),
         ({"neck": {"channel": 3, "direction": 2}}, "is 2: allowed is 1 or -1."),
-        ({"neck": {"channel": 3, "zeros": 2}}, "allowed are channel, direction, zero, low, high; did you mean 'zero'?"),
+        (
+            {"neck": {"channel": 3, "zeros": 2}},
+            "allowed are channel, direction, zero, low, high, missing; did you mean 'zero'?",
+        ),
         ({"neck": {"channel": 3, "zero": "ninety"}}, "field 'neck.zero' is the text 'ninety': expected a number."),
         ({"neck": {"channel": 3, "low": 100, "high": 80}}, "low must be less."),
         ({"neck": 3}, "expected a mapping"),

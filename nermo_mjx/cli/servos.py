@@ -2,40 +2,64 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import ROBOTS, TAILS
-from nermo_mjx.cli.group import Failure
+from nermo_mjx.cli.group import Failure, WrongUse
 from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.walk_plan import plan
+
+if TYPE_CHECKING:
+    from nermo_mjx.hardware.live import Sent
+    from nermo_mjx.hardware.table import ServoTable
 
 EPILOG = """\b
 Examples:
   nermo-mjx servos --frequency 0.8 --out trot.csv
   nermo-mjx servos --gait lat --turn-rate 0.5 --rate 100 --out turn.csv
   nermo-mjx servos --spine stride_extension --cycles 3 --out walk.csv
+  nermo-mjx servos --channels published --send mqtt://127.0.0.1 --seconds 10
 """
 
 
 @click.command("servos", epilog=EPILOG)
 @options.gait
-@options.number("--rate", "Rows a second.", options.POSITIVE, default=50.0)
+@options.number("--rate", "Rows a second; by default that of the channels, or 50.", options.POSITIVE)
 @options.number("--cycles", "Whole gait cycles.", click.IntRange(1), default=1)
 @click.option("--channels", metavar="FILE.yaml", type=options.SPEC,
-              help="Channel, direction, zero and limits of each servo.")  # fmt: skip
+              help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees "
+                   "at 30 Hz.")  # fmt: skip
 @options.choice("--robot", ROBOTS)
 @options.choice("--tail", TAILS)
 @options.assigned("Any parameter that `sweep --list-parameters` prints; repeatable.")
-@options.file("--out", ".csv", "Where the table goes.", required=True)
+@options.file("--out", ".csv", "Where the table goes.")
+@click.option(
+    "--send",
+    metavar="URL",
+    help="Send it to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
+)
+@click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="Of MQTT or ROS.")
+@options.number("--seconds", "How long it is sent; by default until Ctrl-C.", options.POSITIVE)
 @options.report
 def command(
-    rate: float, cycles: int, channels: Path | None, out: Path, as_json: bool, quiet: bool, **chosen: Any
+    rate: float | None,
+    cycles: int,
+    channels: Path | None,
+    out: Path | None,
+    send: str | None,
+    topic: str,
+    seconds: float | None,
+    as_json: bool,
+    quiet: bool,
+    **chosen: Any,
 ) -> None:
-    """Write the servo angles of a gait as CSV, ready to be played in a loop.
+    """Write the servo angles of a gait as CSV, ready to be played in a loop, or
+    send them to the robot.
 
     A time column, and a column for each servo in the order of its channel, in
     degrees. They come from the controller alone, long after its start, so
@@ -44,7 +68,15 @@ def command(
 
     A file of channels has a line for each connected servo,
     NAME: {channel: 0, direction: -1, zero: 90, low: 20, high: 160}.
+
+    --send plays the table again and again in real time. Over MQTT a message
+    is a JSON list of degrees, a number a channel; to ROS 2, through a
+    rosbridge server, a Float32MultiArray of radians.
     """
+    if out is None and send is None:
+        raise WrongUse("Give --out FILE.csv, --send URL, or both.")
+    if send is None and seconds is not None:
+        raise WrongUse("--seconds says how long --send lasts: give --send URL, too.")
     with stdout_reserved():
         from nermo_mjx.hardware import servo_table
         from nermo_mjx.runs.files import replace_file
@@ -54,11 +86,13 @@ def command(
         table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles, channels=channels)
         words = [f"gait {wanted.setup.gait}", f"spine {wanted.setup.spine}", f"steering {wanted.setup.steering}"]
         words += [f"{name} {value:g}" for name, value in {"frequency": table.frequency, **wanted.values}.items()]
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            replace_file(out, table.to_csv(", ".join(words)).encode())
-        except OSError as error:
-            raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
+        if out is not None:
+            try:
+                out.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(out, table.to_csv(", ".join(words)).encode())
+            except OSError as error:
+                raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
+        sent = None if send is None else _sent(table, send, topic, seconds)
     lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
     if as_json:
         servos = [
@@ -67,8 +101,9 @@ def command(
                 table.names, table.channels, lows, highs, table.speed, strict=True
             )
         ]
-        about = {"out": out, "rows": len(table.time), "rate": table.rate, "cycles": cycles}
+        about: dict[str, Any] = {"out": out, "rows": len(table.time), "rate": table.rate, "cycles": cycles}
         about |= {"frequency": table.frequency, "servo_speed_deg_per_s": table.servo_speed}
+        about |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
         print_json({**about, "servos": servos})
     elif not quiet:
         if table.too_fast:
@@ -78,4 +113,19 @@ def command(
         rows = [[str(channel.number), name, f"{low:.1f}", f"{high:.1f}", f"{speed:.0f}"] for name, channel, low, high,
                 speed in zip(table.names, table.channels, lows, highs, table.speed, strict=True)]  # fmt: skip
         print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", columns, rows)
-        click.echo(f"wrote {out}")
+        if out is not None:
+            click.echo(f"wrote {out}")
+        if sent is not None:
+            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; the latest was "
+                       f"{1e3 * sent.latest:.1f} ms late")  # fmt: skip
+
+
+def _sent(table: ServoTable, url: str, topic: str, seconds: float | None) -> Sent:
+    """Send the table; nobody there is a failure, and not wrong use."""
+    from nermo_mjx.hardware.live import SendError, connected, play
+
+    try:
+        with connected(url, topic) as send:
+            return play(table, send, seconds)
+    except SendError as error:
+        raise Failure(str(error)) from None

@@ -1,6 +1,7 @@
-"""The real robot: servo tables of a gait, and the channels that servos hang on."""
+"""The real robot: servo tables of a gait, the channels that servos hang on, and sending to it."""
 
 from nermo_mjx.hardware.channels import Channel, Channels, read_channels
+from nermo_mjx.hardware.live import connected, play
 from nermo_mjx.hardware.table import ServoTable, servo_table
 
-__all__ = ["Channel", "Channels", "ServoTable", "read_channels", "servo_table"]
+__all__ = ["Channel", "Channels", "ServoTable", "connected", "play", "read_channels", "servo_table"]

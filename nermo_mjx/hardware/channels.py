@@ -2,13 +2,15 @@
 
 A file names the servos that are connected:
 
+    rate: 50
     front_left_hip: {channel: 0, direction: 1, zero: 90, low: 20, high: 160}
     front_left_knee: {channel: 1, direction: -1, zero: 92.5}
 
     servo degrees = zero + direction * angle of the controller in degrees
 
 Channels go up from 0; direction is 1 or -1; `zero` is what the servo is given where the controller says 0; `low` and
-`high` are what it may be given.
+`high` are what it may be given; `missing` is given where the simulated robot has no such servo. `rate` is how often
+they are given angles, and `whole_degrees` how these become whole.
 """
 
 from __future__ import annotations
@@ -16,9 +18,12 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final
 
+import numpy as np
+from jaxtyping import Float
 from pydantic import Field, create_model
 
 from nermo_mjx.robot import SERVOS
@@ -26,6 +31,11 @@ from nermo_mjx.robot.interface import servo_range
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import read_file, read_mapping
 from nermo_mjx.specs.values import Finite, Whole
+
+#: The order of the author's software, by its name.
+PUBLISHED: Final = "published"
+#: How angles become whole degrees.
+WHOLE: Final = {"rounded": np.rint, "truncated": np.trunc}
 
 
 class ChannelFields(Fields):
@@ -39,15 +49,18 @@ class ChannelFields(Fields):
     zero: Finite = optional("servo angle where the controller says 0 [deg]")
     low: Finite = optional("least that the servo may be given [deg]")
     high: Finite = optional("most that the servo may be given [deg]")
+    missing: Finite = optional("servo angle where the simulated robot has no such servo [deg]; else it is refused")
 
 
 class Servos(Fields):
     """A file for `nermo-mjx servos --channels`: the connected servos."""
 
     what: ClassVar = "a servo"
+    rate: float = optional("how often the servos are given angles [Hz]", exclusiveMinimum=0)
+    whole_degrees: str = optional("angles are given in whole degrees: to the nearest, or cut", enum=[*WHOLE])
 
 
-_NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in SERVOS}
+_NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in dict.fromkeys((*SERVOS, "head"))}
 ChannelsFile = create_model("ChannelsFile", __base__=Servos, __doc__=Servos.__doc__, **_NAMED)
 
 
@@ -61,6 +74,7 @@ class Channel:
         direction: 1 or -1.
         zero: servo angle where the controller says 0 [deg].
         low, high: what the servo may be given [deg].
+        missing: servo angle where the simulated robot has no such servo [deg]; None where that is an error.
     """
 
     servo: str
@@ -69,29 +83,55 @@ class Channel:
     zero: float = 0.0
     low: float = -math.inf
     high: float = math.inf
+    missing: float | None = None
 
 
-#: The connected servos in the order of their channels.
-Channels = tuple[Channel, ...]
+@dataclasses.dataclass(frozen=True)
+class Channels:
+    """The connected servos, and how they are given their angles.
+
+    Attributes:
+        servos: in the order of their channels.
+        rate: how often they are given angles [Hz]; None where nothing says it.
+        whole_degrees: `rounded` or `truncated`; None for angles that are not made whole.
+    """
+
+    servos: tuple[Channel, ...]
+    rate: float | None = None
+    whole_degrees: str | None = None
+
+    def __iter__(self) -> Iterator[Channel]:
+        return iter(self.servos)
+
+    def given(self, degrees: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+        """Angles as the servos are given them [deg]."""
+        return degrees if self.whole_degrees is None else WHOLE[self.whole_degrees](degrees) + 0.0
 
 
 def default_channels(n_servos: int, routing: str = "type3") -> Channels:
     """The first servos of `SERVOS` in their order, in the controller's own angles, with the model's limits."""
     limits = [tuple(math.degrees(end) for end in servo_range(servo, routing)) for servo in SERVOS[:n_servos]]
-    return tuple(Channel(servo, i, low=low, high=high)
-                 for i, (servo, (low, high)) in enumerate(zip(SERVOS, limits, strict=False)))  # fmt: skip
+    return Channels(tuple(Channel(servo, i, low=low, high=high)
+                          for i, (servo, (low, high)) in enumerate(zip(SERVOS, limits, strict=False))))  # fmt: skip
 
 
 def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channels:
-    """The channels of a file, or of a dict with its fields; see this module.
+    """The channels of a file, of a dict with its fields, see this module, or "published", the author's order.
+
+    >>> [channel.servo for channel in read_channels("published")][:3]
+    ['front_left_hip', 'front_left_knee', 'front_right_hip']
 
     Raises:
         SpecError: a sentence with file, line, field, value and what is allowed.
     """
-    doc = read_mapping(source, "channels") if isinstance(source, Mapping) else read_file(source, "table of channels")
+    if isinstance(source, Mapping):
+        doc = read_mapping(source, "channels")
+    else:
+        shipped = os.fspath(source) == PUBLISHED
+        doc = read_file(Path(__file__).with_name(f"{PUBLISHED}.yaml") if shipped else source, "table of channels")
     file = read(doc, ChannelsFile)
     found: dict[int, Channel] = {}
-    for servo in doc.data:
+    for servo in (key for key in doc.data if key not in Servos.model_fields):
         given = getattr(file, servo).model_dump(exclude_unset=True)
         channel = Channel(servo, given.pop("channel"), **given)
         if channel.direction not in (1, -1):
@@ -104,4 +144,6 @@ def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channel
         found[channel.number] = channel
     if not found:
         doc.fail((), "no servo is named; at least one is needed.")
-    return tuple(found[number] for number in sorted(found))
+    if file.whole_degrees not in (None, *WHOLE):
+        doc.fail(("whole_degrees",), f"is {file.whole_degrees!r}: allowed is {' or '.join(WHOLE)}.")
+    return Channels(tuple(found[number] for number in sorted(found)), file.rate, file.whole_degrees)

@@ -20,13 +20,15 @@ from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.head import GAZE
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW
-from nermo_mjx.hardware.channels import Channels, default_channels, read_channels
+from nermo_mjx.hardware.channels import Channel, Channels, default_channels, read_channels
 from nermo_mjx.robot import SERVOS, ParameterError, Sensors
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.parameters import WorldParameters
 
 #: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate is every so manyth of its ticks.
 CONTROL_RATE: Final = 100.0
+#: Rate of a table where nothing says another one [Hz].
+DEFAULT_RATE: Final = 50.0
 #: Highest rate of a table, and longest table [Hz, rows].
 HIGHEST_RATE: Final = 1000.0
 MOST_ROWS: Final = 1_000_000
@@ -45,7 +47,7 @@ class ServoTable:
     Attributes:
         names: servos, in the order of their channels.
         time: of each row, from 0, on the controller's clock [s].
-        angles: (rows, servos) [deg].
+        angles: (rows, servos), before they are made whole [deg].
         rate: rows a second [Hz]; it differs from the one asked for by so little that the cycles are whole rows.
         cycles: gait cycles in the table.
         frequency: of the gait [Hz].
@@ -63,6 +65,11 @@ class ServoTable:
     channels: Channels
     speed: Float[np.ndarray, " servos"]
     servo_speed: float
+
+    @property
+    def given(self) -> Float[np.ndarray, "rows servos"]:
+        """The angles as the servos are given them, in whole degrees where the channels say so [deg]."""
+        return self.channels.given(self.angles)
 
     @property
     def how_many(self) -> str:
@@ -92,8 +99,9 @@ class ServoTable:
             *([self.too_fast] if self.too_fast else []),
         ]
         headings = ["time [s]", *(f"{name} [deg]" for name in self.names)]
-        rows = (",".join([f"{t:.6f}", *(f"{angle + 0.0:.3f}" for angle in row)])
-                for t, row in zip(self.time.tolist(), np.round(self.angles, 3).tolist(), strict=True))  # fmt: skip
+        digits = 3 if self.channels.whole_degrees is None else 0
+        rows = (",".join([f"{t:.6f}", *(f"{angle + 0.0:.{digits}f}" for angle in row)])
+                for t, row in zip(self.time.tolist(), np.round(self.given, 3).tolist(), strict=True))  # fmt: skip
         return "\n".join([*(f"# {line}" for line in lines), ",".join(headings), *rows]) + "\n"
 
 
@@ -101,7 +109,7 @@ def servo_table(
     setup: Setup | None = None,
     values: Mapping[str, float] | None = None,
     *,
-    rate: float = 50.0,
+    rate: float | None = None,
     cycles: int = 1,
     channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None = None,
 ) -> ServoTable:
@@ -116,11 +124,11 @@ def servo_table(
     Args:
         setup: gait, spine mode, steering, profile, tail.
         values: parameters by name, as for `Simulator.run`, one number each.
-        rate: rows a second of the controller's clock [Hz].
+        rate: rows a second of the controller's clock [Hz]; by default the channels' own, or else 50.
         cycles: gait cycles in the table.
-        channels: where the servos hang, see `nermo_mjx.hardware.channels`; by default all servos in the order of
-            `SERVOS`, in the controller's convention: hip 0 straight down, positive backward; spine positive to the
-            left.
+        channels: where the servos hang, see `nermo_mjx.hardware.channels`, or "published", the order of the author's
+            software; by default all servos in the order of `SERVOS`, in the controller's convention: hip 0 straight
+            down, positive backward; spine positive to the left.
 
     Raises:
         ParameterError: a wrong argument or parameter, or an angle beyond a servo's limit; the message is one sentence.
@@ -134,6 +142,8 @@ def servo_table(
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
     world = _parameters(setup, values or {})
     params, phase = world.control, float(np.asarray(world.start.phase))
+    connected = _connected(channels, setup)
+    rate = next(each for each in (rate, connected.rate, DEFAULT_RATE) if each is not None)
     _check(rate, cycles)
     frequency = float(np.asarray(params.gait.frequency))
     rows = max(1, round(rate * cycles / frequency))
@@ -143,9 +153,7 @@ def servo_table(
     if rows < 4 * cycles:
         raise ParameterError(f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows.")
     angles = _steady(setup, params, phase, rows, cycles, rate)
-    connected = _connected(channels, setup)
-    columns = np.stack([channel.zero + channel.direction * np.degrees(angles[:, SERVOS.index(channel.servo)])
-                        for channel in connected], axis=-1)  # fmt: skip
+    columns = np.stack([_column(channel, np.degrees(angles)) for channel in connected], axis=-1)
     time = np.arange(rows) / rate
     _check_limits(connected, columns, time)
     steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
@@ -228,15 +236,23 @@ def _still(n_servos: int) -> Sensors:
     return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
 
 
+def _column(channel: Channel, angles: Float[np.ndarray, "rows servos"]) -> Float[np.ndarray, " rows"]:
+    """What a servo is given, from the controller's angles of the robot's servos [deg]."""
+    if channel.servo not in SERVOS[: angles.shape[1]]:
+        assert channel.missing is not None
+        return np.full(len(angles), channel.missing)
+    return channel.zero + channel.direction * angles[:, SERVOS.index(channel.servo)]
+
+
 def _connected(channels: Any, setup: Setup) -> Channels:
     count = setup.load().n_servos
     if channels is None:
         return default_channels(count, setup.routing)
-    connected = channels if isinstance(channels, tuple) else read_channels(channels)
+    connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
-        if SERVOS.index(channel.servo) >= count:
+        if channel.servo not in SERVOS[:count] and channel.missing is None:
             raise ParameterError(f"{channel.servo} is no servo of the robot with tail {setup.tail!r}: take the "
-                                 "articulated tail, or leave the servo out.")  # fmt: skip
+                                 "articulated tail, leave the servo out, or give it what is 'missing'.")  # fmt: skip
     return connected
 
 

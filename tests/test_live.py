@@ -1,0 +1,214 @@
+"""The robot's servo commands in the author's order, and sent to it, by way of a broker and a bridge on this machine."""
+
+from __future__ import annotations
+
+import asyncio
+import importlib.util
+import json
+import logging
+import socket
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from nermo_mjx import Setup, servo_table
+from nermo_mjx.cli import main
+from nermo_mjx.hardware import connected, play
+from nermo_mjx.hardware.live import SendError
+from nermo_mjx.robot import LIMBS, ParameterError
+
+pytestmark = pytest.mark.compiles
+
+ORDER = [f"{limb}_{servo}" for limb in LIMBS for servo in ("hip", "knee")]
+
+
+def needs(*packages: str) -> None:
+    missing = [name for name in packages if importlib.util.find_spec(name) is None]
+    if missing:
+        pytest.skip(f"without {' and '.join(missing)}: pip install 'nermo-mjx[mqtt,ros]' amqtt")
+
+
+@pytest.fixture(scope="module")
+def published():
+    """A trot at 0.8 Hz with spine and swinging tail, in the author's order."""
+    setup = Setup(tail="articulated", tail_motion="swing", spine="stride_extension")
+    return servo_table(setup, {"frequency": 0.8}, channels="published")
+
+
+def test_the_published_order_is_that_of_the_authors_software(published) -> None:
+    """Leg by leg, then tail, neck, head and spine, at 30 Hz, cut to whole degrees, with the tail against ours."""
+    assert list(published.names) == [*ORDER, "tail", "neck", "head", "spine"]
+    assert published.rate == pytest.approx(30.0, rel=0.02)
+    ours = servo_table(Setup(tail="articulated", tail_motion="swing", spine="stride_extension"), {"frequency": 0.8},
+                       rate=published.rate)  # fmt: skip
+    signs = {"tail": -1.0}
+    for name, column in zip(published.names, published.angles.T, strict=True):
+        wanted = 0.0 if name == "head" else signs.get(name, 1.0) * ours.angles[:, ours.names.index(name)]
+        np.testing.assert_allclose(column, wanted, atol=1e-4)
+    np.testing.assert_array_equal(published.given, published.angles.astype(int))
+    assert np.abs(published.given - published.angles).max() > 0.9, "cut, and not rounded"
+    # His spine and tail at phase 0: 0.4 and 0.5 rad, both cosines.
+    np.testing.assert_allclose(published.angles[0, [11, 8]], np.degrees([0.4, 0.5]), atol=0.01)
+    row = published.to_csv().splitlines()[-1].split(",")
+    assert [float(each) for each in row[1:]] == published.given[-1].tolist()
+    assert all("." not in each for each in row[1:])
+
+
+def test_the_rigid_tail_is_given_what_is_missing() -> None:
+    table = servo_table(channels="published")
+    assert table.names[8] == "tail"
+    np.testing.assert_array_equal(table.given[:, [8, 10]], 0.0)
+    with pytest.raises(ParameterError, match="tail is no servo of the robot with tail 'rigid'"):
+        servo_table(channels={"spine": {"channel": 0}, "tail": {"channel": 1}})
+    with pytest.raises(ParameterError, match="field 'whole_degrees' is 'floored': allowed is rounded or truncated"):
+        servo_table(channels={"whole_degrees": "floored", "spine": {"channel": 0}})
+
+
+class Clock:
+    """A time that passes where it is waited for, and jumps once."""
+
+    def __init__(self, jump_at: float = np.inf, jump: float = 0.0) -> None:
+        self.now, self.jump_at, self.jump = 100.0, 100.0 + jump_at, jump
+
+    def __call__(self) -> float:
+        return self.now
+
+    def wait(self, seconds: float) -> None:
+        self.now += seconds
+        if self.now >= self.jump_at:
+            self.now, self.jump_at = self.now + self.jump, np.inf
+
+
+def test_rows_are_sent_at_their_times_again_and_again(published) -> None:
+    """Three cycles: each row at its time, and after the last one the first."""
+    clock, seen = Clock(), []
+    sent = play(published, lambda angles, given: seen.append((clock.now - 100.0, given)), 3 / 0.8, clock=clock,
+                wait=clock.wait)  # fmt: skip
+    rows = len(published.time)
+    assert (sent.messages, sent.skipped, len(seen)) == (3 * rows, 0, 3 * rows)
+    np.testing.assert_allclose([at for at, _ in seen], np.arange(3 * rows) / published.rate, atol=1e-9)
+    np.testing.assert_array_equal([given for _, given in seen], np.tile(published.given, (3, 1)))
+
+
+def test_what_is_late_is_left_out(published) -> None:
+    """After half a second in which nothing could be sent the gait is where it would be without."""
+    clock, seen = Clock(jump_at=0.5, jump=0.5), []
+    sent = play(published, lambda angles, given: seen.append((clock.now - 100.0, given)), 2.0, clock=clock,
+                wait=clock.wait)  # fmt: skip
+    assert sent.skipped == pytest.approx(0.5 * published.rate, abs=1)
+    for at, given in seen:
+        row = int(at * published.rate + 1e-6)
+        np.testing.assert_array_equal(given, published.given[row % len(published.time)])
+
+
+@pytest.fixture(scope="module")
+def broker() -> Iterator[int]:
+    """An MQTT broker on this machine; its port."""
+    needs("paho", "amqtt")
+    from amqtt.broker import Broker
+
+    logging.getLogger("amqtt").setLevel(logging.ERROR)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    loop = asyncio.new_event_loop()
+    thread = threading.Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    settings = {"listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
+                "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}}}  # fmt: skip
+
+    async def begin() -> Broker:
+        started = Broker(settings)
+        await started.start()
+        return started
+
+    running = asyncio.run_coroutine_threadsafe(begin(), loop).result(20)
+    yield port
+    asyncio.run_coroutine_threadsafe(running.shutdown(), loop).result(20)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join(10)
+
+
+def test_a_broker_passes_on_what_the_author_sent(published, broker) -> None:
+    """A subscriber gets every message of half a second, in order: JSON lists of twelve whole degrees."""
+    import paho.mqtt.client as mqtt
+
+    seen: list[bytes] = []
+    listening = threading.Event()
+    listener = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+    listener.on_message = lambda client, data, message: seen.append(message.payload)
+    listener.on_subscribe = lambda *told: listening.set()
+    listener.connect("127.0.0.1", broker)
+    listener.loop_start()
+    listener.subscribe("q_values")
+    assert listening.wait(10)
+    with connected(f"mqtt://127.0.0.1:{broker}") as send:
+        sent = play(published, send, 0.5)
+    deadline = time.monotonic() + 10
+    while len(seen) < sent.messages and time.monotonic() < deadline:
+        time.sleep(0.02)
+    listener.disconnect()
+    listener.loop_stop()
+    assert sent.messages + sent.skipped == int(np.ceil(0.5 * published.rate))
+    assert len(seen) == sent.messages
+    if not sent.skipped:
+        assert [json.loads(each) for each in seen] == published.given[: sent.messages].astype(int).tolist()
+    assert seen[0] == json.dumps(published.given[0].astype(int).tolist()).encode()
+
+
+def test_a_bridge_gets_radians(published) -> None:
+    """By rosbridge's protocol: the topic is advertised with its type, and each message is a Float32MultiArray."""
+    needs("websockets")
+    from websockets.sync.server import serve
+
+    seen: list[dict] = []
+    with serve(lambda peer: seen.extend(json.loads(each) for each in peer), "127.0.0.1", 0) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        with connected(f"ws://127.0.0.1:{server.socket.getsockname()[1]}", "nermo/q_values") as send:
+            play(published, send, 0.2)
+        server.shutdown()
+        thread.join(10)
+    topic = "/nermo/q_values"
+    assert seen[0] == {"op": "advertise", "topic": topic, "type": "std_msgs/msg/Float32MultiArray"}
+    assert seen[-1] == {"op": "unadvertise", "topic": topic}
+    assert {(each["op"], each["topic"]) for each in seen[1:-1]} == {("publish", topic)}
+    message = seen[1]["msg"]
+    assert message["layout"] == {"dim": [], "data_offset": 0}
+    np.testing.assert_allclose(message["data"], np.radians(published.angles[0]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("url", "sentence"), [
+    ("mqtt://127.0.0.1:9", "127.0.0.1:9: no MQTT broker answers there"),
+    ("ws://127.0.0.1:9", "127.0.0.1:9: no rosbridge server answers there"),
+])  # fmt: skip
+def test_nobody_there_is_a_sentence(url: str, sentence: str) -> None:
+    needs("paho" if url.startswith("mqtt") else "websockets")
+    with pytest.raises(SendError, match=sentence), connected(url):
+        pass
+
+
+def test_other_addresses_and_missing_packages_are_refused(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "paho.mqtt.client", None)
+    for url, sentence in (
+        ("http://a", r"send is 'http://a': allowed is mqtt://HOST\[:PORT\] or ws://HOST\[:PORT\]"),
+        ("mqtt://127.0.0.1", "send needs paho: install nermo-mjx with its extra mqtt"),
+    ):
+        with pytest.raises(ParameterError, match=sentence), connected(url):
+            pass
+
+
+def test_the_command_sends_and_says_how_it_went(broker) -> None:
+    words = ["servos", "--channels", "published", "--send", f"mqtt://127.0.0.1:{broker}", "--seconds", "0.19", "--json"]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 0, done.output
+    sent = json.loads(done.stdout)["sent"]
+    assert sent["messages"] + sent["skipped"] == 6
+    refused = CliRunner().invoke(main, ["servos", "--frequency", "0.8"])
+    assert refused.exit_code == 2
+    assert "Give --out FILE.csv, --send URL, or both." in refused.stderr
