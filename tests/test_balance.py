@@ -125,7 +125,7 @@ def test_start_stands_on_the_ground(robot):
 def commanded(robot):
     """`commanded(params, times)`: servo targets (T, n_servos), compiled once for all legs."""
     loop = BalanceLoop(robot)
-    path = jax.vmap(lambda params, time: loop.servos(params, time).vector(robot.n_servos), (None, 0))
+    path = jax.vmap(lambda params, time: loop.servos(params, time).vector(robot.servos), (None, 0))
     return jax.jit(path)
 
 

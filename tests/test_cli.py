@@ -118,7 +118,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
 
 def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.control.free_stepping import FREE
-    from nermo_mjx.control.fusion import SPINES
+    from nermo_mjx.control.fusion import MODES, NO_MODE
     from nermo_mjx.control.parameters import PROFILES, STEERING
     from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
@@ -129,7 +129,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     assert set(choices.GAITS) == set(GAITS)
-    assert choices.SPINE_MODES == SPINES
+    assert (NO_MODE, *MODES) == choices.SPINE_MODES
     assert (*FORMS, FREE) == choices.TRAJECTORIES
     assert set(choices.STEERINGS) == set(STEERING)
     assert set(choices.PROFILES) == set(PROFILES)
@@ -152,7 +152,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["wlak"], "Did you mean 'walk'"),
         (["walk", "--frequncy", "1"], "--frequency"),
         (["sweep", "--list-parameter"], "--list-parameters"),
-        (["walk", "--gait", "gallop"], "'trt', 'trt1', 'lat'"),
+        (["walk", "--gait", "canter"], "'trt', 'trt1', 'lat'"),
         (["walk", "--frequency", "fast"], "not a valid float"),
         (["walk", "--frequency", "50"], "frequency is 50: allowed is (0, 5] Hz."),
         (["walk", "--frequency", "nan"], "frequency is nan"),

@@ -134,7 +134,7 @@ def test_channels_order_turn_and_shift_the_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"spin": {"channel": 3}}, "neck, tail, head; did you mean 'spine'?"),
+        ({"spin": {"channel": 3}}, "neck, tail, spine_vertical, head; did you mean 'spine'?"),
         ({"neck": {"channel": 2}}, "is 2, which front_left_hip has already."),
         ({"neck": {"channel": -1}}, "is -1: expected a whole number from 0"),
         ({"neck": {"zero": 90}}, "field 'neck' has no 'channel': expected a mapping such as {channel: 0"),

@@ -182,7 +182,7 @@ def test_the_command_writes_a_file(tmp_path):
     out = tmp_path / "new" / "sweep.schema.json"
     ran = CliRunner().invoke(main, ["schema", "sweep", "--out", str(out)])
     assert (ran.exit_code, ran.output) == (0, "")
-    assert json.loads(out.read_text())["properties"]["gait"]["enum"] == ["trt", "trt1", "lat"]
+    assert json.loads(out.read_text())["properties"]["gait"]["enum"] == ["trt", "trt1", "lat", "bound", "gallop"]
 
 
 def test_an_unknown_kind_is_wrong_use():

@@ -11,14 +11,11 @@ PAYING_TASKS = ("speed", "transport")
 PAYING_METHODS = ("exact", "mixture", "cma")
 GPU_TARGETS = ("h100", "a100", "l4", "t4")
 GPU_PROGRAMS = ("walk", "forward", "reverse")
-ROBOTS = ("nermo_lite",)
+ROBOTS = ("nermo_lite", "nermo_41")
 TAILS = ("rigid", "articulated")
 PHYSICS = ("reference", "fast")
-GAITS = ("trt", "trt1", "lat")
-SPINE_MODES = (
-    "none", "stride_extension", "balance", "harmonics", "stride_extension+balance", "stride_extension+harmonics",
-    "balance+harmonics", "stride_extension+balance+harmonics",
-)  # fmt: skip
+GAITS = ("trt", "trt1", "lat", "bound", "gallop")
+SPINE_MODES = ("none", "stride_extension", "balance", "harmonics", "sagittal_extension", "pitch_balance")
 TRAJECTORIES = ("cubic", "linear", "parabolic", "free")
 HEADS = ("none", "gaze")
 TAIL_MOTIONS = ("none", "swing", "counter_yaw", "counter_roll")
@@ -49,6 +46,7 @@ PARAMETERS = (
     "offset.rear_left", "offset.rear_right", "stance.front_y", "stance.front_z", "stance.rear_y", "stance.rear_z",
     "stance.swing_amplitude", "stance.stance_amplitude", "stance.max_stride", "spine.amplitude", "spine.phase",
     "spine.max_servo_angle", "spine.fusion_exponent", "spine.offset_compensation", "spine.balance_lift",
+    "spine.sagittal_amplitude", "spine.sagittal_phase", "spine.pitch_gain", "spine.pitch_damping",
     *(f"spine.harmonics.{part}{order}" for order in range(1, 7) for part in ("cos", "sin")),
     *(f"limb.{what}.{limb}" for what in ("stride", "lift", "duty", "phase") for limb in PAIRS_AND_LIMBS),
     *(f"foot.{limb}.{axis}{point}" for limb in PAIRS_AND_LIMBS for axis in "yz" for point in range(1, 9)),

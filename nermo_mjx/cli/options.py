@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from nermo_mjx.cli.choices import (
     ENGINES,
@@ -46,6 +47,25 @@ def choice(name: str, names: tuple[str, ...], about: str | None = None, **more: 
     """An option that allows some names; the first is the default unless `default` is given."""
     settings: dict[str, Any] = {"default": names[0], "show_default": True} | more
     return click.option(name, type=click.Choice(names), help=about, **settings)
+
+
+class _SpineModes(click.ParamType):
+    """Names joined by "+", in any order."""
+
+    name = "modes"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The same names in the order of `SPINE_MODES`."""
+        given = value.split("+")
+        for each in given:
+            if each not in SPINE_MODES:
+                self.fail(f"{each!r} is not one of {', '.join(map(repr, SPINE_MODES))}.", param, ctx)
+        return "+".join(mode for mode in SPINE_MODES[1:] if mode in given) or "none"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """The last name, with those before it."""
+        before, plus, last = incomplete.rpartition("+")
+        return [CompletionItem(before + plus + mode) for mode in SPINE_MODES if mode.startswith(last)]
 
 
 def number(name: str, about: str, kind: Any = float, **more: Any) -> Callable[[F], F]:
@@ -139,11 +159,12 @@ def assigned(about: str) -> Callable[[F], F]:
 def gait(function: F) -> F:
     """What decides how the robot steps: gait, stride, spine, turn rate and profile."""
     listed = [
-        choice("--gait", GAITS, "Trot, walking trot, lateral walk."),
+        choice("--gait", GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
         number("--frequency", "Gait cycles per second [Hz]."),
         number("--stride", "Stride length, as a share of the maximum."),
-        choice("--spine", SPINE_MODES, "stride_extension, balance, harmonics; several joined by +.",
-               metavar="NAME[+NAME]"),
+        click.option("--spine", type=_SpineModes(), default="none", show_default=True, metavar="NAME[+NAME]",
+                     help=f"{', '.join(SPINE_MODES[1:])}; several joined by +. The last two bend the vertical joints "
+                     "of nermo_41."),
         number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),
         number("--spine-phase", "Phase of the stride extension [rad]."),
         number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),

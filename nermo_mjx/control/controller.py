@@ -30,10 +30,14 @@ from nermo_mjx.control.parameters import ControlParameters, choice, with_gait_fa
 from nermo_mjx.control.path import PATHS, PathPoint
 from nermo_mjx.control.pilot import Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
 from nermo_mjx.control.protocol import leg_servos
+from nermo_mjx.control.sagittal import SagittalLike, SagittalModes
 from nermo_mjx.control.state import ControllerState, canonical, with_dtypes_of
 from nermo_mjx.control.stepping import GaitLike, Stepping
 from nermo_mjx.control.sway import Pace
 from nermo_mjx.control.tail import HeldTail, TailLike, named_tail
+from nermo_mjx.kinematics.attitude import attitude
+from nermo_mjx.kinematics.body import rear_foot_rise
+from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.interface import Sensors, ServoAngles
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import ROUTINGS
@@ -51,6 +55,7 @@ class Controller:
         spine: what the spine does besides; see `SpineLike`.
         head: where the robot looks; see `HeadLike`.
         tail: what the tail does; see `TailLike`.
+        sagittal: what the vertical servo of Nermo 4.1's spine does; see `SagittalLike`. None where there is none.
         routing: knee tendon routing of the legs.
         control_rate, pilot_rate: ticks per simulated second [Hz]; their ratio is an integer.
         parameters: what a simulation starts from before values are named; any tree with the groups that the parts read.
@@ -68,6 +73,7 @@ class Controller:
     parameters: Any = dataclasses.field(default_factory=ControlParameters, compare=False, repr=False)
     head: HeadLike = dataclasses.field(default_factory=HeldHead)
     tail: TailLike = dataclasses.field(default_factory=HeldTail)
+    sagittal: SagittalLike | None = None
 
     def __post_init__(self) -> None:
         choice("routing", self.routing, ROUTINGS)
@@ -111,8 +117,10 @@ class Controller:
         memory, drive = self._decide(params, state, sensors)
         gait, path = self.gait.update(params, state.gait, state.drive, drive, self.dt)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
+        pitch = attitude(sensors.orientation)[1]
+        vertical = self._vertical(params, gait.phase, drive.turn_rate, pitch, sensors.gyro[0])
         closed = trajectory.share_closed(params.tracking, self.dt)
-        foot = state.foot + closed * (path + fusion.compensation(params.spine, spine) - state.foot)
+        foot = state.foot + closed * (path + self._compensation(params, spine, vertical, path) - state.foot)
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.update(params, state.head, sensors, pace, self.dt)
         tail, tail_angle = self.tail.update(params, state.tail, sensors, pace, self.dt)
@@ -120,7 +128,7 @@ class Controller:
         tick = state.tick + 1
         after = ControllerState(
             tick=tick, time=tick * self.dt, pilot=memory, drive=drive, gait=gait, foot=foot, spine=spine, head=head,
-            head_angles=head_angles, tail=tail, tail_angle=tail_angle,
+            head_angles=head_angles, tail=tail, tail_angle=tail_angle, spine_vertical=vertical,
         )  # fmt: skip
         after = with_dtypes_of(state, after)
         return after, self.servo_angles(params, after)
@@ -128,7 +136,10 @@ class Controller:
     def servo_angles(self, params: ControlParameters, state: ControllerState) -> ServoAngles:
         """Servo angles for the commanded feet, spine, head and tail."""
         servos = leg_servos(state.foot, state.spine, self.routing)
-        servos = dataclasses.replace(servos, neck=state.head_angles.neck, tail=state.tail_angle)
+        head = state.head_angles
+        servos = dataclasses.replace(servos, neck=head.neck, head=head.tilt, tail=state.tail_angle)
+        if state.spine_vertical is not None:
+            servos = dataclasses.replace(servos, spine_vertical=state.spine_vertical)
         trim = getattr(self.gait, "trim", None)
         return servos if trim is None else trim(params, servos)
 
@@ -159,18 +170,31 @@ class Controller:
         memory, drive = self.pilot.start(params)
         gait, path = self.gait.start(params, clock.wrap(jnp.asarray(phase, dtype=float)), drive)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
-        foot = path + fusion.compensation(params.spine, spine)
+        level = jnp.zeros_like(gait.phase)
+        vertical = self._vertical(params, gait.phase, drive.turn_rate, level, level)
+        foot = path + self._compensation(params, spine, vertical, path)
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.start(params, pace)
         tail, tail_angle = self.tail.start(params, pace)
         state = ControllerState(
             tick=jnp.zeros((), dtype=jnp.int32), time=jnp.zeros(()), pilot=memory, drive=drive, gait=gait, foot=foot,
-            spine=spine, head=head, head_angles=head_angles, tail=tail, tail_angle=tail_angle,
+            spine=spine, head=head, head_angles=head_angles, tail=tail, tail_angle=tail_angle, spine_vertical=vertical,
         )  # fmt: skip
         return canonical(state)
 
     def _pace(self, params: ControlParameters, phase: Scalar, drive: Drive) -> Pace:
         return Pace(phase, drive.speed, drive.turn_rate, self.cycle_rate(params))
+
+    def _vertical(
+        self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
+    ) -> Scalar | None:
+        return None if self.sagittal is None else self.sagittal(params, phase, turn_rate, pitch, pitch_rate)
+
+    def _compensation(
+        self, params: ControlParameters, spine: Scalar, vertical: Scalar | None, path: Float[Array, "4 2"]
+    ) -> Float[Array, "4 2"]:
+        lifted = None if vertical is None else rear_foot_rise(joint_angle(spine), path, joint_angle(vertical))
+        return fusion.compensation(params.spine, spine, lifted)
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)
@@ -204,8 +228,8 @@ def published_controller(
     Stepping(form='cubic')
 
     Args:
-        spine: auxiliary modes, "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple
-            of names).
+        spine: auxiliary modes, "none", "stride_extension", "balance", "harmonics", and of Nermo 4.1
+            "sagittal_extension" and "pitch_balance", or several joined by "+" (or a tuple of names).
         pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" asks
             `command`. All but the last command `gait.speed`.
         waypoints: (x, y) of the points that the pilot "waypoints" passes [m], see `course.course_through`.
@@ -222,9 +246,13 @@ def published_controller(
         ParameterError: an unknown name, or choices that do not fit together.
     """
     stepping = FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory)
+    modes = fusion.mode_names(spine)
+    lateral, vertical = (tuple(name for name in modes if name in kind)
+                         for kind in (fusion.LATERAL_MODES, fusion.SAGITTAL_MODES))  # fmt: skip
     return Controller(
-        named_pilot(pilot, waypoints, command), stepping, SpineModes(spine, masses), routing, control_rate,
+        named_pilot(pilot, waypoints, command), stepping, SpineModes(lateral, masses), routing, control_rate,
         pilot_rate, head=named_head(head), tail=named_tail(tail_motion),
+        sagittal=SagittalModes(vertical) if vertical else None,
     )  # fmt: skip
 
 

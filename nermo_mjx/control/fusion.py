@@ -22,13 +22,16 @@ from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.shapes import Array, Scalar, Scalars
+from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
 
-#: Auxiliary modes; several may be on together, and their sum is clipped.
-MODES = ("stride_extension", "balance", "harmonics")
+#: Auxiliary modes of the lateral servo; several may be on together, and their sum is clipped.
+LATERAL_MODES: Final = ("stride_extension", "balance", "harmonics")
+#: Those of Nermo 4.1's vertical servo (`sagittal`).
+SAGITTAL_MODES: Final = ("sagittal_extension", "pitch_balance")
+MODES: Final = LATERAL_MODES + SAGITTAL_MODES
 NO_MODE: Final = "none"
 #: Every choice of modes, by its name.
-SPINES: Final = (NO_MODE, *("+".join(some) for n in (1, 2, 3) for some in itertools.combinations(MODES, n)))
+SPINES: Final = (NO_MODE, *("+".join(some) for n in range(1, 6) for some in itertools.combinations(MODES, n)))
 
 #: Share left over by steering below which its power law is made linear (see `signed_power`).
 _FADE_LINEAR_BELOW = 1e-3
@@ -63,7 +66,7 @@ class SpineModes:
 
     Attributes:
         modes: "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple of names); a
-            tuple of `MODES` once it is made.
+            tuple of `LATERAL_MODES` once it is made.
         masses: two-mass model of the assembled robot, for the mode "balance". Kept as plain numbers.
 
     Raises:
@@ -74,7 +77,7 @@ class SpineModes:
     masses: MassModel | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "modes", mode_names(self.modes))
+        object.__setattr__(self, "modes", mode_names(self.modes, LATERAL_MODES))
         if "balance" in self.modes and self.masses is None:
             raise ParameterError(
                 f"masses is None: the spine mode {'+'.join(self.modes)!r} needs the robot's mass model."
@@ -96,15 +99,15 @@ class SpineModes:
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
 
 
-def mode_names(spine: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Names joined by "+", or in a tuple, as a tuple in the order of `MODES`.
+def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> tuple[str, ...]:
+    """Names joined by "+", or in a tuple, as a tuple in the order of `modes`.
 
     Raises:
-        ParameterError: an unknown name.
+        ParameterError: a name that is none of them.
     """
     names = tuple(spine.split("+")) if isinstance(spine, str) else tuple(spine)
-    chosen = {choice("spine", name.strip(), (NO_MODE, *MODES)) for name in names} - {NO_MODE}
-    return tuple(name for name in MODES if name in chosen)
+    chosen = {choice("spine", name.strip(), (NO_MODE, *modes)) for name in names} - {NO_MODE}
+    return tuple(name for name in modes if name in chosen)
 
 
 def _plain(masses: MassModel) -> MassModel:
@@ -154,16 +157,27 @@ def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
         steering: alpha_tr in [-1, 1], positive left.
         auxiliary: servo angle wanted by the auxiliary modes [rad]; f_sp = auxiliary / q_max, clipped to [-1, 1].
     """
+    return spine.max_servo_angle * jnp.clip(steering + shared_with_steering(spine, steering, auxiliary), -1.0, 1.0)
+
+
+def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
+    """(1 - |alpha_tr|)^s f_sp, what steering leaves of the auxiliary modes, in [-1, 1]; see `fuse`."""
     wanted = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
     left_over = signed_power(1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW)
-    return spine.max_servo_angle * jnp.clip(steering + left_over * wanted, -1.0, 1.0)
+    return left_over * wanted
 
 
-def compensation(spine: Spine, servo: Scalar) -> Float[Array, "4 2"]:
+def compensation(spine: Spine, servo: Scalar, lifted: Planar | None = None) -> Float[Array, "4 2"]:
     """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
 
     Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise.
+
+    Args:
+        spine: `offset_compensation`.
+        servo: lateral servo angle [rad].
+        lifted: how much higher the vertical joints of Nermo 4.1 put both rear feet [m].
     """
-    rise = spine.offset_compensation * hip_height_offset(joint_angle(servo))
+    rise = hip_height_offset(joint_angle(servo))
+    rise = spine.offset_compensation * (rise if lifted is None else rise + lifted)
     lowered = jnp.concatenate([jnp.zeros_like(rise), -rise], axis=-1)
     return jnp.stack([jnp.zeros_like(lowered), lowered], axis=-1)

@@ -91,6 +91,22 @@ class Spine:
     balance_lift: Any = quantity(
         0.009, unit="m", low=0.0, high=0.03, doc="d_lift, wanted distance of the COM inside the triangle"
     )
+    sagittal_amplitude: Any = quantity(
+        0.3, unit="rad", low=0.0, high=0.6, doc="vertical servo's amplitude, spine mode 'sagittal_extension'"
+    )
+    sagittal_phase: Any = quantity(
+        0.785,
+        unit="rad",
+        low=-2 * np.pi,
+        high=2 * np.pi,
+        doc="psi of -A cos(2 pi phase + psi), vertical servo; at 0 it is most flexed as the cycle begins",
+    )
+    pitch_gain: Any = quantity(
+        2.0, unit="1", low=-10.0, high=10.0, doc="vertical servo's angle per pitch, spine mode 'pitch_balance'"
+    )
+    pitch_damping: Any = quantity(
+        0.0, unit="s", low=-1.0, high=1.0, doc="vertical servo's angle per pitch rate, spine mode 'pitch_balance'"
+    )
     harmonics: Any = quantity(
         (0.0,) * 2 * HARMONICS,
         unit="rad",

@@ -31,6 +31,7 @@ class ControllerState:
         spine: commanded spine servo angle, positive left [rad].
         head, tail: memories of these parts.
         head_angles, tail_angle: their commanded servo angles [rad].
+        spine_vertical: that of Nermo 4.1's vertical servo, positive lifts the hip [rad]; None on Nermo-Lite.
     """
 
     tick: Count
@@ -44,6 +45,7 @@ class ControllerState:
     head_angles: HeadAngles
     tail: Any
     tail_angle: Scalar
+    spine_vertical: Scalar | None = None
 
     @property
     def phase(self) -> Scalars:

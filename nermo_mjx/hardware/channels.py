@@ -18,7 +18,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -60,7 +60,7 @@ class Servos(Fields):
     whole_degrees: str = optional("angles are given in whole degrees: to the nearest, or cut", enum=[*WHOLE])
 
 
-_NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in dict.fromkeys((*SERVOS, "head"))}
+_NAMED: dict[str, Any] = {name: (ChannelFields, optional()) for name in SERVOS}
 ChannelsFile = create_model("ChannelsFile", __base__=Servos, __doc__=Servos.__doc__, **_NAMED)
 
 
@@ -108,11 +108,11 @@ class Channels:
         return degrees if self.whole_degrees is None else WHOLE[self.whole_degrees](degrees) + 0.0
 
 
-def default_channels(n_servos: int, routing: str = "type3") -> Channels:
-    """The first servos of `SERVOS` in their order, in the controller's own angles, with the model's limits."""
-    limits = [tuple(math.degrees(end) for end in servo_range(servo, routing)) for servo in SERVOS[:n_servos]]
+def default_channels(servos: Sequence[str], routing: str = "type3") -> Channels:
+    """A robot's servos in their order, in the controller's own angles, with the model's limits."""
+    limits = [tuple(math.degrees(end) for end in servo_range(servo, routing)) for servo in servos]
     return Channels(tuple(Channel(servo, i, low=low, high=high)
-                          for i, (servo, (low, high)) in enumerate(zip(SERVOS, limits, strict=False))))  # fmt: skip
+                          for i, (servo, (low, high)) in enumerate(zip(servos, limits, strict=True))))  # fmt: skip
 
 
 def read_channels(source: str | os.PathLike[str] | Mapping[str, Any]) -> Channels:

@@ -17,11 +17,12 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.fusion import mode_names
 from nermo_mjx.control.head import GAZE
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW
 from nermo_mjx.hardware.channels import Channel, Channels, default_channels, read_channels
-from nermo_mjx.robot import SERVOS, ParameterError, Sensors
+from nermo_mjx.robot import ParameterError, Sensors
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.parameters import WorldParameters
 
@@ -35,7 +36,7 @@ MOST_ROWS: Final = 1_000_000
 #: A table is periodic when no angle differs more than this between one of its cycles and the next [rad].
 _ALIKE: Final = 1e-6
 #: What head and tail do in answer to sensors.
-_ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL)
+_ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL, "pitch_balance")
 #: Gait cycles after which a controller that has not settled is given up.
 _PATIENCE: Final = 200
 
@@ -136,13 +137,19 @@ def servo_table(
     setup = setup or Setup()
     if setup.controller is not None:
         raise ParameterError(f"controller is {setup.controller!r}: a servo table is of the published controller.")
-    for name, choice in (("head", setup.head), ("tail_motion", setup.tail_motion)):
+    modes = mode_names(setup.spine)
+    for name, choice in (
+        ("head", setup.head),
+        ("tail_motion", setup.tail_motion),
+        *(("spine", mode) for mode in modes),
+    ):
         if choice in _ANSWERING:
             raise ParameterError(f"{name} is {choice!r}, which answers to sensors: a servo table reads none.")
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
     world = _parameters(setup, values or {})
     params, phase = world.control, float(np.asarray(world.start.phase))
-    connected = _connected(channels, setup)
+    servos = setup.load().servos
+    connected = _connected(channels, servos, setup)
     rate = next(each for each in (rate, connected.rate, DEFAULT_RATE) if each is not None)
     _check(rate, cycles)
     frequency = float(np.asarray(params.gait.frequency))
@@ -153,7 +160,7 @@ def servo_table(
     if rows < 4 * cycles:
         raise ParameterError(f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows.")
     angles = _steady(setup, params, phase, rows, cycles, rate)
-    columns = np.stack([_column(channel, np.degrees(angles)) for channel in connected], axis=-1)
+    columns = np.stack([_column(channel, servos, np.degrees(angles)) for channel in connected], axis=-1)
     time = np.arange(rows) / rate
     _check_limits(connected, columns, time)
     steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
@@ -187,16 +194,16 @@ def _steady(
     ratio = float(np.asarray(params.tracking.clock_ratio))
     within = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
     ticks_rate = within * rate / ratio
-    made, n_servos = setup.make_controller(), setup.load().n_servos
+    made, servos = setup.make_controller(), setup.load().servos
     assert isinstance(made, Controller)
     controller = dataclasses.replace(made, control_rate=ticks_rate, pilot_rate=ticks_rate)
     # In double precision, so that the phase is exact after many cycles.
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
-        state = _begin(made, n_servos, exact, phase)  # which no rate changes
+        state = _begin(made, servos, exact, phase)  # which no rate changes
         before = None
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
-            state, angles = _run(controller, n_servos, exact, state, rows, within)
+            state, angles = _run(controller, servos, exact, state, rows, within)
             found = np.asarray(angles)
             if before is not None and np.abs(found - before).max() < _ALIKE:
                 return found
@@ -205,23 +212,23 @@ def _steady(
 
 
 @jax.jit(static_argnums=(0, 1))
-def _begin(controller: Controller, n_servos: int, params: ControlParameters, phase: float) -> Any:
+def _begin(controller: Controller, servos: tuple[str, ...], params: ControlParameters, phase: float) -> Any:
     """The state at the start; operation by operation it would take seconds."""
-    return controller.init(params, _still(n_servos), phase)
+    return controller.init(params, _still(len(servos)), phase)
 
 
 @jax.jit(static_argnums=(0, 1, 4, 5))
 def _run(
-    controller: Controller, n_servos: int, params: ControlParameters, state: Any, rows: int, within: int
+    controller: Controller, servos: tuple[str, ...], params: ControlParameters, state: Any, rows: int, within: int
 ) -> tuple[Any, Any]:
     """The next rows: before each, the angles as they are, then `within` ticks."""
-    sensors = _still(n_servos)
+    sensors = _still(len(servos))
 
     def tick(state: Any, _: None) -> tuple[Any, None]:
         return controller.update(params, state, sensors)[0], None
 
     def row(state: Any, _: None) -> tuple[Any, Any]:
-        angles = controller.servo_angles(params, state).vector(n_servos)
+        angles = controller.servo_angles(params, state).vector(servos)
         return jax.lax.scan(tick, state, None, length=within)[0], angles
 
     return jax.lax.scan(row, state, None, length=rows)
@@ -236,23 +243,25 @@ def _still(n_servos: int) -> Sensors:
     return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
 
 
-def _column(channel: Channel, angles: Float[np.ndarray, "rows servos"]) -> Float[np.ndarray, " rows"]:
+def _column(
+    channel: Channel, servos: tuple[str, ...], angles: Float[np.ndarray, "rows servos"]
+) -> Float[np.ndarray, " rows"]:
     """What a servo is given, from the controller's angles of the robot's servos [deg]."""
-    if channel.servo not in SERVOS[: angles.shape[1]]:
+    if channel.servo not in servos:
         assert channel.missing is not None
         return np.full(len(angles), channel.missing)
-    return channel.zero + channel.direction * angles[:, SERVOS.index(channel.servo)]
+    return channel.zero + channel.direction * angles[:, servos.index(channel.servo)]
 
 
-def _connected(channels: Any, setup: Setup) -> Channels:
-    count = setup.load().n_servos
+def _connected(channels: Any, servos: tuple[str, ...], setup: Setup) -> Channels:
     if channels is None:
-        return default_channels(count, setup.routing)
+        return default_channels(servos, setup.routing)
     connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
-        if channel.servo not in SERVOS[:count] and channel.missing is None:
-            raise ParameterError(f"{channel.servo} is no servo of the robot with tail {setup.tail!r}: take the "
-                                 "articulated tail, leave the servo out, or give it what is 'missing'.")  # fmt: skip
+        if channel.servo not in servos and channel.missing is None:
+            remedy = "take the articulated tail" if channel.servo == "tail" else "take the robot 'nermo_41'"
+            raise ParameterError(f"{channel.servo} is no servo of robot {setup.robot!r} with tail {setup.tail!r}: "
+                                 f"{remedy}, leave the servo out, or give it what is 'missing'.")  # fmt: skip
     return connected
 
 

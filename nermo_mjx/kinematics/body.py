@@ -1,7 +1,8 @@
 """What the spine does to the body: where the hips go, the diagonals, and the centre of mass.
 
 Positions are relative to the spine base in the torso's frame [m]; theta_v is the angle of each lateral joint [rad], of
-any shape, positive to the left. Left comes before right.
+any shape, positive to the left, and `vertical` that of each vertical joint of Nermo 4.1, which lifts the hip where it
+is positive; None on Nermo-Lite. Left comes before right.
 """
 
 from __future__ import annotations
@@ -27,24 +28,29 @@ def shoulders() -> Float[Array, "2 3"]:
     return _constant(_SHOULDERS)
 
 
-def hips(theta_v: ArrayLike) -> Float[Array, "*batch 2 3"]:
+def hips(theta_v: ArrayLike, vertical: ArrayLike | None = None) -> Float[Array, "*batch 2 3"]:
     """Left and right hip axis."""
-    return from_hip_frame(theta_v, _HIPS)
+    return from_hip_frame(theta_v, _HIPS, vertical)
 
 
-def from_hip_frame(theta_v: ArrayLike, points: ArrayLike) -> Float[Array, "*batch n 3"]:
+def from_hip_frame(
+    theta_v: ArrayLike, points: ArrayLike, vertical: ArrayLike | None = None
+) -> Float[Array, "*batch n 3"]:
     """Points (..., n, 3) of the hip's frame, from the spine end, seen from the spine base."""
-    pose = spine.transform(theta_v)
+    all_four = None if vertical is None else jnp.repeat(jnp.asarray(vertical)[..., None], 4, axis=-1)
+    pose = spine.transform(theta_v, all_four)
     points = jnp.asarray(points, pose.dtype)
     turned = jnp.sum(pose[..., None, :3, :3] * points[..., None, :], axis=-1)
     return turned + pose[..., None, :3, 3]
 
 
-def feet_positions(theta_v: ArrayLike, feet: ArrayLike) -> Float[Array, "*batch 4 3"]:
+def feet_positions(
+    theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike | None = None
+) -> Float[Array, "*batch 4 3"]:
     """The feet, given as (y, z) from their own axis, shape (..., 4, 2); rear feet turn with the hip's frame."""
     feet = jnp.asarray(feet)
     placed = jnp.stack([jnp.zeros_like(feet[..., 0]), feet[..., 0], feet[..., 1]], axis=-1)
-    rear = from_hip_frame(theta_v, _constant(_HIPS) + placed[..., 2:, :])
+    rear = from_hip_frame(theta_v, _constant(_HIPS) + placed[..., 2:, :], vertical)
     front = jnp.broadcast_to(shoulders() + placed[..., :2, :], rear.shape)
     return jnp.concatenate([front, rear], axis=-2)
 
@@ -56,6 +62,18 @@ def hip_height_offset(theta_v: ArrayLike) -> Planar:
     that is lowered by it keeps the hip level. "Added", as its docstring says, doubles the roll (erratum 16).
     """
     return hips(theta_v)[..., 2] - hips(0.0)[..., 2]
+
+
+def rear_foot_rise(theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike) -> Planar:
+    """How much higher the vertical joints put each rear foot: they lift the hip, and turn the legs with it.
+
+    Args:
+        theta_v: of each lateral joint [rad].
+        feet: (y, z) of the four feet from their own axis, shape (..., 4, 2) [m].
+        vertical: of each vertical joint [rad].
+    """
+    bent, straight = feet_positions(theta_v, feet, vertical), feet_positions(theta_v, feet)
+    return bent[..., 2:, 2] - straight[..., 2:, 2]
 
 
 def diagonals(theta_v: ArrayLike) -> Planar:
@@ -81,11 +99,25 @@ def stride_gain(theta_v: ArrayLike) -> Scalars:
     return (BODY.shoulder[0] + jnp.hypot(across, along)) * jnp.sin(bend / 2)
 
 
-def centre_of_mass(masses: MassModel, theta_v: ArrayLike) -> Spatial:
+def sagittal_stride_gain(vertical: ArrayLike, feet: ArrayLike) -> Planar:
+    """What swinging the vertical joints between -vertical and vertical adds to a cycle of a bound [m].
+
+    While the hind feet stand, the spine extends and carries the torso forward by the way that they go backward seen
+    from the spine base; it flexes again while the fore feet stand, which draws the hip forward and holds the torso.
+
+    Args:
+        vertical: of each vertical joint [rad].
+        feet: neutral (y, z) of the four feet from their own axis, shape (4, 2) [m].
+    """
+    ends = [feet_positions(0.0, feet, sign * jnp.asarray(vertical))[..., 2:, 1] for sign in (1.0, -1.0)]
+    return ends[0] - ends[1]
+
+
+def centre_of_mass(masses: MassModel, theta_v: ArrayLike, vertical: ArrayLike | None = None) -> Spatial:
     """Centre of mass of front and rear, joined by a massless spine (5.34). Leaves of `masses` may be batched."""
     masses = jax.tree.map(_constant, masses)
     front_mass, rear_mass = masses.front_mass[..., None], masses.rear_mass[..., None]
-    rear = from_hip_frame(theta_v, masses.rear_com[..., None, :])[..., 0, :]
+    rear = from_hip_frame(theta_v, masses.rear_com[..., None, :], vertical)[..., 0, :]
     return (front_mass * masses.front_com + rear_mass * rear) / (front_mass + rear_mass)
 
 

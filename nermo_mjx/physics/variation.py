@@ -17,9 +17,9 @@ from mujoco.batch import Batch
 
 from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.robot import ModelParameters, Robot
-from nermo_mjx.robot.equipment import contact_kinds
+from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint
 from nermo_mjx.robot.gravity import gravity_vector
-from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot.masses import is_front, mass_values
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values
@@ -57,9 +57,9 @@ class Variation:
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
         def joints(end: str, start: str = "") -> np.ndarray:
-            return np.array([i for i, name in enumerate(names) if name.endswith(end) and name.startswith(start)])
+            return np.array([i for i, name in enumerate(names) if name.endswith(end) and name.startswith(start)], int)
 
-        spine = np.array([i for i, name in enumerate(names) if name.startswith("spine_joint")])
+        spine = np.array([i for i, name in enumerate(names) if is_spine_joint(name)])
         self._springs = {
             "front_knee": joints("_knee", "front"),
             "rear_knee": joints("_knee", "rear"),
@@ -67,7 +67,7 @@ class Variation:
             "spine": spine,
         }
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
-        dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck")])
+        dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck"), joints("head_tilt")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
         self._scene = str(robot.config.scene)
         self._terrain = np.array([model.geom(name).id for name in geom_names(self._scene)], int)
@@ -192,7 +192,8 @@ def _reached(named: Iterable[str]) -> list[str]:
 def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     """A copy of the robot's whole model with the named body parameters, for rendering or for any `mj_` function."""
     model, variation = copy.copy(robot.model), Variation(robot)
-    parameters = replace_quantities(ModelParameters(), terrain_values(str(robot.config.scene)) | dict(values))
+    standing = mass_values(robot.config.robot) | terrain_values(str(robot.config.scene))
+    parameters = replace_quantities(ModelParameters(), standing | dict(values))
     for name, field in variation.batch(parameters, 1, values).items():
         if name.startswith("geom_"):
             # Geoms have other ids than in the model that engines step; all else has the same.

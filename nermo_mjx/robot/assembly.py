@@ -25,15 +25,16 @@ from nermo_mjx.robot.equipment import (
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.leg_plane import standing
+from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.mirror import mirror
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LEGS, LIMBS, ROUTINGS
 from nermo_mjx.robot.placing import load_part, stance_height
 from nermo_mjx.robot.presets import PRESETS, PhysicsPreset, PresetTimestep
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, replace_quantities
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 
-ROBOTS: Final = ("nermo_lite",)
+ROBOTS: Final = ("nermo_lite", "nermo_41")
 TAILS: Final = ("rigid", "articulated")
 CONES: Final = ("elliptic", "pyramidal")
 #: The torso's cameras that follow the robot without turning with it.
@@ -47,7 +48,7 @@ class RobotConfig:
     """Which robot to build; every name is resolved before anything compiles.
 
     Attributes:
-        robot: `nermo_lite`.
+        robot: `nermo_lite`, or `nermo_41` with vertical spine joints and head tilt (see `nermo_41`).
         scene: name of a file in `mjcf/scenes`, or one of one's own; kept as `scene.resolve_scene` gives it.
         tail: `rigid` (default: a third faster) or `articulated`, 19 joints; same mass and centre of mass.
         routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`.
@@ -94,19 +95,20 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     scene = str(config.scene)
     spec = load_scene(scene)
     if parameters is None:
-        parameters = ModelParameters()
+        parameters = default_parameters(config.robot)
     else:
         ground = parameters.ground
         spec.option.gravity = gravity_vector(ground.gravity, ground.slope, ground.direction)
-    spec.modelname = f"{config.robot}_{scene_name(scene)}"
-    _attach(spec, spec.worldbody, "torso", plain=("torso", "root", "imu", *FOLLOWING))
-    _attach(spec, spec.frame("torso_spine_mount"), "spine")
-    _attach(spec, spec.frame("torso_neck_mount"), "head", plain=("head", "neck", "eyes", *EYES))
-    _attach(spec, spec.frame("spine_end"), "hip")
+    robot = config.robot
+    spec.modelname = f"{robot}_{scene_name(scene)}"
+    _attach(spec, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING))
+    _attach(spec, spec.frame("torso_spine_mount"), "spine", robot)
+    _attach(spec, spec.frame("torso_neck_mount"), "head", robot, plain=("head", "neck", "head_tilt", "eyes", *EYES))
+    _attach(spec, spec.frame("spine_end"), "hip", robot)
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"
         _attach_leg(spec, spec.frame(f"{trunk}_{limb}_mount"), limb, config.routing)
-    _attach(spec, spec.frame("hip_tail_mount"), "tail")
+    _attach(spec, spec.frame("hip_tail_mount"), "tail", robot)
     if config.tail == "rigid":
         _stiffen_tail(spec)
     _pose(spec, config.routing)
@@ -128,13 +130,19 @@ def assemble_leg(limb: str, routing: str = "type3", parameters: ModelParameters 
     return spec
 
 
-def assemble_spine(parameters: ModelParameters | None = None) -> mujoco.MjSpec:
+def assemble_spine(parameters: ModelParameters | None = None, robot: str = "nermo_lite") -> mujoco.MjSpec:
     """The spine on a test stand: its base is fixed at the world's origin, without gravity; the hip hangs free."""
+    config = RobotConfig(robot)
     spec = _stand("spine_stand")
-    _attach(spec, spec.worldbody, "spine")
-    _attach(spec, spec.frame("spine_end"), "hip")
-    _finish(spec, RobotConfig(), parameters or ModelParameters())
+    _attach(spec, spec.worldbody, "spine", robot)
+    _attach(spec, spec.frame("spine_end"), "hip", robot)
+    _finish(spec, config, parameters or default_parameters(robot))
     return spec
+
+
+def default_parameters(robot: str) -> ModelParameters:
+    """The body parameters that a robot is built with unless others are given."""
+    return replace_quantities(ModelParameters(), mass_values(robot))
 
 
 def _stand(name: str) -> mujoco.MjSpec:
@@ -144,10 +152,10 @@ def _stand(name: str) -> mujoco.MjSpec:
     return spec
 
 
-def _attach(spec: mujoco.MjSpec, place: Any, name: str, plain: tuple[str, ...] = ()) -> None:
-    """Attach the file `name` with its name as prefix, but for the elements in `plain`, which keep their names."""
+def _attach(spec: mujoco.MjSpec, place: Any, name: str, robot: str, plain: tuple[str, ...] = ()) -> None:
+    """Attach the robot's part `name` with its name as prefix; the elements in `plain` keep their names."""
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
-    spec.attach(load_part(name, Geometry()), prefix=f"{name}_", frame=frame)
+    spec.attach(load_part(name, Geometry(), robot), prefix=f"{name}_", frame=frame)
     for kind in (spec.body, spec.joint, spec.site, spec.frame, spec.camera):
         for short in plain:
             element = kind(f"{name}_{short}")
@@ -210,7 +218,7 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     # A world that diverges must stay diverged, to be flagged, not start anew. One robot is one island: to look for
     # others in every step finds the same forces, bit for bit, 4 % later.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
-    set_masses(spec, parameters, Geometry())
+    set_masses(spec, config.robot, parameters, Geometry())
     set_joints(spec, parameters)
     set_tendons(spec)
     add_servos(spec, config.routing, parameters)

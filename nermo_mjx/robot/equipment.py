@@ -13,7 +13,7 @@ import numpy as np
 
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVOS, servo_range
-from nermo_mjx.robot.masses import is_front, part_of
+from nermo_mjx.robot.masses import ROBOT_MASSES, is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.placing import load_part
@@ -44,21 +44,21 @@ TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (1
 BUMPER: Final = "_bumper"
 
 
-def set_masses(spec: mujoco.MjSpec, parameters: ModelParameters, geometry: Geometry) -> None:
+def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters, geometry: Geometry) -> None:
     """Give every moving body the mass, centre of mass and inertia of its part; geoms weigh nothing."""
     for geom in spec.geoms:
         if geom.group == VISUAL_GROUP:
             geom.mass = 0.0
-    default, mass = ModelParameters().mass, parameters.mass
-    share = {True: float(mass.front / default.front), False: float(mass.rear / default.rear)}
+    front, rear = ROBOT_MASSES[robot]
+    share = {True: float(parameters.mass.front / front), False: float(parameters.mass.rear / rear)}
     for body in spec.bodies[1:]:
-        part = part_of(body.name, geometry)
+        part = part_of(body.name, robot, geometry)
         body.explicitinertial = True
         scale = share[is_front(body.name)]
         body.mass, body.inertia = scale * part.mass, scale * np.array(part.inertia)
         body.ipos, body.iquat = np.array(part.com), np.array([1.0, 0, 0, 0])
     for body in spec.bodies[1:]:
-        site = part_of(body.name).site
+        site = part_of(body.name, robot).site
         if site is not None:
             pos, quat = _site_in_body("spine", site, geometry)
             turned = np.zeros(3)
@@ -79,7 +79,7 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
         kind = joint.name.rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
             _compliant(joint, TAIL_STIFFNESS, TAIL_DAMPING, ARMATURE["tail"])
-        elif kind == "joint":
+        elif is_spine_joint(joint.name):
             _compliant(joint, stiffness.spine, damping.spine, ARMATURE["spine"])
         elif kind == "knee":
             pair = joint.name.split("_")[0]
@@ -88,8 +88,13 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
             _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"])
         elif kind == "hip":
             _compliant(joint, 0.0, damping.hip, ARMATURE["servo"])
-        elif kind in ("pulley", "neck"):
+        elif kind in ("pulley", "neck", "tilt"):
             _compliant(joint, 0.0, damping.pulley, ARMATURE["servo"])
+
+
+def is_spine_joint(joint: str) -> bool:
+    """Whether a joint, by its name, is one of the spine's compliant ones, lateral or vertical."""
+    return joint.rstrip("0123456789") in ("spine_joint_", "spine_vertical_")
 
 
 def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0) -> None:
@@ -121,10 +126,12 @@ def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -
 
 
 def servo_joint(servo: str) -> str:
-    """The joint a servo turns: a limb's hip directly, the others through their pulley."""
+    """The joint a servo turns: limbs' hips, neck and head directly, the others through their pulley."""
     if servo.endswith("_knee"):
         return servo.removesuffix("knee") + "pulley"
-    return {"spine": "spine_pulley", "tail": "tail_pulley"}.get(servo, servo)
+    return {"head": "head_tilt", **{name: f"{name}_pulley" for name in ("spine", "spine_vertical", "tail")}}.get(
+        servo, servo
+    )
 
 
 def add_sensors(spec: mujoco.MjSpec) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -21,9 +23,26 @@ def scene_files() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in (mjcf_directory() / "scenes").glob("*.xml")))
 
 
-def load_file(name: str) -> mujoco.MjSpec:
-    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside."""
-    spec = mujoco.MjSpec.from_file(str(mjcf_directory() / f"{name}.xml"))
+#: Changes the tree of an MJCF file.
+Edit = Callable[[ET.Element], None]
+
+
+def load_file(name: str, edit: Edit | None = None) -> mujoco.MjSpec:
+    """The specification in `mjcf/NAME.xml`, editable, with its meshes inside.
+
+    Args:
+        name: of the file.
+        edit: changes the tree of the file before it is compiled.
+    """
+    path = mjcf_directory() / f"{name}.xml"
+    if edit is None:
+        spec = mujoco.MjSpec.from_file(str(path))
+    else:
+        root = ET.parse(path).getroot()
+        edit(root)
+        included = {each.get("file", ""): (path.parent / each.get("file", "")).read_bytes()
+                    for each in root.iter("include")}  # fmt: skip
+        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"), include=included)
     # Meshes become part of the specification: what is assembled and written needs no files, wherever it is compiled.
     for mesh in spec.meshes:
         vertices, faces = read_obj(mjcf_directory() / spec.meshdir / mesh.file)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Final
 
 import jax
@@ -12,19 +13,35 @@ from jaxtyping import Float
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.shapes import Array, PerLimb, Quaternion, Scalars, Spatial
 
-#: Actuators of the robot in the order of `ctrl`; the tail servo exists only with the articulated tail.
-SERVOS: Final = (*(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail")
+#: Servos in the order of `ctrl`: that of the tail exists only with the articulated tail, the last two only on Nermo 4.1
+#: (`Robot.servos` names those of one robot).
+SERVOS: Final = (
+    *(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail", "spine_vertical",
+    "head",
+)  # fmt: skip
+
+#: What robots lack of them, by how many they have.
+_LACKING: Final = {10: ("tail", "spine_vertical", "head"), 11: ("spine_vertical", "head"), 12: ("tail",)}
 
 #: Range of each servo [rad], by kind of servo. A knee's is what its tendon can follow: the wrap stays between 40 and
 #: 175 degrees.
 SERVO_RANGE: Final = {
     "hip": (-1.6, 1.6), "front_knee": (-1.25, 1.25), "rear_knee": (-0.8, 1.55), "spine": (-0.6, 0.6),
-    "neck": (-1.0, 1.0), "tail": (-1.0, 1.0),
+    "neck": (-1.0, 1.0), "tail": (-1.0, 1.0), "spine_vertical": (-0.6, 0.6), "head": (-1.0, 1.0),
 }  # fmt: skip
 
 
 #: The same with routing type 1, whose servo angle contains the angle that the tendon wraps.
 KNEE_RANGE_TYPE1: Final = {"front_knee": (1.3, 2.8), "rear_knee": (-2.6, -0.35)}
+
+
+def servos_by_count(count: int) -> tuple[str, ...]:
+    """Names of the servos of a robot that has so many, as a recording knows them.
+
+    >>> servos_by_count(12)[8:]
+    ('spine', 'neck', 'spine_vertical', 'head')
+    """
+    return tuple(servo for servo in SERVOS if servo not in _LACKING.get(count, ()))[:count]
 
 
 def servo_range(servo: str, routing: str = "type3") -> tuple[float, float]:
@@ -46,6 +63,8 @@ class ServoAngles:
         spine: positive turns left.
         neck: positive looks left.
         tail: positive bends the tail's tip to the left.
+        spine_vertical: of Nermo 4.1; positive lifts the hip, which extends the spine.
+        head: of Nermo 4.1; positive tilts the nose down.
     """
 
     hip: PerLimb
@@ -53,11 +72,14 @@ class ServoAngles:
     spine: Scalars
     neck: Scalars
     tail: Scalars
+    spine_vertical: Scalars | float = 0.0
+    head: Scalars | float = 0.0
 
-    def vector(self, n_servos: int) -> Float[Array, "*batch n"]:
-        """The `ctrl` vector of a model with `n_servos` actuators, in the order of `SERVOS`."""
-        single = jnp.stack([self.spine, self.neck, self.tail], axis=-1)
-        return jnp.concatenate([self.hip, self.knee, single], axis=-1)[..., :n_servos]
+    def vector(self, servos: Sequence[str]) -> Float[Array, "*batch n"]:
+        """The `ctrl` vector of a robot with these servos, `Robot.servos`."""
+        legs = 2 * len(LIMBS)
+        single = [jnp.broadcast_to(jnp.asarray(getattr(self, name)), self.hip.shape[:-1]) for name in servos[legs:]]
+        return jnp.concatenate([self.hip, self.knee, jnp.stack(single, axis=-1)], axis=-1)
 
 
 @jax.tree_util.register_dataclass
@@ -71,7 +93,7 @@ class Sensors:
         linear_velocity: of the IMU in the world [m/s].
         gyro: angular velocity in the IMU's frame [rad/s].
         accelerometer: in the IMU's frame [m/s^2].
-        servo_angle, servo_velocity, servo_torque: in the order of `SERVOS` [rad, rad/s, N m].
+        servo_angle, servo_velocity, servo_torque: in the order of `Robot.servos` [rad, rad/s, N m].
         knee_angle: theta_1 of each limb, 0 stretched [rad].
         foot_force: normal contact force of each foot [N].
         foot_position, foot_velocity: of each foot H in the world [m, m/s] (for metrics, not for the controller).

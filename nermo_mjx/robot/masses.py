@@ -1,4 +1,4 @@
-"""Masses of Nermo-Lite, part by part: 270 g, share and centres of mass those of the author's compiled model.
+"""Masses, part by part; of Nermo-Lite 270 g, share and centres of mass those of the author's compiled model.
 
 The thesis gives 225 g and 60 g beside a total of 270 g; with them the centre of mass lies on the crossing of the two
 stability diagonals, which contradicts the published balance results (erratum 9). Its Table A.5 has centres of mass that
@@ -17,7 +17,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
+
 from nermo_mjx.robot.geometry import SEGMENT_ROWS, Geometry
+from nermo_mjx.robot.nermo_41 import PULLEY as SERVO_PLACE_41
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, SPINE, TAIL
 
 
@@ -103,22 +106,52 @@ _STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
     "rear_lower": (2, lambda geometry: geometry.rear_leg.lower / REAR_LEG.l3),
     "rear_foot": (2, lambda geometry: geometry.rear_leg.foot / REAR_LEG.l4),
     "spine_vertebra": (0, lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1])),
+    "spine_link": (0, lambda geometry: geometry.spine.segment / (2 * SPINE.dh[SEGMENT_ROWS[0]][1])),
     "tail_segment": (1, lambda geometry: geometry.tail.length / TAIL.length),
 }
 
+#: Nermo 4.1 weighs 5 g more (Table 4.1): the pulley of the vertical spine's servo, half a vertebra before the first
+#: lateral joint, and 2.5 g where that servo sits. Its vertebrae are each divided by a vertical joint, and its head, by
+#: its tilt, 1 : 2 into bracket and head as in the author's model. Where the 5 g sit is not published.
+_SERVO_41: Final = 0.00250
+PARTS_41: Final[dict[str, Part]] = PARTS | {
+    "torso": Part(
+        TORSO.mass + _SERVO_41,
+        tuple(float(c) for c in np.average([TORSO.com, SERVO_PLACE_41], axis=0, weights=[TORSO.mass, _SERVO_41])),  # type: ignore[arg-type]
+        TORSO.half_size,
+    ),
+    "neck": Part(HEAD.mass / 3, (0.0, -0.0080, 0.0080), (0.009, 0.009, 0.008)),
+    "head": Part(2 * HEAD.mass / 3, (0.0, -0.0190, 0.0006), HEAD.half_size),
+    "spine_vertebra": Part(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.007, 0.005)),
+    "spine_link": Part(VERTEBRA.mass / 2, (0.0035, 0.0, 0.0), (0.0025, 0.005, 0.007)),
+    "spine_vertical_pulley": SPINE_PULLEY,
+}
+ROBOT_PARTS: Final = {"nermo_lite": PARTS, "nermo_41": PARTS_41}
+#: Masses before and behind the spine [kg].
+ROBOT_MASSES: Final = {"nermo_lite": (0.1695, 0.1005), "nermo_41": (0.1745, 0.1005)}
+
 #: Bodies counted to the front mass; every other moving body is counted to the rear.
-FRONT_PARTS: Final = ("torso", "head", "front_", "spine_vertebra_1", "spine_vertebra_2")
+FRONT_PARTS: Final = (
+    "torso", "neck", "head", "front_", "spine_vertical_pulley", "spine_vertebra_1", "spine_vertebra_2", "spine_link_1",
+    "spine_link_2", "spine_link_3",
+)  # fmt: skip
 
 
-def part_of(body: str, geometry: Geometry | None = None) -> Part:
+def mass_values(robot: str) -> dict[str, float]:
+    """Masses before and behind the spine of a robot [kg], as parameters are named."""
+    return dict(zip(("mass.front", "mass.rear"), ROBOT_MASSES[robot], strict=True))
+
+
+def part_of(body: str, robot: str = "nermo_lite", geometry: Geometry | None = None) -> Part:
     """The part a body stands for, by the body's name (`front_left_upper` is the part `front_upper`).
 
     Args:
         body: its name.
+        robot: whose it is.
         geometry: with which a link is stretched; by default the published one. Leaves of shape ().
     """
     key = body.replace("left_", "").replace("right_", "").rstrip("_0123456789")
-    part = PARTS[key]
+    part = ROBOT_PARTS[robot][key]
     if geometry is None or key not in _STRETCHED:
         return part
     axis, ratio = _STRETCHED[key]

@@ -57,7 +57,7 @@ class Stiffness:
     front_knee: Any = quantity(0.135, unit="N m/rad", low=0.01, high=2.0, doc="front knee spring")
     rear_knee: Any = quantity(0.19, unit="N m/rad", low=0.01, high=2.0, doc="rear knee spring")
     ankle: Any = quantity(0.1, unit="N m/rad", low=0.01, high=2.0, doc="ankle spring")
-    spine: Any = quantity(1.2, unit="N m/rad", low=0.1, high=20.0, doc="each lateral spine joint")
+    spine: Any = quantity(1.2, unit="N m/rad", low=0.1, high=20.0, doc="each spine joint")
 
 
 @parameter_tree
@@ -67,13 +67,16 @@ class Damping:
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
     knee: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
     ankle: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
-    spine: Any = quantity(0.09242, unit="N m s/rad", low=0.0, high=1.0, doc="lateral spine joints")
-    pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of the knee and spine servos")
+    spine: Any = quantity(0.09242, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
+    pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of knees and spine, neck, head")
 
 
 @parameter_tree
 class Mass:
-    """Mass of everything before and behind the spine; parts keep their shares, inertias scale along."""
+    """Mass of everything before and behind the spine; parts keep their shares, inertias scale along.
+
+    Defaults are those of Nermo-Lite; with Nermo 4.1 they are its own (`masses.ROBOT_MASSES`).
+    """
 
     front: Any = quantity(0.1695, unit="kg", low=0.05, high=0.5, doc="torso, head, front legs and half the spine")
     rear: Any = quantity(0.1005, unit="kg", low=0.03, high=0.5, doc="hip, rear legs, tail and half the spine")

@@ -15,7 +15,7 @@ import math
 from typing import Final
 
 LIMBS: Final = ("front_left", "front_right", "rear_left", "rear_right")
-GAITS: Final = ("trt", "trt1", "lat")
+GAITS: Final = ("trt", "trt1", "lat", "bound", "gallop")
 ROUTINGS: Final = ("type1", "type2", "type3")
 
 
@@ -206,7 +206,7 @@ EYE: Final = EyeGeometry()
 
 @dataclasses.dataclass(frozen=True)
 class GaitPattern:
-    """A published gait [A.2, A.6]: stance share of the cycle, stance offsets of the limbs, gait factor of (5.21)."""
+    """A gait [A.2, A.6]: stance share of the cycle, stance offsets of the limbs, gait factor of (5.21)."""
 
     duty: float
     offsets: tuple[float, float, float, float]
@@ -217,4 +217,9 @@ GAIT_PATTERNS: Final[dict[str, GaitPattern]] = {
     "trt": GaitPattern(0.50, (0.50, 0.00, 0.00, 0.50), 2.00),  # ideal trot
     "trt1": GaitPattern(0.60, (0.50, 0.00, 0.00, 0.50), 1.67),  # walking trot
     "lat": GaitPattern(0.68, (0.63, 0.14, 0.00, 0.54), 1.47),  # lateral sequence walk
+    # Not of the thesis. Bound: hind pair, then fore pair, half a cycle apart (Hildebrand, BioScience 39, 1989), with
+    # neither flight nor overlap, as in the ideal trot. Gallop: the rotary gallop that the author's code has and does
+    # not use (`gallop_rot_parameters` of mouse_parameters_dir.py); gait factor 1 / duty.
+    "bound": GaitPattern(0.50, (0.50, 0.50, 0.00, 0.00), 2.00),
+    "gallop": GaitPattern(0.30, (0.65, 0.55, 0.00, 0.10), 1.0 / 0.30),
 }

@@ -12,6 +12,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from nermo_mjx.robot import nermo_41
 from nermo_mjx.robot.files import load_file
 from nermo_mjx.robot.geometry import Geometry, dh_table, leg_geometry
 from nermo_mjx.robot.leg_plane import tendon_limit
@@ -27,7 +28,7 @@ _PULLEY_WIDTH: Final = 0.0015
 _DIGITS: Final = {"leg": 10, "straight": 8}
 
 
-def load_part(name: str, geometry: Geometry) -> mujoco.MjSpec:
+def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoco.MjSpec:
     """The part `mjcf/NAME.xml`, its numbers in their places.
 
     >>> round(float(load_part("front_leg", Geometry()).body("lower").pos[2]), 4)
@@ -36,8 +37,9 @@ def load_part(name: str, geometry: Geometry) -> mujoco.MjSpec:
     Args:
         name: `torso`, `head`, `spine`, `hip`, `front_leg`, `rear_leg` (left ones) or `tail`.
         geometry: leaves of shape ().
+        robot: whose part it is; see `nermo_41`.
     """
-    spec = load_file(name)
+    spec = load_file(name, nermo_41.EDITS.get(name) if robot == "nermo_41" else None)
     if name in _PLACED:
         _PLACED[name](spec, geometry)
     return spec
@@ -58,6 +60,8 @@ def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         camera, quat = spec.camera(name), np.zeros(4)
         mujoco.mju_mat2Quat(quat, np.stack([np.cross(ahead, up), up, -ahead], axis=-1).ravel())
         camera.pos, camera.quat = np.array(EYE.place) * [side, 1.0, 1.0] + EYE.dome * ahead, quat
+    if spec.joint("head_tilt") is not None:
+        nermo_41.place_head_tilt(spec)
 
 
 def _hip(spec: mujoco.MjSpec, geometry: Geometry) -> None:
@@ -121,6 +125,9 @@ def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         spec.site(f"{side}_side").pos = np.array([sign * x, y, 0.0]) + SPINE.pulley_position
     spec.body("pulley").pos = np.array(SPINE.pulley_position)
     spec.geom("pulley").size = np.array([float(geometry.spine.pulley_radius), _PULLEY_WIDTH, 0.0])
+    if spec.body("vertical_pulley") is not None:
+        nermo_41.place_vertical_spine(spec, ratio)
+        spec.geom("vertical_pulley").size = spec.geom("pulley").size
     _limit_to_straight(spec)
 
 

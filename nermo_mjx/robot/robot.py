@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import functools
 import hashlib
+import re
 from typing import Any
 
 import jax
@@ -36,6 +37,8 @@ class JointIndex:
         spine: the four lateral joints, front to rear.
         spine_pulley, neck: single joints.
         tail: its joints, empty for the rigid tail; tail_pulley likewise.
+        spine_vertical: the four vertical joints of Nermo 4.1, front to rear, else empty; spine_vertical_pulley and
+            head_tilt likewise.
     """
 
     root: int
@@ -48,6 +51,9 @@ class JointIndex:
     neck: int
     tail: tuple[int, ...]
     tail_pulley: tuple[int, ...]
+    spine_vertical: tuple[int, ...] = ()
+    spine_vertical_pulley: tuple[int, ...] = ()
+    head_tilt: tuple[int, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,6 +145,12 @@ class Robot:
     def joints(self) -> JointIndex:
         """Addresses in `qpos`."""
         return self._compiled.joints
+
+    @functools.cached_property
+    def servos(self) -> tuple[str, ...]:
+        """Names of the servos in the order of `ctrl`, a choice of `SERVOS`."""
+        model = self._compiled.model
+        return tuple(model.actuator(i).name.removesuffix("_servo") for i in range(model.nu))
 
     @property
     def n_servos(self) -> int:
@@ -264,4 +276,7 @@ def _joint_index(model: mujoco.MjModel) -> JointIndex:
         neck=address["neck"],
         tail=tuple(at for name, at in address.items() if name.startswith("tail_joint")),
         tail_pulley=tuple(at for name, at in address.items() if name == "tail_pulley"),
+        spine_vertical=tuple(at for name, at in address.items() if re.fullmatch(r"spine_vertical_\d", name)),
+        spine_vertical_pulley=tuple(at for name, at in address.items() if name == "spine_vertical_pulley"),
+        head_tilt=tuple(at for name, at in address.items() if name == "head_tilt"),
     )

@@ -75,7 +75,7 @@ class ClosedLoop:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
         control = canonical(self.controller.init(params.control, sensors, params.start.phase))
-        servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.n_servos)
+        servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.servos)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
         return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype))
 
@@ -87,7 +87,7 @@ class ClosedLoop:
         controller, own = self.controller, params.control
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
         reach = params.servo_speed * controller.dt
-        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.n_servos) - state.ctrl, -reach, reach)
+        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.servos) - state.ctrl, -reach, reach)
         tick = state.tick + 1
         after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
         return with_dtypes_of(state, after), ctrl

@@ -17,21 +17,21 @@ from jaxtyping import Float, Int
 
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.physics import Trace
-from nermo_mjx.robot import LIMBS, SERVOS, ParameterError, Robot, Sensors
+from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
 from nermo_mjx.robot.nearest import nearest
 
 _XYZ: Final = ("x", "y", "z")
 _WXYZ: Final = ("w", *_XYZ)
-#: Group of sensors: what its signals are called, their unit, and what they are.
+#: Group of sensors: what its signals are called (those of servos by the robot's servos), their unit, and what they are.
 _SENSORS: Final = {
     "position": (tuple(f"position_{axis}" for axis in _XYZ), "m", "place of the IMU in the world"),
     "orientation": (tuple(f"orientation_{axis}" for axis in _WXYZ), "1", "quaternion of the IMU"),
     "linear_velocity": (tuple(f"linear_velocity_{axis}" for axis in _XYZ), "m/s", "of the IMU in the world"),
     "gyro": (tuple(f"gyro_{axis}" for axis in _XYZ), "rad/s", "angular velocity in the IMU's frame"),
     "accelerometer": (tuple(f"accelerometer_{axis}" for axis in _XYZ), "m/s^2", "in the IMU's frame"),
-    "servo_angle": (tuple(f"{servo}_servo_angle" for servo in SERVOS), "rad", "angle of the servo"),
-    "servo_velocity": (tuple(f"{servo}_servo_velocity" for servo in SERVOS), "rad/s", "velocity of the servo"),
-    "servo_torque": (tuple(f"{servo}_servo_torque" for servo in SERVOS), "N m", "torque of the servo"),
+    "servo_angle": ((), "rad", "angle of the servo"),
+    "servo_velocity": ((), "rad/s", "velocity of the servo"),
+    "servo_torque": ((), "N m", "torque of the servo"),
     "knee_angle": (tuple(f"{limb}_knee_angle" for limb in LIMBS), "rad", "angle of the knee, 0 stretched"),
     "foot_force": (tuple(f"{limb}_foot_force" for limb in LIMBS), "N", "normal contact force of the foot"),
     "foot_position": (
@@ -129,10 +129,11 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
                 found.append(Signal(f"{kind}_{joint}{part}", each, f"{doc} of {joint}", kind, place))
                 place += 1
     found += [Signal(f"{servo}_ctrl", "rad", "angle that the servo aims at", "ctrl", i)
-              for i, servo in enumerate(SERVOS[: robot.n_servos])]  # fmt: skip
+              for i, servo in enumerate(robot.servos)]  # fmt: skip
     for group, (names, unit, doc) in _SENSORS.items():
-        count = robot.n_servos if group.startswith("servo_") else len(names)
-        found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names[:count])]
+        if group.startswith("servo_"):
+            names = tuple(f"{servo}_{group}" for servo in robot.servos)
+        found += [Signal(name, unit, doc, group, i) for i, name in enumerate(names)]
     return tuple(found)
 
 

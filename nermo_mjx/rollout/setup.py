@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.fusion import SpineModes, mode_names
+from nermo_mjx.control.fusion import SAGITTAL_MODES, SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
 from nermo_mjx.control.parameters import ControlParameters, choice, published_values
 from nermo_mjx.control.pilot import Command
@@ -20,6 +20,7 @@ from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, Contro
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.gravity import gravity_values
+from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
@@ -56,9 +57,9 @@ class Setup:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
             preset takes that preset's time step, unless one was given. A scene of one's own, a file or an `MjSpec`,
             is kept as MJCF, so that setups with the same one are equal.
-        gait: `trt`, `trt1` or `lat`: defaults of duty, offsets and gait factor.
-        spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, or several joined by
-            "+".
+        gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
+        spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
+            `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
         profile: `exact` or `as_published`.
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
@@ -106,7 +107,7 @@ class Setup:
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
-        mode_names(self.spine)
+        self._check_spine()
         if choice("tail_motion", self.tail_motion, TAIL_MOTIONS) != Setup.tail_motion and self.tail == "rigid":
             raise ParameterError(f"tail_motion is {self.tail_motion!r} and tail 'rigid': take the tail 'articulated'.")
         given: Any = self.metrics
@@ -152,8 +153,11 @@ class Setup:
         """The controller with these choices."""
         if self.controller is not None or "balance" not in mode_names(self.spine):
             return self._without_robot
-        assert isinstance(self._without_robot, Controller)
-        return dataclasses.replace(self._without_robot, spine=SpineModes(self.spine, self.load().mass_model))
+        own = self._without_robot
+        assert isinstance(own, Controller)
+        assert isinstance(own.spine, SpineModes)
+        modes = SpineModes((*own.spine.modes, "balance"), self.load().mass_model)
+        return dataclasses.replace(own, spine=modes)
 
     @functools.cached_property
     def _without_robot(self) -> Any:
@@ -168,6 +172,15 @@ class Setup:
             command=self.command, trajectory=self.trajectory, head=self.head, tail_motion=self.tail_motion,
             routing=self.routing,
         )  # fmt: skip
+
+    def _check_spine(self) -> None:
+        """Refuse unknown modes, and those of joints that the robot does not have."""
+        for mode in mode_names(self.spine):
+            if mode in SAGITTAL_MODES and self.robot != "nermo_41":
+                raise ParameterError(
+                    f"spine is {self.spine!r}: {mode} bends vertical spine joints, which robot {self.robot!r} does not "
+                    "have; it goes with robot 'nermo_41'."
+                )
 
     def _check_metrics(self) -> None:
         """Refuse what is no metric, and names that are taken."""
@@ -216,7 +229,7 @@ class Setup:
         """Parameters before a user names any."""
         controller = self._without_robot
         world = WorldParameters(control=controller.parameters)
-        world = replace_quantities(world, terrain_values(str(self.scene)))
+        world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
         world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
         if not isinstance(controller, Controller):
             return world

@@ -52,16 +52,19 @@ class StartPose:
         eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
         pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
         bend = spine.joint_angle(servo.spine)
+        lifted = spine.joint_angle(servo.spine_vertical) if self.robot.joints.spine_vertical else None
         axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
         sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
         # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
         yaw = start.yaw + 0.5 * 4 * bend
         # Each foot has its own ground; the body is as high as the one that needs it highest.
-        x, y, _ = jnp.moveaxis(feet_positions(bend, pose.foot), -1, 0)
+        x, y, z = jnp.moveaxis(feet_positions(bend, pose.foot, lifted), -1, 0)
         cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
         place = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
         beneath = self.robot.terrain.height(*place, terrain)
-        height = jnp.max(sole - DEPTH - (axis_height + pose.foot[:, 1]) + beneath)
+        # The vertical spine turns the legs by up to half a radian, the lateral one by a few hundredths.
+        below = axis_height + pose.foot[:, 1] if lifted is None else z
+        height = jnp.max(sole - DEPTH - below + beneath)
 
         joints, half = self.robot.joints, yaw / 2
         zero = jnp.zeros_like(half)
@@ -69,7 +72,11 @@ class StartPose:
         qpos = jnp.asarray(self.robot.model.qpos0, float).at[joints.root : joints.root + 7].set(root)
         qpos = qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
         qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle)
-        return qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
+        qpos = qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
+        if lifted is None:
+            return qpos
+        pulley = np.array(joints.spine_vertical_pulley)
+        return qpos.at[np.array(joints.spine_vertical)].set(lifted).at[pulley].set(servo.spine_vertical)
 
     def batch(self, control: Any, start: Start, terrain: TerrainShape | None = None) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""

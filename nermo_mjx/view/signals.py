@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.recording import Recording
-from nermo_mjx.robot import LIMBS, SERVOS
+from nermo_mjx.robot import LIMBS
+from nermo_mjx.robot.interface import servos_by_count
 from nermo_mjx.view.motion import Motion
 from nermo_mjx.view.standing import STANDING
 
@@ -135,14 +136,20 @@ def _tensions(motion: Motion) -> list[Plot]:
 
 
 def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
-    names = SERVOS[: angle.shape[1]]
+    names = servos_by_count(angle.shape[1])
     plots = []
     for kind in ("hip", "knee"):
         chosen = [names.index(f"{limb}_{kind}") for limb in LIMBS]
         plots.append(Plot(kind, f"{kind.capitalize()} servos", "°", _per_limb(angle[:, chosen], command[:, chosen])))
-    single: list[Curve] = []
-    for name, colour in (("spine", "first"), ("neck", "second"), ("tail", "third")):
-        if name in names:
-            i = names.index(name)
-            single += [Curve(name, colour, angle[:, i]), Curve(f"{name}, commanded", colour, command[:, i], faint=True)]
-    return [*plots, Plot("body_servos", "Body servos, + left", "°", tuple(single))]
+    for key, title, servos in (
+        ("body_servos", "Body servos, + left", ("spine", "neck", "tail")),
+        ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
+    ):
+        single: list[Curve] = []
+        for name, colour in zip(servos, ("first", "second", "third"), strict=False):
+            if name in names:
+                i, called = names.index(name), name.replace("_", " ")
+                single += [Curve(called, colour, angle[:, i]),
+                           Curve(f"{called}, commanded", colour, command[:, i], faint=True)]  # fmt: skip
+        plots += [Plot(key, title, "°", tuple(single))] if single else []
+    return plots

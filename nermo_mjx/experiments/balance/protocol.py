@@ -111,13 +111,13 @@ class BalanceLoop:
 
     def init(self, params: BalanceParameters, sensordata: Float[Array, " n"]) -> BalanceState:
         """See `Loop.init`."""
-        return BalanceState(jnp.zeros((), jnp.int32), self.servos(params, 0.0).vector(self.robot.n_servos))
+        return BalanceState(jnp.zeros((), jnp.int32), self.servos(params, 0.0).vector(self.robot.servos))
 
     def step(
         self, params: BalanceParameters, state: BalanceState, sensordata: Float[Array, "steps n"]
     ) -> tuple[BalanceState, Float[Array, " n_servos"]]:
         """See `Loop.step`."""
-        wanted = self.servos(params, state.tick * self.dt / params.clock_ratio).vector(self.robot.n_servos)
+        wanted = self.servos(params, state.tick * self.dt / params.clock_ratio).vector(self.robot.servos)
         reach = params.servo_speed * self.dt
         ctrl = state.ctrl + jnp.clip(wanted - state.ctrl, -reach, reach)
         return BalanceState(state.tick + 1, ctrl), ctrl

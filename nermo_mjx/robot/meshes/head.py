@@ -11,7 +11,8 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from nermo_mjx.robot.meshes.numbers import MM
-from nermo_mjx.robot.meshes.shapes import Shape, ball, join, loft, superellipse, turned_part
+from nermo_mjx.robot.meshes.shapes import Shape, ball, block, join, loft, superellipse, turned_part
+from nermo_mjx.robot.nermo_41 import TILT_AXIS
 from nermo_mjx.robot.parameters import EYE
 
 #: The skull's sections: y, middle z, half-width, half-height [mm].
@@ -38,6 +39,7 @@ def head_shapes() -> dict[str, Shape]:
         "head_cameras": camera().with_mirror_image(),
         "head_rings": ring().with_mirror_image(),
         "head_lenses": lens().with_mirror_image(),
+        "head_bracket": bracket(),
         "head_nose": ball((0.0, -46.2, 11.6), (2.3, 1.7, 1.7), 12, 6),
     }
 
@@ -52,6 +54,17 @@ def skull() -> Shape:
         rings.append(np.column_stack([section[:, 0], np.full(SIDES, y), section[:, 1] + z]))
     neck = turned_part([(0.3, 6.4), (1.2, 6.8), (2.0, 5.2), (8.0, 5.6)], 16)
     return join(loft(rings), Shape(neck.vertices[:, [1, 2, 0]], neck.faces))
+
+
+def bracket() -> Shape:
+    """The bracket of Nermo 4.1 that pans, in the frame of the neck: a disc, a post behind the skull, and its axle."""
+    _, y, z = (MM * each for each in TILT_AXIS)
+    disc = turned_part([(0.0, 7.0), (2.2, 7.0)], 12)
+    disc = Shape(disc.vertices[:, [1, 2, 0]], disc.faces)
+    post = block((-3.6, y + 3.2, 1.0), (3.6, y + 6.6, z + 3.6), 0.6)
+    axle = turned_part([(-10.4, 2.7), (10.4, 2.7)], 10).moved(y=y, z=z)
+    arm = block((-3.0, y - 2.0, z - 2.4), (3.0, y + 4.0, z + 2.4), 0.5)
+    return join(disc, post, axle, arm)
 
 
 def ear(lining: bool) -> Shape:

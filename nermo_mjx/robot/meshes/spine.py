@@ -35,6 +35,7 @@ def spine_shapes() -> dict[str, Shape]:
     shapes["spine_front"] = front_stub()
     shapes["spine_rear"] = rear_stub()
     shapes["spine_flexure"] = flexure()
+    shapes["spine_segment"] = segment()
     upright = rotation("y", -np.pi / 2)
     shapes["spine_pulley"] = grooved_pulley(MM * SPINE.pulley_radius, PULLEY_WIDTH).transformed(upright)
     shapes["spine_pulley_holes"] = pulley_holes(MM * SPINE.pulley_radius, PULLEY_WIDTH).transformed(upright)
@@ -70,6 +71,16 @@ def front_stub() -> Shape:
 def rear_stub() -> Shape:
     """From the last joint into the hip, in the joint's frame."""
     return join(end_disc().turned("z", np.pi), _body(_pose_along(np.eye(4), EXIT), _pose_along(np.eye(4), 4.5)))
+
+
+def segment() -> Shape:
+    """Between two joints of Nermo 4.1, whose axes cross: a disc on a hub, with an eyelet on each of four sides."""
+    length = MM * SPINE.dh[SPINE.lateral_joints[0]][1]
+    hub = turned_part([(EXIT, 3.0), (length - EXIT, 3.0)], 8)
+    disc = turned_part([(length / 2 - 0.8, 6.6), (length / 2 + 0.8, 6.6)], 16)
+    eyelet = turned_part([(EXIT - 0.15, 1.15), (length - EXIT + 0.15, 1.15)], 5)
+    eyelets = [eyelet.moved(y=side * BESIDE) for side in (1, -1)] + [eyelet.moved(z=side * BESIDE) for side in (1, -1)]
+    return join(hub, disc, *eyelets)
 
 
 def flexure() -> Shape:

@@ -9,7 +9,8 @@ from matplotlib.lines import Line2D
 
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import INK, SERIES, horizontal_grid
-from nermo_mjx.robot import LIMBS, SERVOS
+from nermo_mjx.robot import LIMBS
+from nermo_mjx.robot.interface import servos_by_count
 from nermo_mjx.view.plots.walk import Walk, name_of
 
 _HIP, _KNEE, _OTHER = SERIES[0], SERIES[1], SERIES[2]
@@ -25,10 +26,12 @@ def servo_angles(walk: Walk) -> Figure | None:
     part, what = walk.shown
     time, aim, angle = (np.asarray(each)[part] for each in (walk.recording.time, walk.recording.ctrl, measured))
     aim, angle = np.degrees(aim), np.degrees(angle)
-    count = min(aim.shape[1], angle.shape[1], len(SERVOS))
-    others = [i for i in range(2 * len(LIMBS), count) if np.ptp(aim[:, i]) > _STILL or np.ptp(angle[:, i]) > _STILL]
+    names = servos_by_count(angle.shape[1])
+    others = [
+        i for i in range(2 * len(LIMBS), len(names)) if np.ptp(aim[:, i]) > _STILL or np.ptp(angle[:, i]) > _STILL
+    ]
     rows = [(f"{name_of(limb)} leg", [(i, _HIP), (i + len(LIMBS), _KNEE)]) for i, limb in enumerate(LIMBS)]
-    rows += [(SERVOS[i], [(i, _OTHER)]) for i in others]
+    rows += [(names[i].replace("_", " "), [(i, _OTHER)]) for i in others]
     page = Page(f"Servo angles{walk.title}", (7.4, 1.3 + 1.3 * len(rows)), len(rows), 1, sharex=True)
     for ax, (name, lines) in zip(page.axes[:, 0], rows, strict=True):
         for i, colour in lines:
@@ -44,6 +47,7 @@ def servo_angles(walk: Walk) -> Figure | None:
         Line2D([], [], color=_KNEE, lw=1.5, label="knee, measured"),
     ]
     if others:
-        handles.append(Line2D([], [], color=_OTHER, lw=1.5, label=f"{', '.join(SERVOS[i] for i in others)}, measured"))
+        moved = ", ".join(names[i].replace("_", " ") for i in others)
+        handles.append(Line2D([], [], color=_OTHER, lw=1.5, label=f"{moved}, measured"))
     handles.append(Line2D([], [], color=INK, lw=0.9, ls=(0, (4, 2)), label="commanded"))
     return page.finish(handles, f"{what}; hip 0: leg straight down, positive: backward; spine positive: to the left")

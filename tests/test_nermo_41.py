@@ -1,0 +1,176 @@
+"""Nermo 4.1: the vertical spine against MuJoCo, what its servos do to the simulated robot, and its controller."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from nermo_mjx import ParameterError, Run, Setup, load_robot
+from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.sagittal import SagittalModes
+from nermo_mjx.kinematics import body, spine
+from nermo_mjx.physics.variation import compile_model
+from nermo_mjx.robot import assemble_spine
+from nermo_mjx.robot.quantity import replace_quantities
+
+LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
+BOUND = {"gait": "bound", "robot": "nermo_41"}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return load_robot("nermo_41", tail="articulated")
+
+
+def seen_from_torso(data: mujoco.MjData, point: np.ndarray) -> np.ndarray:
+    torso = data.body("torso")
+    return torso.xmat.reshape(3, 3).T @ (point - torso.xpos)
+
+
+def test_it_has_the_published_servos_mass_and_length(robot):
+    """Table 4.1: 13 servos, 275 g, and 405 mm from the nose to the tip of the tail."""
+    assert robot.servos[8:] == ("spine", "neck", "tail", "spine_vertical", "head")
+    assert len(robot.servos) == 13
+    assert robot.model.body_mass.sum() == pytest.approx(0.275, abs=1e-6)
+    assert load_robot("nermo_41").model.body_mass.sum() == pytest.approx(0.275, abs=1e-6)
+    model, data = robot.model, mujoco.MjData(robot.model)
+    mujoco.mj_forward(model, data)
+    nose = min(
+        (data.geom_xpos[i] + model.mesh_vert[at : at + count] @ data.geom_xmat[i].reshape(3, 3).T)[:, 1].min()
+        for i in range(model.ngeom)
+        if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH
+        for mesh in [model.geom_dataid[i]]
+        for at, count in [(model.mesh_vertadr[mesh], model.mesh_vertnum[mesh])]
+    )
+    tip = data.geom("tail_tip").xpos[1] + model.geom("tail_tip").size[0]
+    assert tip - nose == pytest.approx(0.405, abs=0.001)
+
+
+def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
+    """Any lateral and vertical angles: spine end, its rotation, hip axes and rear feet within 1e-6 m of the model's."""
+    model, data, joints = robot.model, mujoco.MjData(robot.model), robot.joints
+    rng = np.random.default_rng(2)
+    for theta, vertical in rng.uniform(-0.15, 0.15, (8, 2)):
+        mujoco.mj_resetData(model, data)
+        data.qpos[:7] = [0.1, -0.2, 0.5, *rng.normal(size=4)]
+        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+        data.qpos[list(joints.spine)], data.qpos[list(joints.spine_vertical)] = theta, vertical
+        mujoco.mj_kinematics(model, data)
+        with jax.enable_x64(True):
+            pose = np.asarray(spine.transform(np.array(theta), np.full(4, vertical)))
+            hips = np.asarray(body.hips(np.array(theta), np.array(vertical)))
+            points = np.array([[0.0, 0.0], [0.0, 0.0], [0.003, -0.05], [-0.01, -0.045]])
+            feet = np.asarray(body.feet_positions(np.array(theta), points, np.array(vertical)))[2:]
+        end = data.site("spine_end")
+        np.testing.assert_allclose(seen_from_torso(data, end.xpos), pose[:3, 3], atol=1e-6)
+        turn = data.body("torso").xmat.reshape(3, 3).T @ end.xmat.reshape(3, 3)
+        np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-6)
+        for place, limb in enumerate(("rear_left", "rear_right")):
+            axis = data.site(f"{limb}_axis").xpos
+            np.testing.assert_allclose(seen_from_torso(data, axis), hips[place], atol=1e-6)
+            foot = axis + end.xmat.reshape(3, 3) @ [0.0, *points[2 + place]]
+            np.testing.assert_allclose(seen_from_torso(data, foot), feet[place], atol=1e-6)
+
+
+def test_each_servo_bends_its_own_plane_by_the_published_law():
+    """On the test stand all four joints of a plane bend alike, within 4 % of (5.26); the other plane stays straight."""
+    model = assemble_spine(robot="nermo_41").compile()
+    data = mujoco.MjData(model)
+    planes = [[f"spine_{plane}_{i}" for i in range(1, 5)] for plane in ("joint", "vertical")]
+    for lateral, vertical in ((0.4, 0.0), (0.0, 0.4), (0.0, -0.4), (-0.3, 0.3)):
+        mujoco.mj_resetData(model, data)
+        data.ctrl[:] = lateral, vertical
+        mujoco.mj_step(model, data, 700)
+        for servo, names in zip((lateral, vertical), planes, strict=True):
+            bent = np.array([data.joint(name).qpos[0] for name in names])
+            expected = float(spine.joint_angle(np.array(servo)))
+            np.testing.assert_allclose(bent, expected, atol=0.04 * abs(expected) + 5e-4)
+            assert np.ptp(bent) < 1e-3
+
+
+def test_positive_lifts_the_hip_and_lowers_the_nose(robot):
+    """Signs: a positive vertical angle lifts the hip against the torso, a positive tilt turns the eyes down."""
+    model, data, joints = robot.model, mujoco.MjData(robot.model), robot.joints
+
+    def look() -> tuple[float, float]:
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        return data.site("spine_end").xpos[2], -data.cam("eyes").xmat.reshape(3, 3)[2, 2]
+
+    hip, gaze = look()
+    data.qpos[list(joints.spine_vertical)], data.qpos[list(joints.head_tilt)] = 0.1, 0.3
+    lifted, lowered = look()
+    assert lifted > hip + 0.005
+    assert math.asin(lowered) - math.asin(gaze) == pytest.approx(-0.3, abs=1e-6)
+
+
+def test_springs_dampers_and_masses_reach_what_it_has_more(robot):
+    """`stiffness.spine` and `damping.spine` hold for all eight joints; `mass.front` has its own default, 174.5 g."""
+    defaults = Setup(robot="nermo_41").defaults()
+    assert defaults["mass.front"] == pytest.approx(0.1745)
+    model = compile_model(robot, {"stiffness.spine": 0.9, "damping.spine": 0.05, "mass.rear": 0.11})
+    names = [f"spine_{plane}_{i}" for plane in ("joint", "vertical") for i in range(1, 5)]
+    assert {float(model.joint(name).stiffness[0]) for name in names} == {0.9}
+    assert {float(model.joint(name).damping[0]) for name in names} == {0.05}
+    assert model.body_mass.sum() == pytest.approx(0.1745 + 0.11, rel=1e-6)
+
+
+def test_the_sagittal_extension_flexes_at_touch_down_and_steering_leaves_less_of_it():
+    """-A cos(2 pi phase), clipped to q_max; of a turn rate of 0.5 steering leaves half, of full lock nothing (5.46)."""
+    values = {"spine.sagittal_amplitude": 0.3, "spine.sagittal_phase": 0.0, "turning.spine": 1.0}
+    params = replace_quantities(ControlParameters(), {name: jnp.asarray(value) for name, value in values.items()})
+    modes, level = SagittalModes("sagittal_extension"), jnp.zeros(())
+
+    def angle(phase: float, turn_rate: float = 0.0) -> float:
+        return float(modes(params, jnp.asarray(phase), jnp.asarray(turn_rate), level, level))
+
+    assert angle(0.0) == pytest.approx(-0.3)
+    assert angle(0.25) == pytest.approx(0.0, abs=1e-6)
+    assert angle(0.5) == pytest.approx(0.3)
+    assert angle(0.5, 0.5) == pytest.approx(0.15)
+    assert angle(0.5, -1.0) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_modes_of_the_vertical_servo_need_its_joints():
+    """One sentence, before anything is built."""
+    with pytest.raises(ParameterError, match="which robot 'nermo_lite' does not have; it goes with robot 'nermo_41'"):
+        Setup(spine="stride_extension+pitch_balance")
+
+
+@pytest.mark.parametrize(("mode", "least", "most"), [("none", 0.0, 0.04), ("sagittal_extension", 0.08, 0.13)])
+def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, most):
+    """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
+    to the feet's impacts by a third of that at most."""
+    sim = simulator(**BOUND, spine=mode)
+    result = sim.run({}, Run(cycles=5, warmup_cycles=2), record=True)
+    assert result.metrics["fell"][0] == 0.0
+    assert result.metrics["speed"][0] > 0.015
+    bent = np.abs(result.recording().qpos[:, list(sim.robot.joints.spine_vertical)])
+    assert least < bent.max() < most
+
+
+def test_pitch_balance_calms_the_torso_without_costing_speed(simulator):
+    """In the lateral walk the pitch's standard deviation is less than half of that with the gain 0."""
+    sim = simulator(robot="nermo_41", gait="lat", spine="pitch_balance")
+    result = sim.run({"spine.pitch_gain": np.array([0.0, 2.0])}, Run(cycles=8, warmup_cycles=3))
+    free, balanced = result.metrics["pitch_std"]
+    assert balanced < 0.5 * free
+    assert result.metrics["speed"][1] > 0.95 * result.metrics["speed"][0]
+
+
+def test_it_starts_on_its_feet_whatever_the_spine_does(simulator):
+    """With the spine flexed the lowest sole is at the ground and no foot is in it, torso level."""
+    sim = simulator(**BOUND, spine="sagittal_extension")
+    model = sim.robot.model
+    data = mujoco.MjData(model)
+    result = sim.run({"start.phase": np.array([0.0, 0.3, 0.6])}, Run(cycles=0.05), record=True)
+    for world in range(3):
+        data.qpos[:] = result.trace.qpos[world, 0]
+        mujoco.mj_kinematics(model, data)
+        soles = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
+        assert min(soles) == pytest.approx(-1e-5, abs=5e-4)
