@@ -259,9 +259,12 @@ def _connected(channels: Any, servos: tuple[str, ...], setup: Setup) -> Channels
     connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
         if channel.servo not in servos and channel.missing is None:
-            remedy = "take the articulated tail" if channel.servo == "tail" else "take the robot 'nermo_41'"
-            raise ParameterError(f"{channel.servo} is no servo of robot {setup.robot!r} with tail {setup.tail!r}: "
-                                 f"{remedy}, leave the servo out, or give it what is 'missing'.")  # fmt: skip
+            whose, remedy = (
+                (f"the robot with tail {setup.tail!r}", "take the articulated tail") if channel.servo == "tail"
+                else (f"the robot {setup.robot!r}", "take 'nermo_41'")
+            )  # fmt: skip
+            raise ParameterError(f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it "
+                                 "what is 'missing'.")  # fmt: skip
     return connected
 
 
