@@ -13,7 +13,7 @@ import pytest
 
 from nermo_mjx.dynamics import differentiable
 from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.rollout import Run, metrics
+from nermo_mjx.rollout import Run, Setup, metrics
 from nermo_mjx.rollout.lanes import Lanes
 
 #: A ball on a stick that lies on the ground: inertia, contacts, a tendon's limit.
@@ -83,3 +83,17 @@ def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
     assert highest(products(sim.engine.advance, session.params, session.fields, session.carry, jnp.int32(1)))
     one = jax.tree.map(lambda leaf: leaf[0], (session.params, session.fields, session.carry))
     assert highest(products(sim.engine.tick, *one))
+
+
+def test_one_setup_serves_programs_in_32_and_in_64_bits():
+    """Also while a program of the other kind is kept; the oracle is a setup that has only been used in one."""
+
+    def servos(setup, phase):
+        return setup.make_controller().initial_servo(setup.world({"frequency": 0.8}).control, phase).hip
+
+    used = Setup()
+    kept = jax.jit(lambda phase: servos(used, phase)).trace(0.1)
+    with jax.enable_x64(True):
+        np.testing.assert_array_equal(servos(used, 0.1), servos(Setup(), 0.1))
+        assert servos(used, 0.1).dtype == np.float64
+    assert kept.jaxpr.out_avals[0].dtype == np.float32

@@ -257,7 +257,8 @@ class Setup:
                 structure than the controller's parameters.
         """
         self._check_terrain(values)
-        world = self._world
+        # Arrays of its own, as `quantity` gives each tree: see there.
+        world = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, self._world)
         if policy is not None:
             there, here = map(str, map(jax.tree.structure, (policy, world.control)))
             if there != here:
