@@ -279,7 +279,7 @@ def test_ctrl_c_is_exit_code_1_and_says_what_to_do(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:
     spec, out = tmp_path / "sweep.yaml", tmp_path / "out"
     spec.write_text("run: {cycles: 3, warmup_cycles: 1}\nvary: {frequency: {linspace: [0.4, 1.2, 40]}}\nchunk: 2\n")

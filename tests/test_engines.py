@@ -216,7 +216,7 @@ def _in_a_process_of_its_own(cache: Path, engine: str, worlds: int) -> dict[str,
 
 
 @pytest.mark.process
-@pytest.mark.parametrize(("engine", "worlds"), [("c", 2), pytest.param("mjx", 64, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("engine", "worlds"), [("c", 2), pytest.param("mjx", 64, marks=pytest.mark.long)])
 def test_the_next_process_reuses_compiled_programs(tmp_path, engine, worlds):
     """The first process fills the persistent cache, the second finds every program there, and neither hangs.
 

@@ -367,7 +367,7 @@ def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_difference
     np.testing.assert_allclose(slope, expected, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
     """Along a direction in all weights, against central differences of another implementation, whose two worlds have
     policies of their own."""
