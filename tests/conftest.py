@@ -90,13 +90,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 #: Modules that make simulators by this name.
 MAKERS = (
-    "rollout", "sweep.keeping", "sweep.replay", "sweep.simulating",
-    "experiments.straight_line", "experiments.turning", "experiments.maze",
+    "rollout", "sweep.forecast", "sweep.keeping", "sweep.replay", "sweep.simulating", "tune.simulated",
+    "learn.evaluation", "experiments.straight_line", "experiments.turning", "experiments.maze",
 )  # fmt: skip
 
 
 @functools.cache
-def shared_simulator(setup: Setup, engine: str = "auto") -> Simulator:
+def shared_simulator(setup: Setup | None = None, engine: str = "auto") -> Simulator:
     """One for each setup and engine, with the programs it has compiled."""
     return Simulator(setup, engine)
 

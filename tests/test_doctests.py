@@ -11,7 +11,7 @@ import pytest
 
 import nermo_mjx
 
-pytestmark = pytest.mark.compiles
+pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
 PACKAGE = Path(nermo_mjx.__file__).parent
 WITH_EXAMPLES = sorted(

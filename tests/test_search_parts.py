@@ -176,6 +176,7 @@ def test_a_search_reads_back_as_itself(spec):
     assert Search.from_text(search.to_yaml()) == search
 
 
+@pytest.mark.usefixtures("shared_simulators")
 @pytest.mark.compiles
 @pytest.mark.draws
 def test_the_command_searches_keeps_and_draws(tmp_path):
