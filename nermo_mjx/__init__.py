@@ -2,13 +2,13 @@
 
 The public surface: `load_robot` and `RobotConfig`; `Setup`, `Run` and `Simulator` (a batch from named parameters to
 named metrics); `Rollout` (the same walk as a differentiable function); `METRICS`, `all_metrics` and
-`all_parameters`; `metric` for one's own;
+`all_parameters`; `metric` for custom ones;
 `control_parameters` (a pytree of arrays) and the published `Controller`; `ControllerLike`, `Sensors`, `ServoAngles`,
-`leg_servos`, `parameter_tree` and `quantity` for a controller of one's own; `make_engine`; `Sweep`, `run_sweep`,
+`leg_servos`, `parameter_tree` and `quantity` for a custom controller; `make_engine`; `Sweep`, `run_sweep`,
 `merge_sweeps` and `read_table`; `Search` and `run_search`; `Tuning`, `run_tuning`, `read_history` and `run_landscape`;
 `run_experiment` and `run_experiments`; `servo_table`; `Recording`, `render` (a video) and `show` (a page, also in a
 notebook);
-`compiler_options` for programs of one's own; and the geometry in `kinematics`. Names are imported on first use, and
+`compiler_options` for custom programs; and the geometry in `kinematics`. Names are imported on first use, and
 importing changes nothing in the process: see `nermo_mjx.runtime`.
 """
 

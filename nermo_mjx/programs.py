@@ -3,8 +3,7 @@
 JAX's own cache keeps what XLA compiled, and has to be asked with the whole program: a walk and its derivative are
 traced for 10 to 25 s before they are found there. `Program` keeps the traced program, too (`jax.export`: StableHLO,
 a megabyte), under all that decides it. The file holds no machine code: XLA compiles it, or JAX's cache has it
-compiled. Whoever traces a program compiles it by way of the file's content as well, so that numbers are the same to
-the last bit.
+compiled. A process that traces a program also compiles it from the file's content, so that results are bit-identical.
 """
 
 from __future__ import annotations
@@ -132,7 +131,7 @@ def _read(path: Path) -> export.Exported | None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Keep a program, whole or not at all; a disk that is full or read-only only costs the time to trace it again."""
+    """Store a program atomically; a full or read-only disk only costs the time to trace it again."""
     with contextlib.suppress(OSError):
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
             try:

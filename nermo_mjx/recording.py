@@ -39,8 +39,8 @@ class Recording:
         ctrl: commanded servo angles [rad].
         sensors: named sensor readings, each with the time axis first; units as in `robot.interface.Sensors`.
         model_hash: `model_hash` of the model that ran; "" if unknown.
-        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`, and `units` of metrics of
-            one's own.
+        metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`, and `units` of
+            custom metrics.
     """
 
     time: Float[np.ndarray, " T"]
@@ -76,7 +76,7 @@ class Recording:
         return dataclasses.replace(self, **arrays, sensors=sensors)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the NPZ file at once or not at all: a killed process leaves no half of it.
+        """Write the NPZ file atomically: a killed process leaves no half of it.
 
         Raises:
             RecordingError: the file cannot be written.

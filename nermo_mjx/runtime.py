@@ -3,8 +3,8 @@
 Importing the package changes nothing in the process. Where a simulator is made, `start_jax` starts JAX as this package
 needs it, if the user has not started it before, and names a directory to keep compiled programs in, if the user has
 none; options of the compiler go with each program (`compiler_options`). GL is chosen in `require_gl`. What a user has
-set always wins: `PJRT_NPROC`, `XLA_FLAGS`, JAX's own settings, `MUJOCO_GL`; whoever wants nothing settled calls
-`jax.devices()` first.
+set always wins: `PJRT_NPROC`, `XLA_FLAGS`, JAX's own settings, `MUJOCO_GL`; to keep all of
+this unchanged, call `jax.devices()` first.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class RenderingUnavailable(RuntimeError):
 def start_jax() -> None:
     """Start JAX on its platform, a GPU where there is one, and settle where it keeps programs; once a process.
 
-    JAX's CPU runtime gets threads enough not to hang on a small machine, runs a program on the thread that calls it
+    JAX's CPU runtime gets enough threads not to hang on a small machine, runs a program on the thread that calls it
     (for the loop of a few worlds, between two ticks of physics that keeps all cores busy, the change of threads takes
     longer than the loop), and compiles small loops as `EXTRA_OPTIONS` say. The environment is as before afterwards.
     Nothing of this happens where JAX has started before.

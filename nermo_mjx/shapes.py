@@ -21,9 +21,9 @@ else:
 Scalar = Float[Array, ""]
 Truth = Bool[Array, ""]
 Count = Int[Array, ""]
-#: One number a world.
+#: One number per world.
 Scalars = Float[Array, "*batch"]
-#: One number a world, of arguments that are broadcast against each other.
+#: One number per world, of arguments that are broadcast against each other.
 Broadcastable = Float[Array, "*#batch"]
 #: Points in the sagittal plane (y, z), or on the ground (x, y).
 Planar = Float[Array, "*batch 2"]

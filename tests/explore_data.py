@@ -66,7 +66,7 @@ def atlas(out: Path) -> tuple[Path, dict[str, np.ndarray]]:
         "row": {"role": "index", "unit": "1"}, "cell": {"role": "index", "unit": "1"},
         "frequency": {"role": "varied", "unit": "Hz", "description": "gait cycles a second", "scale": "linear"},
         "speed": {"role": "metric", "unit": "m/s"}, "price": {"role": "metric", "unit": "J"},
-        "shake": {"role": "metric", "unit": "rad/s", "better": "low", "description": "a metric of one's own"},
+        "shake": {"role": "metric", "unit": "rad/s", "better": "low", "description": "a custom metric"},
     }  # fmt: skip
     objective = {"metric": "price", "direction": "minimize"}
     columns = {name: (values[name], about[name]) for name in values}

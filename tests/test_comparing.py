@@ -56,7 +56,7 @@ def table(repeats: int = 8, noise: float = 0.02, seeds: str = "own", fell: tuple
     columns.add("speed", np.where(status == "ok", speed, 0.0), "metric", "m/s", "speed")
     columns.add("slip", rng.normal(size=len(rows)), "metric", "m", "slip")
     shake = np.where(spines == "none", 2.0, 1.0) + 0.01 * rng.normal(size=len(rows))
-    columns.add("shake", shake, "metric", "rad", "a metric of one's own", better="low")
+    columns.add("shake", shake, "metric", "rad", "a custom metric", better="low")
     columns.add("fell", (status == "fell").astype(float), "metric", "1", "fell")
     columns.add("status", status, "status", "1", "status")
     return columns.table({"sampler": "grid"})

@@ -198,7 +198,7 @@ def test_an_experiment_with_other_settings_keeps_its_own_and_the_report_says_so(
     (sentence,) = report["differences"]
     assert sentence.startswith("turning was run otherwise than straight-line: repeats: 3 instead of 1; seed: 0 instead")
     text = (tmp_path / "report.md").read_text()
-    assert f"> **Not run alike.** {sentence}" in text
+    assert f"> **Run in different ways.** {sentence}" in text
     assert "> **A quick run** of The straight-line:" in text
 
 

@@ -49,7 +49,7 @@ def test_columns_bring_their_meaning_with_them(tmp_path: Path) -> None:
     path, values = atlas(tmp_path / "atlas")
     runs = runs_of(path)
     own = runs.columns["shake"]
-    assert (own.unit, own.better, own.description) == ("rad/s", "low", "a metric of one's own")
+    assert (own.unit, own.better, own.description) == ("rad/s", "low", "a custom metric")
     np.testing.assert_array_equal(own.values, values["shake"])
     assert runs.kind == "atlas"
     assert runs.columns["price"].better == "low", "the objective is minimized"
@@ -269,7 +269,7 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
         ([swept, file], 2, "is a directory: it has a page of its own"),
         ([file, "--recordings", "3"], 2, "--recordings is for the page of a directory"),
         ([swept, "--recordings", "-1"], 2, "-1"),
-        ([tmp_path / "empty"], 2, "is no directory of results"),
+        ([tmp_path / "empty"], 2, "is not a results directory"),
         ([tmp_path / "tuned"], 2, "is the directory of a tuning: the page of a directory shows the runs"),
         ([tmp_path / "begun"], 1, "holds no results yet"),
         ([path], 1, "atlas.parquet cannot be read"),

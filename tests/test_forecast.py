@@ -70,4 +70,4 @@ def test_the_command_prints_it_and_makes_no_directory(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
     refused = CliRunner().invoke(main, [*asked, "--workers", "ray"])
     assert refused.exit_code == 2
-    assert "--dry-run is about this machine" in refused.stderr
+    assert "--dry-run estimates for this machine" in refused.stderr

@@ -143,7 +143,7 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     result = plot(tmp_path / "empty")
     assert result.exit_code == 2
     assert (
-        "is no directory of results: it holds neither a sweep, a search, a tuning, a training, a landscape, published "
+        "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, published "
         "experiments, an identification, a comparison, a sensitivity analysis nor benchmarks." in result.stderr
     )
     assert plot(tmp_path / "missing").exit_code == 2

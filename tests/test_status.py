@@ -223,8 +223,8 @@ def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Pa
 
 def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for name, sentence in (("missing", "there is no such file or directory."), ("file", "is no directory of results"),
-                           (".", "is no directory of results: it holds neither a sweep, ")):  # fmt: skip
+    for name, sentence in (("missing", "there is no such file or directory."), ("file", "is not a results directory"),
+                           (".", "is not a results directory: it contains neither a sweep, ")):  # fmt: skip
         result = status(tmp_path / name)
         assert result.exit_code == 2
         assert sentence in result.stderr

@@ -263,9 +263,9 @@ def test_a_replay_that_gives_other_numbers_says_so(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("keep", "message"),
     [
-        ({"best": 2, "metric": "sped"}, r"keep.metric' is 'sped': allowed is a metric with a better side, speed, .*; "
-                                        r"did you mean 'speed'\?"),
-        ({"best": 2, "metric": "yaw_mean"}, "allowed is a metric with a better side"),
+        ({"best": 2, "metric": "sped"}, r"keep.metric' is 'sped': allowed is a metric with a better direction, "
+                                        r"speed, .*; did you mean 'speed'\?"),
+        ({"best": 2, "metric": "yaw_mean"}, "allowed is a metric with a better direction"),
         ({"best": -1}, "keep.best' is -1: expected a whole number from 0"),
         ({"falls": 1}, r"keep.falls' is not a field of what is kept; .*did you mean 'fell'\?"),
         (3, "keep' is the number 3: expected {best: 3, fell: 3, diverged: 3}"),

@@ -81,6 +81,6 @@ def measure(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any], d
     """(hardware, figures) of one measurement, in this process; an error becomes the figures' only entry."""
     try:
         figures = case.measure(**options)
-    except Exception as error:  # whatever it is, the other measurements go on
+    except Exception as error:  # whatever it is, the other measurements continue
         figures = {"error": f"{type(error).__name__}: {error}".strip().split("\n")[0]}
     return describe(), figures

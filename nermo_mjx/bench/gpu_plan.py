@@ -19,10 +19,10 @@ from nermo_mjx.bench.hlo import Loop, Module, Work
 from nermo_mjx.bench.timing import compile_cold
 
 #: Rounds that a loop of unknown length is taken to make. The constraint solver's makes as many as the slowest world
-#: needs: 2.3 in the mean of 64 walks, 7 at most.
+#: needs: 2.3 on average of 64 walks, 7 at most.
 ROUNDS: Final = 5
 #: Assumed, not measured: from the launch of a small kernel to that of the next [s], and how long the host waits to
-#: learn whether a loop goes on [s].
+#: learn whether a loop continues [s].
 LAUNCH_S: Final = 2.5e-6
 WAIT_S: Final = 15e-6
 
@@ -87,7 +87,7 @@ def figures(text: str, program: Program, worlds: int, gpu: GpuTarget) -> dict[st
 
 
 def _tick(module: Module, program: Program) -> tuple[Work, list[tuple[Loop, float]], int]:
-    """What a run of so many ticks does, the loops in it, and the ticks.
+    """What a run of a number of ticks does, its loops, and the ticks.
 
     Where the caller decides on the number of ticks, the one loop over them is not in a tick, and a round of it is one.
     """

@@ -73,11 +73,11 @@ def _gradient(mode: str, worlds: int) -> Program:
 
 
 def _among(leaf: Any, worlds: int) -> jax.ShapeDtypeStruct:
-    """The shape of a batch of one world as that of so many."""
+    """The shape of a batch of one world as that of several."""
     return jax.ShapeDtypeStruct((worlds, *leaf.shape[1:]), jax.dtypes.canonicalize_dtype(leaf.dtype))
 
 
-#: Name -> what makes the program for so many worlds.
+#: Name -> the function that builds the program for a number of worlds.
 PROGRAMS: Final[Mapping[str, Callable[[int], Program]]] = {
     "walk": walk,
     "forward": lambda worlds: _gradient("forward", worlds),

@@ -23,7 +23,7 @@ ROUNDS: Final = 3
 
 
 def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
-    """A walk of so many gait cycles, and its speed and metrics as a function of `NAMES`."""
+    """A walk of a number of gait cycles, and its speed and metrics as a function of `NAMES`."""
     rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
 
     def walk(point: Array) -> tuple[Array, dict[str, Array]]:
@@ -73,5 +73,5 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
 
 
 def _temporary(program: Any) -> int:
-    """Bytes that a program needs besides its arguments and results, as its compiler has laid them out."""
+    """Bytes that a program needs in addition to its arguments and results, as planned by the compiler."""
     return int(program.memory_analysis().temp_size_in_bytes)

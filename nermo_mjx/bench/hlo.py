@@ -39,7 +39,7 @@ _CALLED: Final = re.compile(
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What is launched, how often the host waits to learn whether a loop goes on, and the bytes read and written."""
+    """What is launched, how often the host waits to learn whether a loop continues, and the bytes read and written."""
 
     kernels: float = 0.0
     libraries: float = 0.0

@@ -85,7 +85,7 @@ def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[s
 
 
 def _c_stages(simulator: Simulator, walk: Any) -> list[dict[str, Any]]:
-    """MuJoCo's timers over a walk; kinematics and tendons, which share one, are told apart by calling each alone."""
+    """MuJoCo's timers over a walk; kinematics and tendons, which share one, are separated by calling each alone."""
     model, steps = simulator.robot.physical, simulator.loop.steps_per_tick
     data, world = mujoco.MjData(model), -1
     data.qpos[:], data.qvel[:] = walk.qpos[world, WARMUP - 1], walk.qvel[world, WARMUP - 1]

@@ -2,7 +2,7 @@
 
 Of each model in three parts, from a state with contacts: `gradient`, the gradient of five steps in float64 against
 central differences; `float32`, its cosine with that of float32, and what it costs; and `plain`, what `mjx.step` gives.
-A line of JSON a part; what has a line is left out, so that a run that was stopped goes on where it was.
+One line of JSON per part; parts that have a line are skipped, so that an interrupted run resumes where it was.
 """
 
 from __future__ import annotations

@@ -93,14 +93,14 @@ def _is_fixed(body: mujoco.MjsBody) -> bool:
 
 
 def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
-    """A state with as many constraints as come up while it moves, none of which ends or begins for so many steps.
+    """A state with as many constraints as occur in the motion, none of which appears or disappears for `steps` steps.
 
     MuJoCo C moves it from its first keyframe, or its reference, with velocities that are a little off. Where nothing
     touches with the controls of the keyframe, or near the middle of their ranges, they are drawn from all of them.
 
     Args:
         model: what moves.
-        steps: that are to be differentiated.
+        steps: to be differentiated.
     """
     data = mujoco.MjData(model)
     kind = mujoco.mjtState.mjSTATE_INTEGRATION

@@ -154,7 +154,7 @@ class Puppet:
 
 
 def _targets(simulator: Simulator, batch: Batch, ticks: int) -> jax.Array:
-    """Servo targets of a walk, one row a physics step (ticks * steps, worlds, servos), from the C engine."""
+    """Servo targets of a walk, one row per physics step (ticks * steps, worlds, servos), from the C engine."""
     engine = CEngine(simulator.robot, simulator.loop)
     trace = engine.open(batch.params, batch.qpos, batch.fields).record(2 * ticks)
     steps = np.repeat(np.moveaxis(trace.ctrl[:, ticks:], 0, 1), simulator.loop.steps_per_tick, axis=0)

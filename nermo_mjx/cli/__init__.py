@@ -1,4 +1,4 @@
-"""The command line `nermo-mjx`. Commands import what is heavy only when they run, so that `--help` is quick."""
+"""The command line `nermo-mjx`. Commands import heavy modules only when they run, so that `--help` is fast."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ First steps:
 def main() -> None:
     """Digital twin of Nermo, the tendon-driven robotic mouse.
 
-    Exit codes: 0 done, 1 the work failed, 2 wrong use. All numbers are in SI
-    units and radians; summaries for people show millimetres and degrees.
+    Exit codes: 0 success, 1 the job failed, 2 usage error. All numbers are in
+    SI units and radians; summaries show millimetres and degrees.
     """
 
 

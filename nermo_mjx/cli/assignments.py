@@ -14,7 +14,7 @@ LISTED = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
 
 
 def assigned(texts: Iterable[str], known: Mapping[str, Quantity], unknown: str) -> dict[str, float]:
-    """Names and numbers of every NAME=X, of which a NAME may be a pattern; ranges are not checked. The last one counts.
+    """Names and values of every NAME=X, where NAME may be a pattern; ranges are not checked. The last one wins.
 
     Args:
         texts: as given.
@@ -41,7 +41,7 @@ def _assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple
 
     Args:
         known: the parameters that may be named.
-        unknown: what is said of another name if none is near: what it is not, and what is allowed, joined by ";".
+        unknown: the message for another name if none is similar: what it is not, and what is allowed, joined by ";".
 
     Raises:
         WrongUse: the text is something else.

@@ -30,11 +30,11 @@ Cases:
   tuning      what tuning finds on a tenth of a dense sweep's time, and CMA-ES
   search      what CMA-ES finds with ten seeds, against a dense sweep
   gradients-pay  what gradients and CMA-ES find in the same processor time;
-              with --into, one line a search, and those that DIR has are left
+              with --into, one line per search; existing ones are skipped
   startup     a new process to its first control tick, cold and warm cache
   profile     a physics step, stage by stage
   speedtest   MuJoCo's own speed test of MJX on the same model
-  gpu-plan    what a GPU would make of the programs, without one
+  gpu-plan    an estimate of the programs on a GPU, without one
 
 \b
 Examples:
@@ -50,28 +50,30 @@ Examples:
 @click.argument("cases", nargs=-1, type=click.Choice(BENCH_CASES), metavar="[CASE]...")
 @options.choice("--engine", ENGINES[1:], "Repeatable; c and mjx by default.", default=None, multiple=True)
 @options.number("--worlds", "Size of the batch; repeatable.", click.IntRange(1), multiple=True)
-@options.choice("--mode", GRADIENT_MODES, "How gradients are taken; repeatable.", default=None, multiple=True)
-@options.number("--cycles", "Gait cycles that are differentiated; repeatable.", options.POSITIVE, multiple=True)
-@options.number("--frequency", "Trots that are tuned or searched [Hz]; repeatable.", options.POSITIVE, multiple=True)
-@options.number("--parameters", "Of gaits searched: 2, 8, 16, 32, 64; repeatable.", click.IntRange(1), multiple=True)
-@options.choice("--task", PAYING_TASKS, "What is searched; repeatable.", default=None, multiple=True)
-@options.choice("--gait", GAITS, "That is searched around; repeatable.", default=None, multiple=True)
-@options.choice("--method", PAYING_METHODS, "That searches; repeatable.", default=None, multiple=True)
-@options.number("--seed", "Of a search; repeatable.", click.IntRange(1), multiple=True)
+@options.choice("--mode", GRADIENT_MODES, "How gradients are computed; repeatable.", default=None, multiple=True)
+@options.number("--cycles", "Gait cycles to differentiate; repeatable.", options.POSITIVE, multiple=True)
+@options.number(
+    "--frequency", "Frequency of the trots to tune or search [Hz]; repeatable.", options.POSITIVE, multiple=True
+)
+@options.number("--parameters", "Number of parameters: 2, 8, 16, 32, 64; repeatable.", click.IntRange(1), multiple=True)
+@options.choice("--task", PAYING_TASKS, "Objective of the search; repeatable.", default=None, multiple=True)
+@options.choice("--gait", GAITS, "Gait to start from; repeatable.", default=None, multiple=True)
+@options.choice("--method", PAYING_METHODS, "Search method; repeatable.", default=None, multiple=True)
+@options.number("--seed", "Seed of a search; repeatable.", click.IntRange(1), multiple=True)
 @click.option("--cpu", "cpu_s", metavar="X", type=options.POSITIVE, multiple=True,
-              help="Budget of a search [processor s]; repeatable.")  # fmt: skip
-@options.choice("--target", GPU_TARGETS, "GPU that is compiled for; repeatable.", default=None, multiple=True)
+              help="Budget of a search [CPU s]; repeatable.")  # fmt: skip
+@options.choice("--target", GPU_TARGETS, "GPU to compile for; repeatable.", default=None, multiple=True)
 @options.choice(
     "--program", GPU_PROGRAMS, "A walk, or its gradient in one mode; repeatable.", default=None, multiple=True
 )
 @click.option("--into", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
-              help="Add the run to DIR/results.jsonl, and draw its page and plots.")  # fmt: skip
+              help="Append to DIR/results.jsonl, and draw its page and plots.")  # fmt: skip
 @options.report
 def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: bool, **given: tuple[Any, ...]) -> None:
     """Measure throughput, compile time and memory on this machine.
 
-    Without a CASE, the throughput: the robot with its controller, and the
-    same physics without; the ratio of both is the price of the controller.
+    The default CASE is throughput: the robot with its controller, and the
+    same physics without; their ratio is the cost of the controller.
     """
     with stdout_reserved():
         from nermo_mjx.bench import run_bench
@@ -81,7 +83,7 @@ def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: boo
         from nermo_mjx.runs.files import clear_errors
         from nermo_mjx.runs.text import plain
 
-        # Held while it measures: what took an hour has a place to go to.
+        # Held while it measures, so that an hour's results can be written.
         with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
             with Progress("bench", "measurements", quiet=quiet, compiles=True) as progress:
                 how: dict[str, Any] = {} if held is None else {

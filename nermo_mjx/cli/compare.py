@@ -1,4 +1,4 @@
-"""`nermo-mjx compare`: which of two sweeps, or of two structures in one, is better, where and by how much."""
+"""`nermo-mjx compare`: which of two sweeps, or of two structures in one, is better, and by how much."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ FOLDER = click.Path(path_type=Path)
 @click.argument("a", metavar="A", type=FOLDER)
 @click.argument("b", metavar="[B]", required=False, type=FOLDER)
 @click.option("--by", metavar="NAME", shell_complete=options.columns, help="Compare the values of a column in A.")
-@click.option("--base", metavar="VALUE", help="The value to compare with; by default none, or the first.")
+@click.option("--base", metavar="VALUE", help="The baseline value; by default none, or the first.")
 @click.option("--for", "groups", metavar="NAME", multiple=True, shell_complete=options.columns,
-              help="An interval for each value of a column; several times: for each combination.")  # fmt: skip
+              help="An interval for each value of a column; repeatable: for each combination.")  # fmt: skip
 @click.option("--where", metavar="NAME=VALUE", multiple=True, help="Only runs with this value of a column.")
 @click.option("--metric", "drawn", metavar="NAME", multiple=True, shell_complete=names(*METRICS),
-              help="What is shown of the groups; by default the speed.")  # fmt: skip
+              help="Metric to show for the groups; by default the speed.")  # fmt: skip
 @options.report_out
 @options.report
 def command(
@@ -46,13 +46,13 @@ def command(
 
     Runs are paired over the variants that both have. Each metric's
     difference, B minus A or value minus base, has a 95 % interval, by a
-    bootstrap of variants and repeats. Marked with a star are those beyond
-    noise: at most 5 % of them are expected to be false.
+    bootstrap of variants and repeats. Differences beyond noise are
+    marked with a star: at most 5 % of them are expected to be false.
     """
     if (b is None) == (by is None):
         raise click.UsageError("Give two directories A and B, or one and --by NAME.")
     if base is not None and by is None:
-        raise click.UsageError("--base is a value of --by; of two directories, the first one is the base.")
+        raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
     chosen = dict(_split(text) for text in where)
     with stdout_reserved():
         from nermo_mjx.sweep.comparing import compare
@@ -86,7 +86,7 @@ def _print(found: Comparison) -> None:
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
     for note in found.notes:
         click.echo(note)
-    click.echo("* beyond noise; of all that are marked, at most 5 % are expected to be false")
+    click.echo("* beyond noise; at most 5 % of all marked differences are expected to be false")
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:

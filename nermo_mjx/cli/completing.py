@@ -1,4 +1,4 @@
-"""What the shell offers for arguments: names, and files by their kind. Nothing heavy is imported for it."""
+"""Shell completion of arguments: names, and files by type. It imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def assignments(*known: str) -> Completer:
 
     def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
         found = [f"{name}=" for name in known if name.startswith(incomplete)]
-        # A shell sets a space after a single offer; the second one keeps it from doing so before the value.
+        # A shell adds a space after a single offer; a second one prevents that before the value.
         return [CompletionItem(each) for each in (found if len(found) != 1 else [*found, f"{found[0]}X"])]
 
     return complete
 
 
 class FileKind(click.Path):
-    """A path of which the shell offers files with certain endings, and the folders on the way to them."""
+    """A path completed with files of certain suffixes, and the folders leading to them."""
 
     def __init__(self, *endings: str, **settings: Any) -> None:
         super().__init__(path_type=Path, **settings)
@@ -41,14 +41,14 @@ class FileKind(click.Path):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         found = offered(incomplete, self.endings)
-        # Where nothing fits, the shell offers what it likes.
+        # If nothing matches, the shell offers its own completions.
         return [CompletionItem(each) for each in found] or [CompletionItem(incomplete, type="file")]
 
 
 def offered(incomplete: str, endings: tuple[str, ...]) -> list[str]:
-    """Files with one of the endings, and folders with a slash, that begin with what is typed.
+    """Files with one of the suffixes, and folders with a slash, that begin with the typed text.
 
-    A single folder is gone into, because a shell sets a space after a single offer.
+    A single folder is entered, because a shell adds a space after a single offer.
     """
     folder, _, begin = incomplete.rpartition("/")
     where = Path(folder or ("/" if incomplete.startswith("/") else ".")).expanduser()

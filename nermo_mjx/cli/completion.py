@@ -1,4 +1,4 @@
-"""`nermo-mjx completion`: makes a shell complete what is typed."""
+"""`nermo-mjx completion`: shell completion."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PROGRAM, _VARIABLE = "nermo-mjx", "_NERMO_MJX_COMPLETE"
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def command(context: click.Context, shell: str) -> None:
-    """Print what makes a shell complete commands, options, names and files."""
+    """Print a script with which a shell completes commands, options, names and files."""
     kind = get_completion_class(shell)
     assert kind is not None
     click.echo(kind(context.find_root().command, {}, _PROGRAM, _VARIABLE).source())

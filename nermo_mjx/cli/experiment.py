@@ -34,12 +34,12 @@ _WIDEST = 72
 @options.out
 @options.choice("--profile", ("both", *PROFILES), "Controller as described, or as published.")
 @options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
-@options.number("--seed", "Of the shifts that tell repeats apart.", click.IntRange(0), default=0)
-@options.number("--bodies", "Identified bodies that are run besides: in which share of them does a line hold?",
+@options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
+@options.number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?",
                 click.IntRange(1))  # fmt: skip
-@click.option("--quick", is_flag=True, help="A look: fewer cases, no videos; a minute.")
-@click.option("--no-video", is_flag=True, help="Draw no videos.")
-@click.option("--again", is_flag=True, help="Run again, and replace, what DIR holds of it.")
+@click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute.")
+@click.option("--no-video", is_flag=True, help="Render no videos.")
+@click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR.")
 @options.workers
 @options.accept_new_code
 @options.assigned("A parameter of the body, such as contact.friction; repeatable.")
@@ -53,11 +53,11 @@ def command(
     """Run a published experiment, or all of them, and compare.
 
     Writes a table of every run, a report with the published figures beside
-    the simulated ones, plots, recordings and a video. DIR keeps what is
-    finished; the same command resumes.
+    the simulated ones, plots, recordings and a video. Finished experiments
+    are kept in DIR; the same command resumes.
 
-    --workers ray shares experiments, and batches of bodies, among a cluster's
-    machines, which need not see DIR.
+    --workers ray distributes experiments, and batches of bodies, over the
+    machines of a cluster, which need no access to DIR.
     """
     with stdout_reserved():
         from nermo_mjx.experiments.run import run_experiments
@@ -112,7 +112,7 @@ def _print(result: ExperimentsResult) -> None:
 
 
 def _short(text: str) -> str:
-    """A cell that leaves room for the others; the report has all of it."""
+    """A cell shortened to leave room for the others; the report has the full text."""
     return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…"
 
 

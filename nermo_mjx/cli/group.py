@@ -1,4 +1,4 @@
-"""How every command ends: 0 done, 1 the work failed, 2 wrong use, and one sentence instead of a traceback."""
+"""How every command ends: 0 success, 1 the job failed, 2 usage error, and one sentence instead of a traceback."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from typing import IO, Any, Final, NoReturn
 
 import click
 
-#: Thresholds of Python's garbage collector while a command runs. Tracing makes millions of objects that stay, and with
-#: Python's own the collector looks at them again and again: a fifth of the time that tracing takes.
+#: Thresholds of Python's garbage collector while a command runs. Tracing creates millions of long-lived objects,
+#: which the collector would visit again and again by default: a fifth of the time that tracing takes.
 COLLECTIONS: Final = (100_000, 50, 100)
 
 
 class Failure(click.ClickException):
-    """The work failed; the message is one sentence for the user."""
+    """The job failed; the message is one sentence for the user."""
 
     exit_code = 1
 
@@ -28,7 +28,7 @@ class Failure(click.ClickException):
 
 
 class WrongUse(Failure):
-    """The command was asked for something that cannot be."""
+    """The command was used wrongly."""
 
     exit_code = 2
 
@@ -41,7 +41,7 @@ class CommandGroup(click.Group):
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt as error:
-                # Sweeps and tunings say themselves how to resume; what holds no state simply stops.
+                # Sweeps and tunings say themselves how to resume; commands without state simply stop.
                 raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
             except (click.ClickException, click.Abort, click.exceptions.Exit):
                 raise
@@ -71,18 +71,18 @@ def _seldom_collected() -> Iterator[None]:
 
 
 def _translate(error: Exception) -> NoReturn:
-    """Raise the user's view of an error of ours; anything else is a bug and keeps its traceback."""
+    """Turn one of the package's errors into a user error; anything else is a bug and keeps its traceback."""
     if isinstance(error, RuntimeError) and "invalid value for environment variable MUJOCO_GL" in str(error):
-        # MuJoCo raises it whenever it is imported.
+        # MuJoCo raises it on import.
         given = os.environ.get("MUJOCO_GL")
-        sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it to have one chosen."
+        sentence = f"MUJOCO_GL is {given!r}: allowed is egl, osmesa or glfw; unset it for automatic selection."
         raise Failure(sentence) from None
     from nermo_mjx.robot.quantity import ParameterError
     from nermo_mjx.runs.files import WrongDirectory
 
     if isinstance(error, ParameterError | WrongDirectory):
         raise WrongUse(str(error)) from None
-    # Errors of the package carry a sentence for the user; those of rooms that were never imported cannot occur.
+    # The package's errors carry a sentence for the user; those of modules that were never imported cannot occur.
     ours = type(error).__module__.partition(".")[0] == "nermo_mjx"
     if ours and isinstance(error, (ValueError, RuntimeError, OSError)):
         raise Failure(str(error)) from None
@@ -94,7 +94,7 @@ def _translate(error: Exception) -> NoReturn:
 
 
 def _blame_platform() -> None:
-    """Raise a sentence if JAX cannot compute where the user wants it to."""
+    """Raise a one-sentence error if JAX cannot use the requested platform."""
     from nermo_mjx.runtime import BackendUnavailable, start_jax
 
     try:
@@ -105,7 +105,7 @@ def _blame_platform() -> None:
 
 @contextmanager
 def _terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM, as batch systems send it, ends a command as Ctrl-C does."""
+    """SIGTERM, as sent by batch systems, ends a command like Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""`nermo-mjx identify`: servo gain and damping that the publication does not give, and how well they are known."""
+"""`nermo-mjx identify`: servo gain and damping, which the publication does not give, and their uncertainty."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Examples:
 
 @click.command("identify", epilog=EPILOG)
 @options.out
-@options.number("--samples", "Candidates of the first, even search.", click.IntRange(1), default=64)
-@options.number("--generations", "Of the second search, from its best.", click.IntRange(1), default=25)
-@options.number("--population", "Candidates of a generation.", click.IntRange(4), default=12)
-@options.number("--bodies", "Of the ensemble; 0 leaves it out.", click.IntRange(0), default=256)
-@options.number("--sweeps", "Of the ensemble, at most.", click.IntRange(1), default=5)
-@options.number("--tolerance", "Objective of a body of the ensemble.", options.POSITIVE, default=0.5)
-@options.number("--seed", "Of all of them.", click.IntRange(0), default=0)
+@options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
+@options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
+@options.number("--population", "Candidates per generation.", click.IntRange(4), default=12)
+@options.number("--bodies", "Bodies of the ensemble; 0 for none.", click.IntRange(0), default=256)
+@options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
+@options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
+@options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
 @options.workers
 @options.accept_new_code
 @options.engine
@@ -36,16 +36,15 @@ def command(
 ) -> None:
     """Identify the body's parameters that the publication does not give.
 
-    Searches servo gain and damping, and damping of the joints, within
-    physical bounds for the published speeds on the straight line, and
-    nothing else. The result is printed as options of `experiment` and
-    `walk`, and as the `set` line of a sweep. Then finds an ensemble of
-    bodies that come about as near, with the friction of sole and tail
-    free as well: ensemble.csv. The same command goes on with what was
-    stopped.
+    Fits servo gain and damping, and damping of the joints, within physical
+    bounds to the published speeds on the straight line, and nothing else. The
+    result is printed as options of `experiment` and `walk`, and as the `set`
+    line of a sweep. Then samples an ensemble of bodies that also fit, with the
+    friction of soles and tail free as well: ensemble.csv. The same command
+    resumes an interrupted identification.
 
-    --workers ray shares the batches of the even search and of the ensemble
-    among a cluster's machines, which need not see DIR.
+    --workers ray distributes the batches of the space-filling search and of
+    the ensemble over a cluster's machines, which need no access to DIR.
     """
     with stdout_reserved():
         from nermo_mjx.experiments.identification.run import run_identification

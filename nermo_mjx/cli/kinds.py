@@ -1,4 +1,4 @@
-"""The kinds of directories that commands open by their content, and where each says what it holds and what it shows."""
+"""The kinds of directories that commands recognize by their content, and where their status and figures are defined."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Kind:
             and returns `plotting.files.Figures`, of which each is made when it is written.
         status: the same of the function that says how far such a directory is.
         options: keywords that `figures` takes, of those that the command `plot` has.
-        tracked: whether run.json knows which files the program wrote, so that no others are replaced.
+        tracked: whether run.json records which files the program wrote, so that no others are replaced.
     """
 
     name: str
@@ -65,7 +65,7 @@ def kind_of_directory(path: Path) -> Kind:
     """The kind of a directory.
 
     Raises:
-        WrongUse: there is none, or it is none of ours.
+        WrongUse: it does not exist, or is of no known kind.
         DirectoryError: its run.json is damaged.
     """
     from nermo_mjx.runs import kind_of
@@ -75,7 +75,7 @@ def kind_of_directory(path: Path) -> Kind:
     name = kind_of(path) if path.is_dir() else None
     if name is None:
         *most, last = (kind.called for kind in KINDS.values())
-        raise WrongUse(f"{path} is no directory of results: it holds neither {', '.join(most)} nor {last}.")
+        raise WrongUse(f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}.")
     if name not in KINDS:
         raise WrongUse(f"{path} holds a {name}, which this version of nermo-mjx does not know.")
     return KINDS[name]

@@ -24,8 +24,8 @@ Examples:
 @click.command("landscape", epilog=EPILOG)
 @click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 @options.out
-@options.number("--points", "Points of each line.", click.IntRange(5, 100_000), default=41)
-@options.number("--span", "Length of the lines, as a share of the bounds.", click.FloatRange(0, 1, min_open=True),
+@options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
+@options.number("--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True),
                 default=1.0)  # fmt: skip
 @options.accept_new_code
 @options.report

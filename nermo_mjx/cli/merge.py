@@ -22,11 +22,11 @@ Examples:
 @options.accept_new_code
 @options.report
 def command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, as_json: bool, quiet: bool) -> None:
-    """Put the rows of several sweeps into one directory.
+    """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
     fixed, the seed and the code have to be the same. Nothing is simulated,
-    and the given directories are only read. A row that several have is taken
+    and the given directories are only read. A row that is in several is taken
     from the first of them.
     """
     with stdout_reserved():

@@ -1,4 +1,4 @@
-"""`nermo-mjx model`: what the assembled robot consists of."""
+"""`nermo-mjx model`: the components of the assembled robot."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ Examples:
 @options.scene
 @options.choice("--tail", TAILS)
 @options.physics
-@options.file("--xml", ".xml", "Write one self-contained MJCF.")
+@options.file("--xml", ".xml", "Write one self-contained MJCF file.")
 @options.report
 def command(robot: str, scene: str, tail: str, physics: str, xml: Path | None, as_json: bool, quiet: bool) -> None:
-    """Sum up the assembled robot, or write it as one MJCF file."""
+    """Summarize the assembled robot, or write it as one MJCF file."""
     with stdout_reserved():
         from nermo_mjx.robot import load_robot
 

@@ -1,4 +1,4 @@
-"""Options that commands share, and short ways to declare them."""
+"""Options shared by commands, and short ways to declare them."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def out(function: F) -> F:
 
 
 def engine(function: F) -> F:
-    """`--engine`, and how much of the machine it takes."""
+    """`--engine`, and how much of the machine it uses."""
     about = "c: MuJoCo C on all cores. mjx: JAX. warp: NVIDIA. auto: warp or mjx on a GPU, else c."
     return choice("--engine", ENGINES, about)(threads(function))
 
@@ -99,19 +99,21 @@ def threads(function: F) -> F:
         if value is not None:
             os.environ[THREADS] = str(value)
 
-    return number("--threads", "Processors that the engine c uses; by default all.", click.IntRange(1),
+    return number("--threads", "Number of CPU cores for the engine c; by default all.", click.IntRange(1),
                   expose_value=False, callback=keep)(function)  # fmt: skip
 
 
 def workers(function: F) -> F:
     """`--workers` and `--ray-address`; see `crew`."""
-    about = "ADDRESS:PORT of a Ray cluster, or auto; else one is started here."
+    about = "ADDRESS:PORT of a Ray cluster, or auto; by default one is started here."
     address = click.option("--ray-address", metavar="ADDR", help=about)
-    return choice("--workers", ("local", "ray"), "Who simulates: this machine, or a Ray cluster.")(address(function))
+    return choice("--workers", ("local", "ray"), "Where to simulate: on this machine, or on a Ray cluster.")(
+        address(function)
+    )
 
 
 def crew(kind: str, address: str | None, say: Callable[[str], None] | None) -> AbstractContextManager[Workers]:
-    """The workers that the options ask for; `say` gets sentences on what becomes of them."""
+    """The workers that the options request; `say` receives messages about them."""
     if kind == "local":
         if address is not None:
             raise click.UsageError("--ray-address is given without --workers ray.")
@@ -139,7 +141,7 @@ def physics(function: F) -> F:
 def scene(function: F) -> F:
     """`--scene`."""
     return click.option("--scene", default="flat", metavar="NAME", show_default=True,
-                        help="A file of mjcf/scenes, or the path of an MJCF file.",
+                        help="A scene of mjcf/scenes, or the path of an MJCF file.",
                         shell_complete=names(*SCENES))(function)  # fmt: skip
 
 
@@ -161,7 +163,7 @@ def gait(function: F) -> F:
     listed = [
         choice("--gait", GAITS, "Trot, walking trot, lateral walk, bound, rotary gallop."),
         number("--frequency", "Gait cycles per second [Hz]."),
-        number("--stride", "Stride length, as a share of the maximum."),
+        number("--stride", "Stride length, as a fraction of the maximum."),
         click.option("--spine", type=_SpineModes(), default="none", show_default=True, metavar="NAME[+NAME]",
                      help=f"{', '.join(SPINE_MODES[1:])}; several joined by +. The last two bend the vertical joints "
                      "of nermo_41."),
@@ -169,9 +171,9 @@ def gait(function: F) -> F:
         number("--spine-phase", "Phase of the stride extension [rad]."),
         number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
         choice("--steering", STEERINGS, "What turns the robot."),
-        number("--offset-compensation", "Rear legs take up the hip's rise; a share, or all if no number is given.",
+        number("--offset-compensation", "Rear legs compensate the hip's rise: a fraction, or all of it without a number.",
                is_flag=False, flag_value=1.0, metavar="[X]"),
-        choice("--trajectory", TRAJECTORIES, "Form of the foot path; free: with movable points."),
+        choice("--trajectory", TRAJECTORIES, "Shape of the foot path; free: with movable points."),
         choice("--head", HEADS, "gaze: the neck keeps the picture still while the torso sways."),
         choice("--tail-motion", TAIL_MOTIONS, "What the articulated tail does."),
         choice("--profile", PROFILES, "Controller as described, or as published."),
@@ -183,12 +185,14 @@ def gait(function: F) -> F:
 
 def report_out(function: F) -> F:
     """`--out` of what is found in finished tables; see `nermo_mjx.sweep.reports`."""
-    about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table."
+    about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only."
     return click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path), help=about)(function)
 
 
 def report(function: F) -> F:
     """`--json` and `--quiet`."""
-    quiet = click.option("--quiet", "-q", is_flag=True, help="No progress, no summary; errors only.")
-    as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output, nothing else.")
+    quiet = click.option("--quiet", "-q", is_flag=True, help="Print errors only, no progress or summary.")
+    as_json = click.option(
+        "--json", "as_json", is_flag=True, help="Print one JSON object on standard output, nothing else."
+    )
     return as_json(quiet(function))

@@ -27,13 +27,13 @@ def print_json(value: Any) -> None:
 
 @contextlib.contextmanager
 def stdout_reserved() -> Iterator[None]:
-    """While work is done, whatever some library prints goes to standard error."""
+    """While a command runs, redirect anything that libraries print to standard error."""
     with contextlib.redirect_stdout(sys.stderr):
         yield
 
 
 def sayer(command: str, quiet: bool) -> Callable[[str], None] | None:
-    """What prints a sentence about a command's work on standard error; None if it is to be quiet."""
+    """A function that prints a sentence about a command's work on standard error; None with --quiet."""
     return None if quiet else lambda sentence: click.echo(f"{command}: {sentence}", err=True)
 
 

@@ -21,17 +21,17 @@ Examples:
 @click.command("play", epilog=EPILOG)
 @click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
-@click.option("--once", is_flag=True, help="Stop at the end instead of beginning again.")
+@click.option("--once", is_flag=True, help="Stop at the end instead of looping.")
 @options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
-@options.number("--rate", "Keyframes a second.", options.POSITIVE, default=25.0)
+@options.number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
 @options.report
 def command(
     recording: Path, speed: float, once: bool, xml: Path | None, rate: float, as_json: bool, quiet: bool
 ) -> None:
     """Play a recording in MuJoCo's viewer; it needs a display.
 
-    With --xml, nothing is opened: the file holds the robot, its scene and the
-    recording, and MuJoCo alone shows it anywhere, by
+    With --xml, no window is opened: the file contains the robot, its scene and
+    the recording, and plain MuJoCo can show it anywhere with
     `python -m mujoco.viewer --mjcf=FILE.xml` and its slider over keyframes.
     """
     with stdout_reserved():

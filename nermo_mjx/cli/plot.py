@@ -1,4 +1,4 @@
-"""`nermo-mjx plot`: the figures of a directory or a recording, once more."""
+"""`nermo-mjx plot`: redraw the figures of a directory or a recording."""
 
 from __future__ import annotations
 
@@ -37,16 +37,17 @@ Examples:
 def command(
     path: Path, out: Path | None, form: str | None, as_json: bool, quiet: bool, **chosen: str | None
 ) -> None:  # fmt: skip
-    """Make the figures of PATH from what it holds; nothing is simulated.
+    """Redraw the figures of PATH from its tables; nothing is simulated.
 
-    PATH is the directory of a sweep, a search, a tuning, a landscape,
-    experiments, an identification or benchmarks, whose figures are made from their tables, or
-    a recording FILE.npz: gait diagram, orientation, foot paths, servo angles,
-    way on the ground.
+    PATH is the directory of a sweep, a search, a tuning, a training, a
+    landscape, experiments, an identification or benchmarks, or a recording
+    FILE.npz: gait diagram, orientation, foot paths, servo angles, path over
+    the ground.
 
     --x, --y and --color choose columns of a table: two parameters of a grid
-    give a heat map, two metrics with a better side a Pareto front, all else a
-    scatter. --color alone, a metric, gives the usual figures of it.
+    give a heat map, two metrics with a better direction a Pareto front, other
+    columns a scatter plot. --color alone, with a metric, gives the usual
+    figures for it.
     """
     kind = RECORDING if path.is_file() else kind_of_directory(path)
     if not set(chosen) <= set(kind.options) and any(chosen.values()):
@@ -54,7 +55,7 @@ def command(
         raise WrongUse(f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}"
                        f"{kind.called}.")  # fmt: skip
     if out is None and kind is RECORDING:
-        raise WrongUse(f"{path} is a recording: say with --out DIR where its figures go.")
+        raise WrongUse(f"{path} is a recording: give the directory for its figures with --out DIR.")
     notes: list[str] = []
     given = {name: each for name, each in {**chosen, "notify": notes.append}.items() if name in kind.options}
     with stdout_reserved():

@@ -1,4 +1,4 @@
-"""Progress on standard error: a bar on a terminal, elsewhere a line now and then, nothing when quiet."""
+"""Progress on standard error: a bar on a terminal, otherwise an occasional line, nothing when quiet."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PATIENCE = 1.5
 
 
 class Progress:
-    """Shows how far a piece of work is; a context manager.
+    """Shows the progress of a job; a context manager.
 
     Args:
         what: names the work, "sweep".
         unit: what is counted, "runs".
         quiet: show nothing.
-        compiles: name compilation if nothing moves at first.
-        every: seconds between two lines where there is no terminal.
+        compiles: mention compilation if there is no progress at first.
+        every: seconds between two lines without a terminal.
         stream: where to write; standard error by default.
     """
 
@@ -43,7 +43,7 @@ class Progress:
         self._bar: Any = None
         self._timer = threading.Timer(PATIENCE, self._name_compilation) if compiles and not quiet else None
         self._compiling = False
-        # When this process began to count, and at which share; and the same for its pace, without the compilation.
+        # When this process began to count, and at which fraction; and the same for its rate, without the compilation.
         self._start: tuple[float, float] | None = None
         self._pace_start: tuple[float, float] | None = None
         self._last_line = time.monotonic()
@@ -64,14 +64,14 @@ class Progress:
             self._bar.stop()
 
     def count(self, done: int, total: int) -> None:
-        """So many of all are done."""
+        """Report how many of all are done."""
         self.share(done / total if total else 1.0, done, total)
 
     def share(self, fraction: float, done: int | None = None, total: int | None = None, detail: str = "") -> None:
-        """A share of the work is done, and so many of all; the first call may start above 0 where work is resumed.
+        """Report the fraction of the work done and the count; the first call may start above 0 if work is resumed.
 
         Args:
-            detail: what else is known by now.
+            detail: additional information to show.
         """
         now = time.monotonic()
         if self._start is None:
@@ -93,7 +93,7 @@ class Progress:
             self._line(text)
 
     def note(self, text: str) -> None:
-        """Say what is going on besides counting."""
+        """Show what is happening in addition to the count."""
         if self._quiet:
             return
         if self._bar is not None:
@@ -125,7 +125,7 @@ class Progress:
 
 
 class Stages:
-    """One display after the other, for work in several parts; a context manager.
+    """One display after another, for a job in several parts; a context manager.
 
     Args:
         quiet: show nothing.
@@ -153,7 +153,7 @@ class Stages:
         return self._progress
 
     def share(self, what: str, share: float) -> None:
-        """So much is done of a part."""
+        """Report the progress of a part."""
         self.part(what).share(share)
 
     def say(self, sentence: str) -> None:

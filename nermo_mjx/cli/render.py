@@ -31,7 +31,7 @@ Examples:
 @options.camera
 @click.option(
     "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",
-    help="gait: footfall; servos: their angles; support: polygon of the standing feet and centre of mass. Repeatable.",
+    help="gait: footfall; servos: their angles; support: support polygon and centre of mass. Repeatable.",
 )  # fmt: skip
 @options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
 @options.number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
@@ -39,7 +39,7 @@ Examples:
 @options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
 @options.report
 def command(recordings: tuple[Path, ...], out: Path, as_json: bool, quiet: bool, **drawn: Any) -> None:
-    """Render a recording of `walk --record` into a video; several stand side by side, in step."""
+    """Render a recording of `walk --record` as a video; several are shown side by side, synchronized."""
     with stdout_reserved():
         loaded = [load_recording(path) for path in recordings]
         if len(loaded) == 1:
@@ -54,7 +54,7 @@ def command(recordings: tuple[Path, ...], out: Path, as_json: bool, quiet: bool,
 
 
 def check_video(setup: Setup, video: Path | None, camera: str) -> None:
-    """Refuse a video that cannot be made, before the robot walks for it."""
+    """Refuse a video that cannot be made, before anything is simulated."""
     if video is not None:
         from nermo_mjx.view import check_video
 

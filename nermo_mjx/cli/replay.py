@@ -1,4 +1,4 @@
-"""`nermo-mjx replay`: one row of a sweep or of a search again, to look at it."""
+"""`nermo-mjx replay`: rerun one row of a sweep or of a search, to inspect it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Examples:
 
 @click.command("replay", epilog=EPILOG)
 @click.argument("out", metavar="DIR", type=click.Path(path_type=Path))
-@options.number("--row", "Which row of the table, from 0.", int, required=True, metavar="N")
+@options.number("--row", "Row of the table, from 0.", int, required=True, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4 or GIF.")
@@ -40,13 +40,12 @@ def command(
     out: Path, row: int, engine: str | None, record: Path | None, video: Path | None, camera: str, as_json: bool,
     quiet: bool,
 ) -> None:  # fmt: skip
-    """Run one row of a sweep's or a search's directory again, by itself.
+    """Rerun one row of a sweep's or a search's directory on its own.
 
-    It has the parameters, the start and the length that the sweep gives it,
-    whether the sweep has come to it or not; of a search, those of a row of
-    its table. Its metrics are compared with
-    those in the table: with the engine c on the same machine, they are equal
-    to the last bit. DIR is only read.
+    It has the parameters, start and duration that the sweep gives it, whether
+    or not the sweep has reached it; for a search, those of a row of its table.
+    Its metrics are compared with those in the table: with the engine c on the
+    same machine, they are bit-identical. DIR is only read.
     """
     files = [path for path in (record, video) if path is not None]
     with stdout_reserved():

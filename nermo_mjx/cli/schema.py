@@ -1,4 +1,4 @@
-"""`nermo-mjx schema`: what an editor needs to complete and check a spec file."""
+"""`nermo-mjx schema`: JSON Schemas with which an editor completes and checks spec files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Examples:
   nermo-mjx schema tune --out tune.schema.json
 
 With "# yaml-language-server: $schema=tune.schema.json" as its first line, a
-file beside it is completed and checked while you write it.
+file next to it is completed and checked as you type.
 """
 #: Where the fields of each command's file are declared.
 FILES: Final = {
@@ -33,12 +33,12 @@ FILES: Final = {
 
 @click.command("schema", epilog=EPILOG)
 @click.argument("kind", type=click.Choice(list(FILES)))
-@options.file("--out", ".json", "Where the schema goes, instead of standard output.")
+@options.file("--out", ".json", "File for the schema, instead of standard output.")
 def command(kind: str, out: Path | None) -> None:
     """Print the JSON Schema of the file that a command reads.
 
-    An editor that knows it offers fields, names and parameters, with units,
-    defaults and ranges, and marks what is wrong. KIND is the command; servos
+    An editor that supports it completes fields, names and parameters, with
+    units, defaults and ranges, and marks errors. KIND is the command; servos
     reads a file of channels.
     """
     with stdout_reserved():

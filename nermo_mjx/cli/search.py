@@ -28,11 +28,11 @@ Examples:
 @click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 @options.out
 @options.engine
-@options.number("--budget", "Evaluations, instead of the budget in the file.", click.IntRange(1, 10_000_000))
-@options.number("--batch", "Points evaluated together, instead.", click.IntRange(4, 100_000))
-@options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
-@click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
-@click.option("--dry-run", is_flag=True, help="Say what it would take here, and write nothing.")
+@options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
+@options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
+@options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+@click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
+@click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
 @options.workers
 @options.accept_new_code
 @options.report
@@ -42,11 +42,11 @@ def command(
 ) -> None:  # fmt: skip
     """Search for the best parameters that a search file allows.
 
-    One objective is searched by CMA-ES, several by NSGA-II for the front
-    between them, an atlas by CMA-ME for the best gait in each of its cells.
+    A single objective is optimized by CMA-ES, several by NSGA-II for their
+    Pareto front, an atlas by CMA-ME for the best gait in each of its cells.
     Writes a table of all runs (Parquet), the best point, and plots to DIR.
     After Ctrl-C or a crash, run the same command again: it resumes, and ends
-    with the same numbers. A larger --budget prolongs a search that is done.
+    with the same numbers. A larger --budget extends a completed search.
     """
     with stdout_reserved():
         from nermo_mjx.search import Search, run_search
@@ -138,4 +138,4 @@ def _print_cost(cost: Cost) -> None:
     click.echo(f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
                f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
     if cost.gradient_runs:
-        click.echo(f"gradients besides: as {cost.gradient_runs:,} runs on the engine mjx, and minutes to compile, once")
+        click.echo(f"plus gradients: as {cost.gradient_runs:,} runs on the engine mjx, and minutes to compile, once")

@@ -1,4 +1,4 @@
-"""`nermo-mjx sensitivity`: which parameters of a sampled sweep a metric hangs on."""
+"""`nermo-mjx sensitivity`: which parameters of a sampled sweep a metric depends on."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ Examples:
 @options.report_out
 @options.report
 def command(path: Path, metric: str, out: Path | None, as_json: bool, quiet: bool) -> None:
-    """Say how much of a metric's variance each parameter of a sweep makes.
+    """Estimate each parameter's share of a metric's variance in a sweep.
 
-    Sobol indices with 95 % intervals: first, alone; total, with all others;
-    second, of pairs. A sweep with sample: {saltelli: N} has all of them,
-    another random sample the first ones.
+    Sobol indices with 95 % intervals: first order, alone; total, including
+    interactions; second order, of pairs. A sweep with sample: {saltelli: N}
+    gives all of them, any other random sample the first-order ones.
     """
     with stdout_reserved():
         from nermo_mjx.sweep.sensitivity import sensitivity

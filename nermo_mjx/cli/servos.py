@@ -29,7 +29,7 @@ Examples:
 
 @click.command("servos", epilog=EPILOG)
 @options.gait
-@options.number("--rate", "Rows a second; by default that of the channels, or 50.", options.POSITIVE)
+@options.number("--rate", "Rows per second; by default that of the channels, or 50.", options.POSITIVE)
 @options.number("--cycles", "Whole gait cycles.", click.IntRange(1), default=1)
 @click.option("--channels", metavar="FILE.yaml", type=options.SPEC,
               help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees "
@@ -37,7 +37,7 @@ Examples:
 @options.choice("--robot", ROBOTS)
 @options.choice("--tail", TAILS)
 @options.assigned("Any parameter that `sweep --list-parameters` prints; repeatable.")
-@options.file("--out", ".csv", "Where the table goes.")
+@options.file("--out", ".csv", "File for the table.")
 @click.option(
     "--send",
     metavar="URL",
@@ -63,10 +63,10 @@ def command(
 
     A time column, and a column for each servo in the order of its channel, in
     degrees. They come from the controller alone, long after its start, so
-    that the last row leads back to the first. Whole gait cycles are cut into
-    whole rows: the rate is set by that, very near to the one asked for.
+    that the last row leads back to the first. Whole gait cycles are divided
+    into whole rows, so the actual rate is the nearest one that fits.
 
-    A file of channels has a line for each connected servo,
+    A channel file has a line for each connected servo,
     NAME: {channel: 0, direction: -1, zero: 90, low: 20, high: 160}.
 
     --send plays the table again and again in real time. Over MQTT a message

@@ -1,4 +1,4 @@
-"""`nermo-mjx status`: what a directory holds, how far it is, what made it, and how to resume."""
+"""`nermo-mjx status`: what a directory contains, its progress, what made it, and how to resume."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Examples:
   nermo-mjx status runs/quickstart
   nermo-mjx status runs/published --json
 """
-#: Sessions that are shown, the newest.
+#: Number of sessions to show, the newest.
 _SHOWN = 3
 
 
@@ -29,11 +29,11 @@ _SHOWN = 3
 @click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
 @options.report
 def command(path: Path, as_json: bool, quiet: bool) -> None:
-    """Say what DIR holds, how far it is, what made it, and how to resume.
+    """Show what DIR contains, its progress, what made it, and how to resume.
 
     DIR is the directory of a sweep, a search, a tuning, a training, a
     landscape, experiments, an identification or benchmarks, of this release or
-    an earlier one, finished or being written. Nothing in it is changed.
+    an earlier one, finished or in progress. It is only read.
     """
     kind = kind_of_directory(path)
     with stdout_reserved():

@@ -44,16 +44,16 @@ class Shard(click.ParamType):
 
 @click.command("sweep", epilog=EPILOG)
 @click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC)
-@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Where the results go.")
+@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory.")
 @options.engine
-@options.number("--seed", "Instead of the seed in the file.", click.IntRange(0))
+@options.number("--seed", "Seed, overriding the file.", click.IntRange(0))
 @options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
 @click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
 @click.option(
     "--rows",
     type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
     metavar="FILE",
-    help="Exactly these variants, instead of vary; SPEC.yaml may then be left out.",
+    help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
 )
 @click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
 @click.option(
@@ -61,14 +61,14 @@ class Shard(click.ParamType):
     multiple=True,
     metavar="DIR2",
     type=click.Path(path_type=Path),
-    help="Take rows that DIR2 has instead of running them.",
+    help="Reuse rows from DIR2 instead of running them.",
 )
 @options.workers
 @options.accept_new_code
 @click.option("--log", type=click.Choice(("tensorboard", "mlflow")), multiple=True,
-              help="Numbers of each chunk for TensorBoard or MLflow, in DIR.")  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Say what it would cost in time, disk and memory; write nothing.")
-@click.option("--list-parameters", is_flag=True, help="Print what vary, set and randomize can name.")
+              help="Log each chunk to TensorBoard or MLflow, in DIR.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing.")
+@click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name.")
 @options.report
 def command(
     spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
@@ -77,14 +77,14 @@ def command(
     """Run every variant of a sweep file.
 
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
-    holds a part of the same sweep, only the rest is run: after Ctrl-C or a
-    crash, give the same command again.
+    contains part of the same sweep, only the rest is run: after Ctrl-C or a
+    crash, run the same command again to resume.
 
-    Rows that are known are not run again: with --extend those of a smaller
-    sweep in DIR, with --use those of other directories.
+    Existing rows are reused: with --extend those of a smaller sweep in DIR,
+    with --use those of other directories.
 
-    --workers ray shares the work with a cluster's machines, which need not
-    see DIR; the jobs of an array that share DIR do so by --shard.
+    --workers ray distributes the work over a cluster's machines, which need
+    no access to DIR; jobs of an array that share DIR use --shard.
     """
     if list_parameters:
         _list_parameters(spec, as_json)
@@ -92,7 +92,7 @@ def command(
     if (spec is None and rows is None) or (out is None and not dry_run):
         raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
     if dry_run and workers != "local":
-        raise click.UsageError("--dry-run is about this machine: leave out --workers.")
+        raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     if dry_run or out is None:
         with stdout_reserved():
             from nermo_mjx.sweep.forecast import forecast
@@ -162,7 +162,7 @@ def result_fields(out: Path, result: SweepResult) -> dict[str, Any]:
 
 
 def print_result(result: SweepResult) -> None:
-    """What a directory holds, for people."""
+    """A directory's contents in readable form."""
     summary = result.summary
     if not result.complete:
         click.echo(f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}")

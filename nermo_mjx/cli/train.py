@@ -1,4 +1,4 @@
-"""`nermo-mjx train`: a policy, learned."""
+"""`nermo-mjx train`: train a policy."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ Examples:
 @click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 @options.out
 @options.engine
-@options.number("--steps", "Control steps, instead of those in the file.", click.IntRange(1))
-@options.number("--worlds", "Robots side by side, instead.", click.IntRange(1, 1_000_000))
-@options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
-@click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
-@click.option("--onnx", is_flag=True, help="Write policy.onnx, too; it needs the extra onnx.")
+@options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1))
+@options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
+@options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+@click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
+@click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx.")
 @click.option("--log", type=click.Choice(("tensorboard", "mlflow")), multiple=True,
-              help="Numbers of each iteration for TensorBoard or MLflow, in DIR.")  # fmt: skip
-@click.option("--dry-run", is_flag=True, help="Say what it would take here, and write nothing.")
+              help="Log each iteration to TensorBoard or MLflow, in DIR.")  # fmt: skip
+@click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
 @options.accept_new_code
 @options.report
 def command(
     spec: Path, out: Path, engine: str, onnx: bool, log: tuple[str, ...], dry_run: bool, accept_new_code: bool,
     as_json: bool, quiet: bool, **chosen: Any,
 ) -> None:  # fmt: skip
-    """Learn a policy, as a training file describes it.
+    """Train a policy as described in a training file.
 
-    Writes the policy, which walk and sweep files take as a controller, its
-    curves, checkpoints, and how it walks on bodies that it has not seen, to
-    DIR. After Ctrl-C or a crash, run the same command again: it resumes, and
-    ends with the same numbers. More steps prolong a training that is done.
+    Writes the policy, which walk and sweep files accept as a controller,
+    learning curves, checkpoints, and an evaluation on unseen bodies to DIR.
+    After Ctrl-C or a crash, run the same command again: it resumes, and
+    ends with the same numbers. More steps extend a completed training.
     """
     with stdout_reserved():
         from nermo_mjx.learn.spec import Training, changed
@@ -82,7 +82,7 @@ def command(
 
 
 def _show(stages: Stages, done: TrainingProgress) -> None:
-    """How far the training is, and how its last episodes went."""
+    """Show the training's progress, and the results of its last episodes."""
     known = [f"{name} {done.numbers[name]:.3g}" for name in ("return", "reward")
              if math.isfinite(done.numbers.get(name, math.nan))]  # fmt: skip
     stages.part("train", "steps").share(
@@ -113,7 +113,7 @@ def _print(result: TrainingResult, exported: Path | None) -> None:
     if rows:
         columns = [("scene", "left"), ("walks", "left"), ("success [%]", "right"), ("speed [mm/s]", "right"),
                    ("cost of transport", "right")]  # fmt: skip
-        print_table(f"On {result.training.evaluation.bodies:,} bodies and starts that it has not seen", columns, rows)
+        print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", columns, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
                f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)")  # fmt: skip

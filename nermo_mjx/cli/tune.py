@@ -1,4 +1,4 @@
-"""`nermo-mjx tune`: parameters by gradient, or by another method."""
+"""`nermo-mjx tune`: tune parameters by gradient, or by another method."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ Examples:
   nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
   nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
 """
-#: Metrics of the point that are named while it goes on; more would not fit a line.
+#: Metrics of the point that are shown while the tuning runs; more would not fit on a line.
 _NAMED = 3
-#: Points that are walked again by another engine.
+#: Points that are verified on another engine.
 _AGAIN = ("start", "best")
 
 
 @click.command("tune", epilog=EPILOG)
 @click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 @options.out
-@options.number("--iterations", "Steps, instead of those in the file.", click.IntRange(1, 1_000_000))
-@options.number("--starts", "Points tuned side by side, instead.", click.IntRange(1, 100_000))
-@options.number("--seed", "Instead of the seed in the file.", click.IntRange(0, 2**32 - 1))
-@click.option("--plots/--no-plots", default=None, help="Draw figures, whatever the file says.")
-@click.option("--video/--no-video", default=None, help="Render start and best, whatever the file says.")
-@click.option("--dry-run", is_flag=True, help="Say what each method would take here, and write nothing.")
+@options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
+@options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
+@options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+@click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
+@click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
+@click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing.")
 @options.workers
 @options.accept_new_code
 @options.report
@@ -50,16 +50,16 @@ def command(
 ) -> None:  # fmt: skip
     """Tune the parameters that a tuning file names.
 
-    The file's method says how: along exact gradients, along differences, or
-    by CMA-ES. What each would take here is said before it begins.
+    The file's method says how: by exact gradients, by finite differences, or
+    by CMA-ES. The cost of each on this machine is printed before it starts.
 
     Writes the best point, the history of all iterations, a sweep file with
     the tuned values, checkpoints, plots and, on demand, a video to DIR. After
     Ctrl-C or a crash, run the same command again: it resumes, and ends with
-    the same numbers. More iterations prolong a tuning that is done.
+    the same numbers. More iterations extend a completed tuning.
 
-    --workers ray shares the starts among a cluster's machines, which need not
-    see DIR.
+    --workers ray distributes the starts over a cluster's machines, which need
+    no access to DIR.
     """
     with stdout_reserved():
         from nermo_mjx.tune import Tuning
@@ -67,9 +67,9 @@ def command(
         tuning = Tuning.from_file(spec)
         changed = {name: value for name, value in chosen.items() if value is not None}
         if "starts" in changed and tuning.method.name == "cma":
-            raise WrongUse("--starts is not read by the method cma: give method: {cma: {population: N}} in the file.")
+            raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
         tuning = dataclasses.replace(tuning, **changed)
-        # A tuning that goes on has begun with its method.
+        # A resumed tuning keeps the method with which it started.
         begins = not (as_json or quiet or (out / "history.parquet").exists())
         costs = _costs(tuning) if dry_run or begins else []
         for line in _told(costs) if not dry_run else ():
@@ -98,7 +98,7 @@ def command(
 
 
 def _costs(tuning: Tuning) -> list[MethodCost]:
-    """What each method would take here."""
+    """The cost of each method on this machine."""
     from nermo_mjx.tune import cost
 
     return cost.costs_of(tuning)
@@ -125,14 +125,14 @@ def _print_costs(costs: list[MethodCost], as_json: bool) -> None:
 
 
 class _Display:
-    """Passes a tuning's progress on to what shows it."""
+    """Passes a tuning's progress to the display."""
 
     def __init__(self, stages: Stages, tuning: Tuning) -> None:
         self._stages, self._tuning = stages, tuning
         self._begun = False
 
     def report(self, progress: TuningProgress) -> None:
-        """Show how far the tuning is; there is one evaluation more than steps."""
+        """Show the tuning's progress; there is one more evaluation than steps."""
         total = progress.iterations + 1
         done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
         self._begun = True
@@ -150,7 +150,7 @@ class _Display:
 
 
 def _content(result: TuningResult) -> dict[str, Any]:
-    """What a tuning gave, in SI units and radians."""
+    """The result of a tuning, in SI units and radians."""
     pictures = result.pictures
     return {
         "out": result.out,
@@ -179,7 +179,7 @@ def _print(result: TuningResult) -> None:
     if best["stopped"]:
         click.echo(best["stopped"])
     if not result.start["ok"]:
-        click.echo("From the given start, the robot did not walk to the end.")
+        click.echo("From the given start, the robot did not complete the walk.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
     places |= {"plots": "plots"} if result.pictures.plots else {}
     for name, place in places.items():
@@ -189,7 +189,7 @@ def _print(result: TuningResult) -> None:
 
 
 def _rows(result: TuningResult) -> list[list[str]]:
-    """Every parameter, every metric of the objective, and the objective itself, as people read them."""
+    """Every parameter, every metric of the objective, and the objective itself, in readable form."""
     start, best = result.start, result.best
     names = dict.fromkeys(result.tuning.names, "parameters")
     names |= dict.fromkeys(result.tuning.objective.metrics, "metrics")
@@ -204,7 +204,7 @@ def _rows(result: TuningResult) -> list[list[str]]:
 
 
 def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
-    """A row's cells of what start and best gave when they were walked again; none if they were not."""
+    """A row's cells of the verification of start and best; none if there was none."""
     if "verified" not in result.best:
         return []
     cells = []
@@ -216,17 +216,17 @@ def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
 
 
 def _walked_again(again: Mapping[str, Any]) -> str:
-    """What the columns of the engine `c` are."""
+    """The meaning of the columns of the engine `c`."""
     fell = sum(again["walks"] - (each or {"walks_ok": 0})["walks_ok"] for each in (again[point] for point in _AGAIN))
-    fallen = f", of which {fell} did not come to their end" if fell else ""
-    many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from starts that it has not seen"
+    fallen = f", of which {fell} were not completed" if fell else ""
+    many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
     best = again["best"]
     apart = f"; the best gave {best['lowest']:.4g} to {best['highest']:.4g}" if best and again["walks"] > 1 else ""
     return f"Engine {again['engine']}: {many}{fallen}{apart}."
 
 
 def _shortest(tuning: Tuning, name: str, change: float) -> float:
-    """A change of a parameter; of a periodic one the shorter way round."""
+    """A change of a parameter; for a periodic one, the shorter way around."""
     if name not in tuning.names:
         return change
     place = tuning.names.index(name)

@@ -33,23 +33,22 @@ Examples:
 @click.command("view", epilog=EPILOG)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
-@options.file("--out", ".html", "Write the page there, to keep or to share.")
-@options.number("--recordings", "Of a directory, how many recordings go into the page at most; by default 50.",
+@options.file("--out", ".html", "Write the page to this file.")
+@options.number("--recordings", "For a directory: maximum number of recordings in the page; by default 50.",
                 click.IntRange(0), metavar="N")  # fmt: skip
-@click.option("--no-open", is_flag=True, help="Open no browser.")
+@click.option("--no-open", is_flag=True, help="Do not open a browser.")
 @options.report
 def command(
     path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool, as_json: bool, quiet: bool
 ) -> None:
-    """Look at a recording, or at all runs of a directory, in the browser.
+    """View a recording, or all runs of a directory, in the browser.
 
-    One page holds everything and needs no network. Of a recording FILE.npz:
-    the robot to turn around and to scrub through, tendons coloured by
-    tension, contact forces, plots; with a second one both are compared, in
-    step with the time. Of the directory of a sweep or a search: every run as
-    a point or a cell, to filter and to brush; a run that is clicked shows its
-    numbers and the command that repeats it, and plays where DIR/recordings
-    has it.
+    The page is self-contained and needs no network. For a recording FILE.npz:
+    an interactive 3D view with a time line, tendons coloured by tension,
+    contact forces, plots; a second recording is compared with it, synchronized
+    in time. For the directory of a sweep or a search: every run as a point or
+    a cell, to filter and brush; clicking a run shows its numbers and the
+    command that repeats it, and plays its recording if DIR/recordings has it.
     """
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
@@ -89,7 +88,7 @@ def _directory(path: Path, other: Path | None, recordings: int | None, notes: li
     from nermo_mjx.view.explore import KINDS, MOST_RECORDINGS, explore
 
     if other is not None:
-        raise WrongUse(f"{path} is a directory: it has a page of its own, and {other} is shown by another command.")
+        raise WrongUse(f"{path} is a directory: it has its own page; show {other} with a separate command.")
     if kind_of(path) not in KINDS:
         raise WrongUse(
             f"{path} is the directory of {kind_of_directory(path).called}: the page of a directory shows the runs of a "
@@ -100,7 +99,7 @@ def _directory(path: Path, other: Path | None, recordings: int | None, notes: li
 
 
 def _has_browser() -> bool:
-    """Whether a window can open; without a display Python would start a browser of the terminal, or wait for one."""
+    """Whether a window can open; without a display Python would start a text browser, or wait for one."""
     if sys.platform.startswith("linux") and not os.environ.get("BROWSER"):
         return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     return True

@@ -32,18 +32,18 @@ Examples:
 
 @click.command("walk", epilog=EPILOG)
 @options.gait
-@click.option("--controller", metavar="FILE", help="Another controller: FILE.py:NAME, or a policy FILE.npz.")
-@click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Metrics of one's own; repeatable.")
+@click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
+@click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Custom metrics; repeatable.")
 @options.choice("--pilot", PILOTS, "Default: straight, or open_loop with --turn-rate.", default=None)
-@options.number("--cycles", "Length in gait cycles, by default 8.", options.POSITIVE)
-@options.number("--duration", "Length in seconds, instead of --cycles.", options.POSITIVE)
-@options.number("--warmup", "Part that is not measured, in the same unit; by default 2.", click.FloatRange(0))
+@options.number("--cycles", "Duration in gait cycles, by default 8.", options.POSITIVE)
+@options.number("--duration", "Duration in seconds, instead of --cycles.", options.POSITIVE)
+@options.number("--warmup", "Unmeasured start, in the same unit; by default 2.", click.FloatRange(0))
 @options.choice("--robot", ROBOTS)
 @options.scene
 @options.choice("--tail", TAILS)
 @options.physics
 @options.assigned("Any parameter that `sweep --list-parameters` prints; repeatable.")
-@options.number("--seed", "Shift the start a little, as the repeats of a sweep.", click.IntRange(0))
+@options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4 or GIF.")
@@ -52,7 +52,7 @@ Examples:
 def command(
     engine: str, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool, **chosen: Any
 ) -> None:
-    """Let the robot walk once, and sum up how it went."""
+    """Simulate one walk, and summarize it."""
     with stdout_reserved():
         wanted = plan(**chosen)
         check_video(wanted.setup, video, camera)

@@ -12,7 +12,7 @@ from nermo_mjx.cli.group import WrongUse
 if TYPE_CHECKING:
     from nermo_mjx.rollout import Run, Setup
 
-#: Options that set one parameter, and what the setup must be for the parameter to matter.
+#: Options that set one parameter, and the setup for which the parameter has an effect.
 PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
     "frequency": ("frequency", None),
     "stride": ("stride", None),
@@ -39,7 +39,7 @@ class Plan:
     def theory(self) -> float:
         """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated].
 
-        NaN for another controller than the published one.
+        NaN for custom controllers.
         """
         import numpy as np
 
@@ -48,7 +48,7 @@ class Plan:
         if self.setup.controller is not None:
             return float("nan")
         values = {name: np.asarray(value) for name, value in self.parameters.items()}
-        # Only what is bent while the diagonal pairs change over lengthens a stride.
+        # Only the bend at the moment when the diagonal pairs switch lengthens a stride.
         extends = "stride_extension" in self.setup.spine.split("+")
         values["spine.amplitude"] = values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
         return float(theory.speed(values))
@@ -77,10 +77,10 @@ def plan(
             continue
         flag = f"--{option.replace('_', '-')}"
         if name not in known:
-            raise WrongUse(f"{flag} sets {name}, which is no parameter of {setup.controller}.")
+            raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
         if setup.controller is None and needs is not None and needs[1] not in getattr(setup, needs[0]).split("+"):
             raise WrongUse(
-                f"{flag} does nothing with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
+                f"{flag} has no effect with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
             )
         values[name] = options[option]
     values |= assigned(assignments, known, LISTED)

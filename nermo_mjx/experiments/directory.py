@@ -1,6 +1,6 @@
 """The directory of the published experiments: what each one left, and with which settings it was run.
 
-DIR/results/<experiment>.parquet    one row a world; the settings and the provenance are in the schema's metadata
+DIR/results/<experiment>.parquet    one row per world; the settings and the provenance are in the schema's metadata
 DIR/results/<experiment>-bodies.parquet   the same of identified bodies, if they were asked for
 DIR/results/<experiment>.json       its lines of the report, and what was run
 DIR/recordings/<experiment>-*.npz   runs that plots and videos show
@@ -52,7 +52,7 @@ class Directory:
         self.out = Path(out)
 
     def write(self, path: Path, content: bytes) -> None:
-        """Replace a file of the directory, whole or not at all.
+        """Replace a file of the directory, atomically.
 
         Raises:
             DirectoryError: it cannot be written.

@@ -1,7 +1,7 @@
 """In which share of the identified bodies a line of the report holds.
 
 The identification does not end at one body but at many that walk the published speeds about as well
-(`robot.identified`). A line that holds in all of them does not hang on which of them is the default.
+(`robot.identified`). A line that holds in all of them does not depend on which of them is the default.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What an experiment leaves: one row a world, and the recordings that plots and videos show."""
+"""What an experiment leaves: one row per world, and the recordings that plots and videos show."""
 
 from __future__ import annotations
 

@@ -39,8 +39,8 @@ def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict
     Returns:
         `lines` of all experiments; `summary`: how many of them hold, in all, by kind and by experiment; `experiments`:
         what was run of each, with which settings, versions, machine and command, and its files; `differences`:
-        sentences, if not all were run alike; `started`, `command`, `versions`, `machine` of the latest, `wall_seconds`
-        of all.
+        sentences, if not all were run in the same way; `started`, `command`, `versions`, `machine` of the latest,
+        `wall_seconds` of all.
     """
     found = {name: directory.entry(name) for name in experiments}
     entries = {name: entry for name, entry in found.items() if entry is not None}

@@ -87,7 +87,7 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
         if values:
             yield f"> {title} was run with other parameters than the default: {said(values)}.\n"
     for sentence in content["differences"]:
-        yield f"> **Not run alike.** {sentence}\n"
+        yield f"> **Run in different ways.** {sentence}\n"
 
 
 def _judged(counts: Mapping[str, Any]) -> int:

@@ -1,6 +1,6 @@
 """Run the published experiments into a directory: each one's results are stored as soon as it is done.
 
-A directory goes on where it was stopped: an experiment that it holds, run with the same settings, is not run again.
+A directory is resumed where it was interrupted: an experiment in it, run with the same settings, is not run again.
 Experiments of one directory may have been run with different settings; each keeps its own, and the report says so.
 """
 
@@ -102,7 +102,7 @@ def run_experiments(
     notify: Callable[[str], None] | None = None,
     workers: Workers | None = None,
 ) -> ExperimentsResult:
-    """Run experiments; each is stored as it comes, and the report is written anew after each.
+    """Run experiments; each is stored when it finishes, and the report is rewritten after each.
 
     Args:
         names: of `EXPERIMENTS`.
@@ -113,11 +113,11 @@ def run_experiments(
         seed: of the shifts.
         quick: fewer cases, and no video.
         values: parameters for all worlds, by name, such as another friction.
-        bodies: members of the identified ensemble that are run besides, once each in the profile `exact`; the report
+        bodies: members of the identified ensemble to run as well, once each in the profile `exact`; the report
             then says of each line in which share of them it holds. None uses those that the directory holds, or the
             shares that ship with the package if nothing but the default was asked for.
         video: make the videos.
-        again: run again, and replace, what the directory holds of these experiments, whichever code made it.
+        again: rerun and replace the directory's results of these experiments, regardless of the code that made them.
         accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
         progress: called with what is being done and the share of it.
         notify: called with a sentence on anything out of the ordinary.
@@ -198,7 +198,7 @@ class _Work:
         return stored
 
     def missing(self, chosen: Experiment, kept: Stored | None) -> list[Part]:
-        """What is to be simulated of an experiment: itself, identified bodies, both or neither."""
+        """What to simulate of an experiment: itself, identified bodies, both or neither."""
         parts = [own(chosen, self.settings)] if kept is None else []
         if self.bodies is None:
             return parts
@@ -243,8 +243,8 @@ class _Work:
         written, stored = self.written, kept or self.directory.load(chosen.name)
         assert stored is not None, "it was read back when it was saved"
         if kept is not None:
-            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{self._other_code(kept)}; --again runs "
-                        "it anew.")  # fmt: skip
+            self.notify(f"{chosen.name}: kept as run on {kept.about['started']}{self._other_code(kept)}; --again "
+                        "reruns it.")  # fmt: skip
         several = self._ensemble(chosen, stored)
         shares = several.shares if several else None
         lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}), shares)

@@ -78,7 +78,7 @@ def simulate(
 
     Raises:
         TaskFailed: a part failed; its key is the part's place.
-        WorkersLost: nobody is left who simulates.
+        WorkersLost: no worker is left.
     """
     if not parts:
         return
@@ -129,4 +129,4 @@ class Simulation:
 
 
 def _untold(share: float) -> None:
-    """Nobody asks how far it is."""
+    """Progress is not reported."""

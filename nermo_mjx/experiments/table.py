@@ -25,7 +25,7 @@ CODE: Final = "code"
 
 
 def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
-    """The table of an outcome, one row a world.
+    """The table of an outcome, one row per world.
 
     Args:
         about: what to note in the schema's metadata.
@@ -106,7 +106,7 @@ def case_tables(
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits and no exponent; "–" where it is not finite, "0" below 5e-5."""
+    """A number with the given significant digits and no exponent; "–" where it is not finite, "0" below 5e-5."""
     if not math.isfinite(value):
         return MISSING
     if abs(value) < 5e-5:

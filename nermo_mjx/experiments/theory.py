@@ -77,7 +77,7 @@ def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
     """Radius of the spine base's path in a trot with a bent spine and four equal strides, with least slip [m].
 
     Two point feet stand at a time. The front one moves back along the torso, the rear one along the turned hip, both
-    alike, and the body moves so that the sum of their squared slip speeds is least. Feet whose line of connection is
+    alike, and the body moves so that the sum of their squared slip speeds is minimal. Feet whose line of connection is
     not square to the way can turn the body only by what is across that line: 0.441 m at 0.4 rad of servo, where (5.43)
     has 0.281 m. The body's motion is averaged over both diagonals and the stance.
 

@@ -64,7 +64,7 @@ def shoot(outcome: Outcome, shot: Shot, path: Path, progress: Callable[[float], 
 
 
 def _end(outcome: Outcome, recording: Recording, shot: Shot) -> float:
-    """Simulated time after which nothing more is to be seen."""
+    """Simulated time after which nothing more can be seen."""
     labels = recording.metadata.get("labels", {})
     if shot.until not in outcome.columns or not set(labels) <= set(outcome.columns):
         return math.inf

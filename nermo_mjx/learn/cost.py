@@ -44,7 +44,7 @@ class Cost:
 
 
 def cost_of(training: Training, engine: str = "auto") -> Cost:
-    """The cost of a training that begins anew; raises `ParameterError` for an unknown engine."""
+    """The cost of a training from the start; raises `ParameterError` for an unknown engine."""
     name, wall = engine_for(training, engine), math.nan
     steps = training.iterations * training.steps_per_iteration
     said = "its pace is not known before its program is compiled, which takes minutes, once per machine"

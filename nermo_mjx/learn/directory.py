@@ -1,12 +1,12 @@
 """A training's directory: what it is for, and the files that are made from its checkpoints.
 
 DIR/training.yaml      the resolved training
-DIR/metrics.py         metrics of one's own, if the evaluation has some: a copy
+DIR/metrics.py         custom metrics, if the evaluation has some: a copy
 DIR/run.json           which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/       Orbax checkpoints, the newest few: all that was learned, and the history up to it
 DIR/policy.npz         the policy of the newest checkpoint: a controller
-DIR/history.parquet    one row an iteration
-DIR/evaluation.parquet one row a walk on a body and start that the policy has not seen, and the same without it
+DIR/history.parquet    one row per iteration
+DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
 DIR/summary.json       success, return and speed
 DIR/plots/             figures
 DIR/*.aside-N          what did not fit: nothing is deleted

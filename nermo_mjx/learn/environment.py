@@ -134,7 +134,7 @@ class Environment:
         """
         if np.shape(action) != (self.worlds, self.action_size):
             raise ParameterError(
-                f"action has shape {np.shape(action)}: expected {(self.worlds, self.action_size)}, a row a world."
+                f"action has shape {np.shape(action)}: expected {(self.worlds, self.action_size)}, a row per world."
             )
         return self._worlds.step(state, action)
 

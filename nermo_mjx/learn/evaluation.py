@@ -31,7 +31,7 @@ def evaluate(
     """Walk every scene of the evaluation, by the policy and by the controller alone, from the same starts and bodies.
 
     Returns:
-        One row a walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
+        One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
         it lasted, and led at least as far as the training's evaluation asks for.
     """
     cases = [(setup, task, who) for setup, task in training.evaluated() for who in (POLICY, ALONE)]

@@ -113,7 +113,7 @@ def both(observation: Any, privileged: Any) -> Float[Array, "*batch k"]:
 def collector(
     environment: EnvironmentLike, steps: int
 ) -> Callable[[Actor, Statistics, Any, PRNGKeyArray], tuple[Any, Experience]]:
-    """A function that lets a policy act for so many steps: (actor, statistics, state, key) to (state, experience)."""
+    """A function that lets a policy act for some steps: (actor, statistics, state, key) to (state, experience)."""
     shape = (steps, environment.worlds, environment.action_size)
     if environment.pure:
         return jax.jit(

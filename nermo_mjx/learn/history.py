@@ -1,7 +1,7 @@
-"""The history of a training: one row an iteration; in each column's metadata its unit, meaning and role.
+"""The history of a training: one row per iteration; in each column's metadata its unit, meaning and role.
 
 Roles: `index` (iteration, steps), `return` (of the episodes that ended), `term` (of the reward), `learning`, `effort`
-(CPU and wall time, which no two runs have alike), `code`.
+(CPU and wall time, which differ from run to run), `code`.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Curves:
         return self.rows[:, self.names.index(name)]
 
     def last(self, name: str, episodes: int = 100) -> float:
-        """Mean of a number of the episodes that ended last, at least so many if there are; NaN where none ended."""
+        """Mean of a value over the last episodes, at least this many if available; NaN if none ended."""
         count = self.column("episodes")
         total = np.cumsum(count[::-1])[::-1]
         recent = (count > 0) & (total - count < episodes)

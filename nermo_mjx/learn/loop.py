@@ -162,7 +162,7 @@ class EpisodeLoop:
         )  # fmt: skip
         begun = state.loop.tick > 0
         values = {term.name: jnp.where(begun, term.value(moment), 0.0) for term in self.terms}
-        # A world that lost its numbers gives none; it starts anew.
+        # A world that diverged gives none; it is restarted.
         values = {name: jnp.where(now.lost & (name != "failed"), 0.0, value) for name, value in values.items()}
         reward = sum((weight * values[term.name] for term, weight in self.terms.items()), jnp.zeros(()))
         observation, privileged = self._told(params, state, now, sensors)

@@ -1,4 +1,4 @@
-"""A policy as a controller: it observes, acts and walks wherever a controller does, and is one file.
+"""A policy as a controller: it observes, acts, can be used wherever a controller can, and is one file.
 
 The file is an NPZ without pickled objects: the networks' arrays, and a text in JSON (`about`) that gives them a
 meaning: what is observed, what an action does, which controller is acted on, versions.
@@ -112,7 +112,7 @@ class Policy:
         """
         setup, task = environment.setup, environment.task
         if setup.controller is not None or setup.command is not None:
-            raise ParameterError("controller is one's own: a policy's file has room for a published one alone.")
+            raise ParameterError("controller is a custom one: a policy file can only store a published one.")
         given = {name: 0.5 * (low + high) for name, (low, high) in task.randomize.items() if name in GIVEN}
         known = dict(quantities(setup.world({}).control))
         fixed = {name: float(value) for name, value in task.set.items() if name in known or name in GIVEN}
@@ -213,7 +213,7 @@ class Policy:
             path=self.path(params, state, sensors.position) if observer.path else None,
             action=state.action,
         )
-        # The same noise in every world: runs of one start are alike.
+        # The same noise in every world: runs from one start are equal.
         key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None
         return observer.observe(given.sensing, state.memory, sensors, told, key)
 

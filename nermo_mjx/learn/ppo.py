@@ -34,7 +34,7 @@ class PPO:
         kl: the change of the policy that the learning rate aims at [nat]; None keeps the rate.
         entropy: weight of the policy's entropy.
         std: first standard deviation of the actions.
-        hidden: units of each hidden layer, of actor and critic alike.
+        hidden: units of each hidden layer, for both actor and critic.
     """
 
     horizon: int = 16

@@ -112,7 +112,7 @@ def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...])
     """The terms of a task and their weights.
 
     Args:
-        weights: name of one of `TERMS`, or a term of one's own, and its weight.
+        weights: name of one of `TERMS`, or a custom term, and its weight.
         commands: what the task commands.
 
     Raises:

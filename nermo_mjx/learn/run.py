@@ -1,4 +1,4 @@
-"""Run a training: go on from its directory's newest checkpoint, learn until the steps are done, evaluate the policy."""
+"""Run a training: resume from the directory's latest checkpoint, learn for the given steps, evaluate the policy."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def run_training(
 
     All that was learned is stored behind each section of iterations, and the next section begins new episodes, so that
     a training that was killed and went on ends with the same numbers as one that was not: on the engine `c` bit for
-    bit. Whoever kills it loses the section in flight.
+    bit. Killing it loses the section in flight.
 
     Args:
         spec: a `Training`, a dict with the fields of a training file, or the path of one.

@@ -148,12 +148,12 @@ class SceneFields(Fields):
     scene: SceneField = Field(description="where it walks, as the file's own 'scene'")
     pilot: Pilot = optional("what steers the robot there, by default the file's own")
     set: dict[str, Finite] = Field({}, description="parameters with one value there")
-    randomize: dict[str, _Unit] = Field({}, description="what each episode draws there, besides the file's own")
+    randomize: dict[str, _Unit] = Field({}, description="what each episode draws there, in addition to the file's own")
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """How a policy is evaluated: so many bodies and starts that it has not seen, on each of these scenes.
+    """How a policy is evaluated: on a number of unseen bodies and starts, on each of these scenes.
 
     Attributes:
         bodies: on each scene.

@@ -41,7 +41,7 @@ class ShortHorizon:
         follow: share of the critic that its slow copy takes over in an iteration.
         entropy: weight of the policy's entropy, with respect to its standard deviation.
         std: first standard deviation of the actions.
-        hidden: units of each hidden layer, of actor and critic alike.
+        hidden: units of each hidden layer, for both actor and critic.
     """
 
     horizon: int = 16
@@ -103,7 +103,7 @@ def _iterated(
 
 
 def _discounted(shac: ShortHorizon, found: Experience, follows: Float[Array, "t n"]) -> Float[Array, " n"]:
-    """The horizon's discounted rewards and the value behind it, (5) of the paper; each episode in it begins anew."""
+    """The horizon's discounted rewards and the value after it, (5) of the paper; each episode in it starts afresh."""
 
     def forward(carry: tuple[Array, Array], step: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
         total, weight = carry

@@ -231,7 +231,7 @@ def _read(doc: Document) -> Training:
     walk = read_walk(doc, file)
     setup = walk["setup"]
     if setup.controller is not None:
-        doc.fail(("controller",), "is a controller of one's own: a policy's file has room for a published one alone; "
+        doc.fail(("controller",), "is a custom controller: a policy file can only store a published one; "
                  "learn in Python, by nermo_mjx.learn.Environment.")  # fmt: skip
     algorithm = _said(doc, ("algorithm",), file.algorithm.algorithm)
     fixed = {**walk["fixed"], **{f"pilot.{key}": value for key, value in walk["pilot"].items()

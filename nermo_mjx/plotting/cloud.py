@@ -1,4 +1,4 @@
-"""Many points in one panel: dots as long as they can be told apart, their density beyond."""
+"""Many points in one panel: dots as long as they can be distinguished, their density beyond."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DENSITY: Final = LinearSegmentedColormap.from_list("density", [light(BAND), BAN
 
 
 def remark(count: int) -> str:
-    """What a figure's note says of so many points."""
+    """The figure's note about this number of points."""
     return "; darker: more runs" if count >= CROWD else ""
 
 

@@ -31,7 +31,7 @@ def write_figures(
     Args:
         figures: a generator is run in the house's style, so that its figures have it.
         folder: where the files go; made if it is missing.
-        write: how a file is written; by default whole or not at all.
+        write: how a file is written; by default atomically.
         formats: of `FORMATS`.
 
     Raises:

@@ -44,14 +44,14 @@ class Page:
 
 
 def blank(width: float, height: float) -> Figure:
-    """An empty figure of so many inches."""
+    """A blank figure of the given size in inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def page(title: str, width: float, height: float, note: str = "") -> Figure:
-    """An empty figure of so many inches, its title above and its note below; axes share what is left."""
+    """A blank figure of the given size in inches, its title above and its note below; axes share what is left."""
     return around(blank(width, height), title, note)
 
 
@@ -77,7 +77,7 @@ def around(figure: Figure, title: str, note: str, handles: Sequence[Artist] = ()
 
 
 def note_lines(note: str, width: float) -> list[str]:
-    """The lines of a note on a page of so many inches; what follows a tab hangs together, to its right."""
+    """The lines of a note on a page of the given width in inches; text after a tab is indented together."""
     broken: list[str] = []
     for line in note.splitlines():
         hangs = "\t" in line

@@ -1,7 +1,7 @@
 """The look that all figures share: type, colours by meaning, scales and grids.
 
-Colours of things are from Okabe and Ito's palette, which the colour-blind tell apart; colours of numbers are those of
-viridis, which is even to the eye and becomes lighter throughout, so that it survives print in grey.
+Colours of things are from Okabe and Ito's palette, which colour-blind readers can distinguish; colours of values
+are those of viridis, which is perceptually uniform and increases in lightness, so that it survives printing in grey.
 """
 
 from __future__ import annotations

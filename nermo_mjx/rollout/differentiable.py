@@ -30,7 +30,7 @@ from nermo_mjx.shapes import Array, Scalar
 
 
 class Path(NamedTuple):
-    """What a walk leaves, one row a control tick.
+    """What a walk leaves, one row per control tick.
 
     Attributes:
         qpos, qvel: state at the end of each tick, (ticks, nq) and (ticks, nv).
@@ -166,7 +166,7 @@ class Rollout:
         return jax.tree.map(_real, params)
 
     def _loop_parameters(self, params: WorldParameters, seconds: float) -> tuple[LoopParameters, int]:
-        """Parameters of the loop, and the number of ticks that covers a run of so many seconds."""
+        """Parameters of the loop, and the number of ticks that covers a run of the given seconds."""
         begin, end = self.length.seconds(_real(self.controller.cycle_rate(params.control)))
         window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
         terrain = params.model.terrain if self.robot.terrain.has_shape else None

@@ -1,6 +1,6 @@
 """A function of one world, for batches of any size, with results that do not depend on the batch.
 
-XLA rounds by the shape of an array, and in one shape alike at every place: work is cut into pieces of one shape.
+XLA's rounding depends on an array's shape, not on the position in it: work is divided into pieces of one shape.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ class Run:
     Traceback (most recent call last):
     nermo_mjx.robot.quantity.ParameterError: run.warmup is 2.5: allowed is less than the run's length, 2.
 
-    Each number holds for all worlds, or is an array (n,) with one entry a world.
+    Each number holds for all worlds, or is an array (n,) with one entry per world.
 
     Attributes:
         cycles, warmup_cycles: length of the run, and of its unmeasured start, in gait cycles.

@@ -60,7 +60,7 @@ class LoopState:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Implements `physics.engine.Loop` for a robot and a controller, with metrics of one's own beside the others."""
+    """Implements `physics.engine.Loop` for a robot and a controller, with custom metrics beside the others."""
 
     robot: Robot
     controller: ControllerLike

@@ -76,7 +76,7 @@ class MetricState:
         time, work, way: measured time [s], positive servo work [J], way along the smoothed heading [m].
         travelled: way since the start, warm-up included [m].
         mean, square: Welford's running mean and sum of squared deviations of (roll, pitch, yaw).
-        readings: (roll, pitch, yaw, cross-track error) at the last tick [rad, m]; yaw goes on beyond half a turn.
+        readings: (roll, pitch, yaw, cross-track error) at the last tick [rad, m]; yaw is unwrapped.
         low, high: extremes of the readings.
         course, turning: smoothed yaw [rad] and its rate [rad/s].
         position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
@@ -87,7 +87,7 @@ class MetricState:
         tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
         eyes: what the eyes went through.
-        own: accumulators of metrics of one's own; None without any.
+        own: accumulators of custom metrics; None without any.
         on_path: whether the pilot has a path.
         lost: whether the readings mean nothing any more, also after the run's end.
         failure_time: end of the tick in which the run failed [s]; 0 until then.
@@ -128,7 +128,7 @@ class MetricState:
 
 
 def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
-    """Accumulators before the first tick, from the readings at rest, with those of metrics of one's own."""
+    """Accumulators before the first tick, from the readings at rest, with those of custom metrics."""
     position, angles = sensors.position, attitude(sensors.orientation)
     zero, three, four = jnp.zeros((), position.dtype), jnp.zeros_like(position), jnp.zeros_like(sensors.foot_force)
     readings = jnp.append(angles, zero)
@@ -168,9 +168,9 @@ def update(
         path: point of the pilot's path beside the torso, where it follows one.
         stance: feet that were commanded to stand during the tick; all of them where nothing is commanded.
         ground: height of the ground beneath the torso [m].
-        own: metrics of one's own, the same as for `init`.
+        own: custom metrics, the same as for `init`.
     """
-    # What the accelerometer loses the velocities have lost a step later; without it nobody needs to compute it.
+    # If the accelerometer is non-finite, so are the velocities a step later; leaving it out saves computing it.
     told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in told]).all()
     lost = state.lost | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
@@ -285,7 +285,7 @@ def _share(part: Array, whole: Array) -> Array:
 def result(
     state: MetricState, mass: Scalar, gravity: Any = GRAVITY, own: tuple[OwnMetric, ...] = ()
 ) -> dict[str, Scalar]:
-    """The metrics of one world, named as in `METRICS`, and those of one's own. What was never measured is NaN.
+    """The metrics of one world, named as in `METRICS`, and the custom ones. A metric that was never measured is NaN.
 
     Derivatives are finite, also beside metrics that are NaN.
 
@@ -293,7 +293,7 @@ def result(
         state: accumulators at the end.
         mass: of the robot [kg].
         gravity: that makes it a weight [m/s^2].
-        own: metrics of one's own, the same as for `init`.
+        own: custom metrics, the same as for `init`.
     """
     begun = state.begun
     time, moved = jnp.where(begun, state.time, 1.0), begun & (state.way > SHORTEST_WAY)

@@ -1,4 +1,4 @@
-"""Metrics of one's own: pure functions of the sensors, how they are declared, named, loaded and tried out."""
+"""Custom metrics: pure functions of the sensors, how they are declared, named, loaded and tried out."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArr
 
 @dataclasses.dataclass(frozen=True)
 class OwnMetric(Metric):
-    """A metric of one's own; `metric` makes it, and called it is the function.
+    """A custom metric; `metric` makes it, and called it is the function.
 
     Attributes:
         name: of the function, and of the column.

@@ -1,4 +1,4 @@
-"""What metrics of one's own are reduced to, as the run goes: a pair `init`, `update` over one world, and `result`.
+"""What custom metrics are reduced to, as the run goes: a pair `init`, `update` over one world, and `result`.
 
 A function sees one reading after the other, one a physics step, and no series of them is kept. Like other readings, a
 value stands for the step before it, and a tick counts by its measured part. Between two readings a value goes straight,

@@ -19,7 +19,7 @@ from nermo_mjx.runs.text import plain
 
 @dataclasses.dataclass(frozen=True)
 class History:
-    """What happened in every world, one entry a control tick.
+    """What happened in every world, one entry per control tick.
 
     Attributes:
         time: end of each tick (ticks,) [s].
@@ -91,7 +91,7 @@ class RunResult:
 
     def about(self, world: int = 0) -> dict[str, Any]:
         """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and `units` of
-        metrics of one's own, which no other place knows."""
+        custom metrics, which no other place knows."""
         measured = {name: float(column[world]) for name, column in self.metrics.items()}
         flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
         run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
@@ -107,7 +107,7 @@ class RunResult:
         }
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, a row a world: the parameters that were named, all metrics, and the status.
+        """A `pandas.DataFrame`, a row per world: the parameters that were named, all metrics, and the status.
 
         >>> from nermo_mjx import Run, Simulator
         >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))

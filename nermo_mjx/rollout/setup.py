@@ -55,7 +55,7 @@ class Setup:
 
     Attributes:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
-            preset takes that preset's time step, unless one was given. A scene of one's own, a file or an `MjSpec`,
+            preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
             is kept as MJCF, so that setups with the same one are equal.
         gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
@@ -73,7 +73,7 @@ class Setup:
             `FILE.npz`, a policy. What is chosen above from `gait` on is the published controller's, and goes with no
             other; with a `Controller` of other parts go gait, steering and profile. A policy has a pilot of its own;
             another one than `straight` takes its place.
-        metrics: metrics of one's own beside `METRICS`: made by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
+        metrics: custom metrics beside `METRICS`: made by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
             `MODULE` or `MODULE:NAME`; one, or several in a list.
 
     Raises:
@@ -123,7 +123,7 @@ class Setup:
                 "number."
             )
         self._check_own(controller)
-        if is_mjcf(str(self.scene)):  # of one's own, so that nobody knows yet whether the robot goes into it
+        if is_mjcf(str(self.scene)):  # a custom scene, so it is not yet known whether the robot fits into it
             self.load()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -141,7 +141,7 @@ class Setup:
 
     @functools.cached_property
     def own_metrics(self) -> tuple[OwnMetric, ...]:
-        """The metrics of one's own; a file is read once, as that of a controller."""
+        """The custom metrics; a file is read once, as that of a controller."""
         loaded = (load_metrics(each) if isinstance(each, str) else (each,) for each in self.metrics)
         return tuple(metric for several in loaded for metric in several)
 
@@ -209,7 +209,7 @@ class Setup:
         for field in dataclasses.fields(self):
             if not self._applies(field.name) and getattr(self, field.name) != field.default:
                 raise ParameterError(
-                    f"{field.name} is {getattr(self, field.name)!r} beside a controller of one's own: it goes with the "
+                    f"{field.name} is {getattr(self, field.name)!r} beside a custom controller: it goes with the "
                     "published controller; leave it out."
                 )
         taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(ControlParameters)}
@@ -281,7 +281,7 @@ class Setup:
                 continue
             default = dict(quantities(ModelParameters))[name].default
             if isinstance(value, jax.core.Tracer) or not np.allclose(value, default, rtol=1e-6):
-                scene = "of one's own" if is_mjcf(str(self.scene)) else repr(self.scene)
+                scene = "a custom one" if is_mjcf(str(self.scene)) else repr(self.scene)
                 raise ParameterError(
                     f"{name} has no effect: it is read only with scene {' or '.join(scenes)}, and the scene is {scene}."
                 )
@@ -339,7 +339,7 @@ def with_own(
 
 
 def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
-    """Every metric that a run of `setup` gives, in the order of the columns: those of every run, and one's own.
+    """Every metric that a run of `setup` gives, in the order of the columns: built-in and custom ones.
 
     >>> all_metrics()["cost_of_transport"].better
     'low'

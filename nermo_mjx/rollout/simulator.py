@@ -175,7 +175,7 @@ class Simulator:
             progress: called with the share done, in [0, 1].
             notify: called with a sentence before a program is compiled that this simulator has not run yet.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`. A leaf
-                with one axis more than there has one entry a world. Named values come into it.
+                with one axis more than there has one entry per world. Named values come into it.
             save: signals whose time series are kept; the result's `series`.
 
         Raises:

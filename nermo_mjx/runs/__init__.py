@@ -1,4 +1,4 @@
-"""What a run leaves: one room for directories of every kind, who writes them, and which code made what they hold."""
+"""Run directories of every kind: who may write them, and which code made their contents."""
 
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, engine_of, kind_of

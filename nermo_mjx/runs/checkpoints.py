@@ -1,4 +1,4 @@
-"""States on disk: Orbax checkpoints of a directory, whole or not at all, and checked when they are read."""
+"""States on disk: Orbax checkpoints of a directory, written atomically, and checked when they are read."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Checkpoints:
         self._manager.close()
 
     def save(self, number: int, parts: Parts, about: About) -> None:
-        """Store parts, and what they are, in plain JSON; whole, or not at all.
+        """Store parts, with a description in plain JSON, atomically.
 
         Raises:
             OSError: there is no room for it.
@@ -126,7 +126,7 @@ class Checkpoints:
             shapes = {name: jax.tree.map(_shape, part) for name, part in like(about).items()}
             items = ocp.args.Composite(**{self._item: ocp.args.StandardRestore(shapes)})
             found = self._manager.restore(number, args=items)[self._item]
-            # As plain arrays: Orbax ties them to a device, and programs would be compiled anew for such.
+            # As plain arrays: Orbax commits them to a device, and programs would be recompiled for those.
             parts = {name: jax.tree.map(_plain, found[name], like) for name, like in shapes.items()}
         except (DirectoryError, MemoryError):
             raise

@@ -51,7 +51,7 @@ class CodeStamp:
 
     @property
     def id(self) -> str:
-        """A short name, the same wherever the same code ran: the column `code` of a table."""
+        """A short name, identical on all machines that ran the same code: the column `code` of a table."""
         return hashlib.blake2b(json.dumps(self.fields()).encode(), digest_size=4).hexdigest()
 
     def fields(self) -> dict[str, str]:
@@ -74,7 +74,7 @@ def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
     Args:
         model: digest of the model, as `nermo_mjx.robot.Robot.fingerprint`.
         engine: name of the engine that runs, never "auto".
-        more: rooms of the package that decide the numbers besides `ROOMS`.
+        more: further rooms of the package that affect the results, in addition to `ROOMS`.
     """
     return CodeStamp(
         package=__version__,

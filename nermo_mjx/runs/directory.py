@@ -1,6 +1,6 @@
 """A directory of results, whatever its kind: who may write it, what it is for, and which code made what it holds.
 
-DIR/.lock       held by whoever writes
+DIR/.lock       held by the writing process
 DIR/run.json    kind; `codes`, which code made rows, by its short name; `sessions`, each with command, versions, machine
                 (`files`: path -> digest of what the program wrote, where a user's may be in the way, see `written`)
 DIR/*.aside-N   what did not fit, under a new name: nothing is deleted that a user may want back
@@ -121,8 +121,8 @@ class RunDirectory:
     def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False) -> None:
         """Note that this code is about to add rows, or refuse: the rows of one directory are made by one code.
 
-        Of several processes that begin together, the first one's code counts. Who holds a directory without rows alone
-        begins it anew.
+        Of several processes that begin together, the first one's code counts. A sole holder of a directory
+        without rows starts it afresh.
 
         Args:
             stamp: of the code that runs here.

@@ -1,4 +1,4 @@
-"""Files of a result directory: written whole or not at all; what cannot be written is said in a sentence."""
+"""Files of a result directory: written atomically; what cannot be written is said in a sentence."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def content_of(path: Path) -> bytes | None:
     """What a file holds; None if there is none.
 
     Raises:
-        DirectoryError: it cannot be read now. It may be whole, so it is no reason to make it anew.
+        DirectoryError: it cannot be read now. It may be intact, so it must not be recreated.
     """
     try:
         return path.read_bytes()

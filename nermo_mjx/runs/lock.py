@@ -19,7 +19,7 @@ def hold(folder: Path, name: str = ".lock", *, shared: bool = False, wait: bool 
 
     Args:
         shared: several processes may hold it so, but none beside them alone.
-        wait: until whoever holds it gives it back.
+        wait: until the holder releases it.
 
     Raises:
         DirectoryError: another process holds it.

@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster: a warm computer on each node or GPU, a task for whoever is free, and the lost replaced.
+"""Workers on a Ray cluster: a warm computer on each node or GPU takes the next task when free; lost ones are replaced.
 
 A computer is an actor. Where there are GPUs and the engine can use them, each has one, and its share of the node's
 cores; else one has a whole node, as MuJoCo C and XLA divide a batch among all cores of their process. Nodes may join
@@ -29,7 +29,7 @@ QUIET: Final = {"RAY_USAGE_STATS_ENABLED": "0"}
 #: replaces a given address of 127.0.0.1 by the machine's. Its workers are as nice as the command, and not 15 more, with
 #: which they starve where others compute.
 LOOPBACK: Final = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
-#: Seconds between two looks at which nodes there are, and for which nobody may be there before it is given up.
+#: Seconds between two polls of the nodes, and without any node before giving up.
 LOOK, PATIENCE = 1.0, 300.0
 #: How often a task's worker may be lost, and how often a node's workers may fail to start.
 ATTEMPTS: Final = 3
@@ -105,7 +105,7 @@ class RayWorkers:
         self._ray = ray
         # Ray prints the last log of each node that is lost, a page of it; `say` gets a sentence.
         ray._private.worker._worker_logs_enabled = False
-        # Ray lets SIGTERM end the process at once; whoever writes ends what is half done first.
+        # Ray lets SIGTERM end the process at once; a writer must finish what is half done first.
         main = threading.current_thread() is threading.main_thread()
         before = signal.getsignal(signal.SIGTERM) if main else None
         more: dict[str, Any] = {"include_dashboard": False} if self.address is None else {}
@@ -162,7 +162,7 @@ class RayWorkers:
                         worker.key, worker.task = given
                         self._busy[worker.actor.compute.remote(worker.task)] = worker
                 if not again and not self._computing():
-                    # Either all is done, or nobody is there yet to be given what is left.
+                    # Either everything is done, or there is no worker yet for the remaining tasks.
                     given = next(coming, None)
                     if given is None:
                         return
@@ -261,7 +261,7 @@ class RayWorkers:
         self._looked = -math.inf
 
     def _check_patience(self) -> None:
-        """Give up where nobody has been there for long, or nobody is left who may come."""
+        """Give up if there has been no worker for long, or none can join any more."""
         if self._workers:
             self._seen = time.monotonic()
         alone = all(node["NodeID"] in self._refused for node in self._nodes()) if self._refused else False
@@ -273,7 +273,7 @@ class RayWorkers:
 
 
 def _check_address(address: str | None) -> None:
-    """Fail at once where nobody listens; Ray would try for minutes."""
+    """Fail at once if nothing listens there; Ray would retry for minutes."""
     if address in (None, "auto", "local"):
         return
     host, _, port = str(address).rpartition(":")

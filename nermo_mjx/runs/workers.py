@@ -46,7 +46,7 @@ class Workers(Protocol):
         """Make ready; the stamp of the code that computes.
 
         Raises:
-            WorkersLost: there is nobody who could compute.
+            WorkersLost: there is no worker.
         """
         ...
 
@@ -59,13 +59,13 @@ class Workers(Protocol):
 
         Raises:
             TaskFailed: a task cannot be computed.
-            WorkersLost: nobody is left who computes.
+            WorkersLost: no worker is left.
         """
         ...
 
 
 class TaskFailed(RuntimeError):
-    """A task that raised an error, wherever it ran: `error`, which is the cause, too."""
+    """A task that raised an error, on whatever machine it ran: `error`, which is also the cause."""
 
     def __init__(self, key: int, error: BaseException) -> None:
         super().__init__(f"task {key} failed: {error}")
@@ -74,7 +74,7 @@ class TaskFailed(RuntimeError):
 
 
 class WorkersLost(RuntimeError):
-    """Nobody is left who computes; the message says why."""
+    """No worker is left; the message says why."""
 
 
 class LocalWorkers:

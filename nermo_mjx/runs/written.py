@@ -42,7 +42,7 @@ class Written:
         self.held.note_files(self.known)
 
     def write(self, path: Path, content: bytes) -> None:
-        """Replace a file, by its path with the directory's; whole or not at all.
+        """Replace a file, by its path with the directory's; atomically.
 
         Raises:
             DirectoryError: it cannot be written.

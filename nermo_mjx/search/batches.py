@@ -3,7 +3,7 @@
 DIR/search.yaml                   the resolved search, and the size of its batches
 DIR/controller.py                 a copy of the file of another controller, if the search names one
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
-DIR/results/chunk-00000.parquet   rows of one batch, written whole or not at all
+DIR/results/chunk-00000.parquet   rows of one batch, written atomically
 DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it, noted before the chunk is there
 DIR/results.aside/                chunks that were damaged, or hold other points, when they are run again
 DIR/best.json, DIR/best.yaml, DIR/atlas.parquet, DIR/recordings/, DIR/plots/   made from the table
@@ -155,7 +155,7 @@ class Batches:
     def write(
         self, batch: int, rows: Rows, first: int, found: Simulated, stamp: Any, gradients: np.ndarray | None
     ) -> pa.Table:
-        """Store a batch whole, or not at all; what is in its place is kept aside.
+        """Store a batch atomically; a file already in its place is moved aside.
 
         Args:
             rows: its runs, of which `first` is the first one's place in the table.

@@ -50,7 +50,7 @@ class Cost:
 
 
 def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Cost:
-    """The cost of a search that begins anew.
+    """The cost of a search from the start.
 
     Args:
         engine: of the simulator.

@@ -26,8 +26,8 @@ MOST_GROWTH: Final = 9
 class Evolution:
     """An `Optimizer`. The first batch is a spread of points; the best of them is where the first CMA-ES begins.
 
-    Where one has converged, the next begins at a random point: with twice the population (IPOP), or by turns with that
-    and with a small one and a small step, whichever has had fewer evaluations (BIPOP, Hansen 2009).
+    When one has converged, the next begins at a random point: with twice the population (IPOP), or either with that
+    or with a small one and a small step, depending on which has had fewer evaluations (BIPOP, Hansen 2009).
     """
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:

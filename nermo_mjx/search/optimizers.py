@@ -1,6 +1,6 @@
 """What chooses the points of a search: asked for a batch, and told what it gave. Nothing else goes in.
 
-So a search is repeated, and gone on with, by telling again what its table holds.
+So a search is repeated, or resumed, by telling it the contents of its table again.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Asked:
 
     Attributes:
         shares: of the bounds, (n, p) in [0, 1].
-        gradients: of so many, from the first on, gradients are wanted, too.
+        gradients: of this number, from the first on, gradients are requested, too.
     """
 
     shares: np.ndarray
@@ -72,7 +72,7 @@ def make_optimizer(search: Search, batch: int) -> Optimizer:
     """The optimizer of a search, at its beginning.
 
     Args:
-        batch: points of a batch; some methods change it as they go on.
+        batch: points of a batch; some methods change it during the search.
 
     Raises:
         ParameterError: its library is not installed.

@@ -32,7 +32,7 @@ class Evaluations:
 
     Attributes:
         search: that made it.
-        results: the table, one row a run.
+        results: the table, one row per run.
         scores: of the n points.
         batch: which one each was part of, (n,).
     """
@@ -71,7 +71,7 @@ class Evaluations:
 
     @property
     def simulated_seconds(self) -> float:
-        """Of all runs, those with gradients at their cost in forward runs besides [s]."""
+        """Of all runs, with gradients added at their cost in forward runs [s]."""
         search = self.search
         names = [name for name in search.setup.timing if name in self.results.schema.names]
         values = {name: search.sweep.constants[name] for name in search.setup.timing if name in search.sweep.constants}

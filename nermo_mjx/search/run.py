@@ -38,7 +38,7 @@ from nermo_mjx.sweep.results import Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.simulating import BatchSimulator, Simulated, SimulatorLike
 
-#: Seconds between two times that best.json and the atlas are made while the search goes on.
+#: Seconds between two updates of best.json and the atlas while the search runs.
 PUBLISHED_EVERY: Final = 60.0
 
 
@@ -47,7 +47,7 @@ class SearchInterrupted(KeyboardInterrupt):
 
 
 class SearchFailed(RuntimeError):
-    """A search that cannot go on; the message is one sentence that says why, and what to do."""
+    """A search that cannot continue; the message is one sentence that says why, and what to do."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,15 +116,15 @@ def run_search(
     >>> sorted(result.best["parameters"]), result.best["evaluations"]
     (['frequency'], 8)
 
-    Each batch is stored before the next one is asked for. What goes on with a directory tells what is stored once more,
-    so that whoever kills the process loses the batch in flight, and the same numbers come out: bit for bit on the
+    Each batch is stored before the next one is asked for. Resuming replays what is stored,
+    so that killing the process loses only the batch in flight, and the same numbers come out: bit for bit on the
     engine `c`.
 
     Args:
         spec: a `Search`, a dict with the fields of a search file, or the path of one.
         out: the directory; see `nermo_mjx.search.batches`.
         engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
-        progress: called now and then with a `SearchProgress`.
+        progress: called from time to time with a `SearchProgress`.
         notify: called with a sentence when something takes long (compilation).
         warn: called with a sentence on what is damaged, and is run again.
         accept_new_code: resume a directory that other code or another engine started.

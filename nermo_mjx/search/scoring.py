@@ -101,7 +101,7 @@ def cells_of(aim: Aim, measures: np.ndarray) -> np.ndarray:
 
 
 def elites_of(aim: Aim, scores: Scores) -> tuple[np.ndarray, np.ndarray]:
-    """Filled cells in order, (k,), and the best allowed point of each, (k,); of points alike the first."""
+    """Filled cells in order, (k,), and the best allowed point of each, (k,); of equal points the first."""
     cell = np.where(scores.allowed, cells_of(aim, scores.measures), -1)
     order = np.lexsort((np.arange(len(cell)), -scores.quality, cell))
     order = order[cell[order] >= 0]

@@ -21,7 +21,7 @@ MOST_CELLS: Final = 1_000_000
 
 #: Metrics that an objective, a limit or a measure may name.
 def searched() -> tuple[str, ...]:
-    """What a search may name, metrics of one's own among them, while its file is read."""
+    """What a search may name, custom metrics among them, while its file is read."""
     return tuple(name for name in objective_metrics(MEASURED.get()) if name != TRAJECTORY_ERROR)
 
 
@@ -80,7 +80,7 @@ class BudgetFields(OneOf):
     short: ClassVar = ({"type": "integer", "minimum": 1, "maximum": MOST_EVALUATIONS},)
     expected: ClassVar = "a number of evaluations, or {simulated_seconds: S}"
     other: ClassVar = "is not a budget"
-    evaluations: Annotated[int, Whole(1, MOST_EVALUATIONS)] = optional("so many evaluated points")
+    evaluations: Annotated[int, Whole(1, MOST_EVALUATIONS)] = optional("number of evaluated points")
     simulated_seconds: Positive = optional("so much simulated time, of all runs together [s]")
 
     @classmethod
@@ -93,7 +93,7 @@ class KeepFields(Fields):
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: N}, or of an atlas {elites: N}"
     best: Annotated[int, Whole(0, 10_000)] = optional("recordings of the best points, or along a front")
-    elites: Annotated[int, Whole(0, 10_000)] = optional("recordings of so many of an atlas's elites, evenly chosen")
+    elites: Annotated[int, Whole(0, 10_000)] = optional("number of an atlas's elites to record, evenly chosen")
 
 
 #: low, high and the number of cells of each measure.

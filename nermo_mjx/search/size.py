@@ -1,4 +1,4 @@
-"""How many points a batch has where nobody says: what fills the machine, and leaves the method enough generations."""
+"""The default number of points per batch: enough to fill the machine, few enough for many generations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A controller and metrics of one's own in spec files: what a file names, and the copies in a directory."""
+"""Custom controllers and metrics in spec files: what a file names, and the copies in a directory."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def keep_controller(setup: Setup, folder: Path, write: Callable[[str, bytes], An
 
 
 def _kept(where: str, called: str, folder: Path, write: Callable[[str, bytes], Any]) -> str:
-    """What names something of one's own, with its file in a directory under the name that such files have there."""
+    """The name of custom code, with its file in a directory under the name that such files have there."""
     source, name = _split(where)
     if not (source.endswith(".py") or is_data(source)) or Path(source).parent == folder:
         return where

@@ -64,7 +64,7 @@ def _place(data: Any, place: FieldPath) -> FieldPath:
 
 
 def chosen(default: str, names: Iterable[str], description: str) -> Any:
-    """A field with one of these names; whoever takes it says whether it is."""
+    """A field with one of these names; the caller checks that it is."""
     return Field(default=default, description=description, json_schema_extra={"enum": [*names]})
 
 

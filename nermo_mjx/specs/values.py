@@ -22,7 +22,7 @@ from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
 #: Those that the file that is read may name: another controller has others.
 NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=PARAMETERS)
-#: The metrics that the runs of the file that is read give: with metrics of one's own there are more.
+#: The metrics that the runs of the file that is read give: with custom metrics there are more.
 MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]

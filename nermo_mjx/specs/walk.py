@@ -77,7 +77,7 @@ class SetupFields(Fields):
     robot: str = chosen(Setup.robot, ROBOTS, "which robot")
     scene: SceneField = Field(
         str(Setup.scene),
-        description="where it walks: a scene of mjcf/scenes, or one's own, as the path of an MJCF file or MJCF itself",
+        description="a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself",
     )
     tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
     routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
@@ -166,7 +166,7 @@ class WalkFields(SetupFields):
     pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
     run: RunFields = optional("how long a run lasts")
     set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
-    metrics: str | list[str] = optional("metrics of one's own: FILE.py, from this file's folder, FILE.py:NAME, MODULE "
+    metrics: str | list[str] = optional("custom metrics: FILE.py, from this file's folder, FILE.py:NAME, MODULE "
                                         "or MODULE:NAME, or a list of such")  # fmt: skip
 
     @classmethod
@@ -184,7 +184,7 @@ class WalkFields(SetupFields):
 
 @dataclasses.dataclass(frozen=True)
 class WalkSpec:
-    """A walk whose parameters are to be changed.
+    """A walk whose parameters can be changed.
 
     Attributes:
         setup: the static choices: robot, scene, gait, spine mode, pilot.
@@ -322,7 +322,7 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
 
 
 def scene_beside(doc: Document, scene: str) -> str:
-    """The scene, or the file of one's own of that name beside the document."""
+    """The scene, or the user's file of that name beside the document."""
     beside = Path(doc.source).parent / scene
     return str(beside) if beside.suffix == ".xml" and os.path.isfile(beside) else scene
 

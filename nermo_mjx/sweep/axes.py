@@ -75,7 +75,7 @@ class Axis:
         return np.asarray(steps, dtype=float)
 
     def at(self, share: np.ndarray) -> np.ndarray:
-        """Values for shares in [0, 1) of the axis, as the samplers draw them; listed values are drawn alike often."""
+        """Values for shares in [0, 1) of the axis, as the samplers draw them; listed values are drawn equally often."""
         if self.form == "values":
             return self.values()[np.floor(share * len(self.numbers)).astype(int)]
         return _between(self.numbers[0], self.numbers[1], share, log=self.form in ("logspace", "loguniform"))

@@ -65,7 +65,7 @@ def plan_batches(
 
     Args:
         rows: of the sweep, and `layout` those of each chunk.
-        chunks: that are to be made, in order.
+        chunks: to be made, in order.
         known: rows that need not be simulated.
     """
     structures, places = rows.structures(), dict[int, np.ndarray]()

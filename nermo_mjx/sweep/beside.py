@@ -22,7 +22,7 @@ MOST_KEPT: Final = 10_000
 
 @dataclasses.dataclass(frozen=True)
 class Keep:
-    """Which rows are recorded when the table is complete: so many of each kind, the best by a metric."""
+    """Which rows are recorded when the table is complete: the number of each kind, the best by a metric."""
 
     best: int = 0
     metric: str = "speed"
@@ -55,11 +55,11 @@ class KeepFields(Fields):
 
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
-    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many of the best, no two of one variant")
+    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number of the best, at most one per variant")
     metric: str = Field(Keep.metric, description="by which the best are chosen: one that has a better side")
-    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many that fell, the first in the table")
-    diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many that lost their numbers")
-    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="so many that the solver did not finish")
+    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
+    diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
+    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
 
 
 def read_saving(doc: Document, given: SaveFields | None, setup: Setup) -> Saving | None:
@@ -78,8 +78,8 @@ def read_saving(doc: Document, given: SaveFields | None, setup: Setup) -> Saving
 
 
 def check_keep(doc: Document, keep: Keep | None, metrics: Mapping[str, Metric]) -> None:
-    """Fail where the best are to be chosen by a metric without a better side, or by none of these."""
+    """Fail if the best would be chosen by a metric without a better direction, or by an unknown one."""
     sides = sides_of(metrics)
     if keep is not None and keep.metric not in sides:
-        doc.fail(("keep", "metric"), f"is '{keep.metric}': allowed is a metric with a better side, {', '.join(sides)}"
-                                     f"{did_you_mean(keep.metric, sides)}")  # fmt: skip
+        doc.fail(("keep", "metric"), f"is '{keep.metric}': allowed is a metric with a better direction, "
+                                     f"{', '.join(sides)}{did_you_mean(keep.metric, sides)}")  # fmt: skip

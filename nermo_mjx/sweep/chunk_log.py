@@ -1,4 +1,4 @@
-"""A line a chunk for those who follow a sweep from outside: best and mean of each metric so far, statuses, pace."""
+"""A line per chunk for those who follow a sweep from outside: best and mean of each metric so far, statuses, pace."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many rows a chunk has where nobody says: what fills the machine, and is no great loss when it is killed."""
+"""The default number of rows per chunk: enough to fill the machine, but no great loss if it is killed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nermo_mjx.runtime import cpu_count
 
 #: Rows of a chunk for each core with MuJoCo C: with two cores, 64 walks of eight cycles take six seconds.
 CORE_ROWS = 32
-#: Chunks above which they grow, up to so many times: each is a file, and is looked at when a sweep goes on.
+#: Number of chunks above which chunks grow, and by up to which factor: each is a file, and is checked on resuming.
 MANY_CHUNKS, MOST_GROWTH = 10_000, 10
 #: Share of a device's memory for a batch.
 MEMORY_SHARE: Final = 0.5
@@ -55,6 +55,6 @@ def chunk_rows_here(engine: str, rows: int, parts: int = 1) -> int:
 
 
 def _device_memory() -> int | None:
-    """Memory of the smallest local device [bytes]; None where it does not say, as on a CPU."""
+    """Memory of the smallest local device [bytes]; None if it is not reported, as on a CPU."""
     known = [(device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()]
     return None if None in known else min(int(each) for each in known if each is not None)

@@ -49,7 +49,7 @@ def heat_maps(
     Points that share a cell are averaged. The best cell of all (the highest, of a metric without a better side) is a
     star, that of each panel a ring; a cell without a run that went well is hatched grey.
 
-    With `gain`, z is a gain in percent: 0 is white, the scale reaches alike far to both sides (far losses are cut off
+    With `gain`, z is a gain in percent: 0 is white, the scale is symmetric (large losses are cut off
     where they would leave the gains pale), marks carry their value, and only points where `gain` holds are marked.
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
@@ -106,7 +106,7 @@ def line(x: ShownValues, z: ShownValues, title: str, note: str) -> Figure:
 
 
 def scatters(xs: Sequence[ShownValues], z: ShownValues, titles: Sequence[str], title: str, note: str) -> Figure:
-    """The metric against each parameter: every run, or how many there are; a running mean over runs of alike value."""
+    """The metric against each parameter: every run, or their density; a running mean over runs of similar value."""
     figure, axes = panelled(len(xs), 2.5 if len(xs) > 1 else 4.0)
     for ax, x, name in zip(axes, xs, titles, strict=False):
         cloud(ax, x, z, size=7)
@@ -222,7 +222,7 @@ def _edges(centres: np.ndarray, log: bool) -> np.ndarray:
 
 
 def _about_zero(values: np.ndarray) -> tuple[Normalize, str]:
-    """A scale that reaches alike far to both sides of 0; losses beyond 25 % and three times the best gain are cut."""
+    """A symmetric scale around 0; losses beyond 25 % and three times the best gain are cut off."""
     good = values[np.isfinite(values)]
     low, high = (float(good.min()), float(good.max())) if len(good) else (0.0, 0.0)
     far = max(high, min(-low, max(3 * high, 25.0)), 1e-9)

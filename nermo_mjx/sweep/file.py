@@ -27,9 +27,9 @@ class Sampler(OneOf):
     alone: ClassVar = ("grid",)
     short: ClassVar = ({"enum": [*alone]},)
     grid: None = optional("every combination of the listed values")
-    sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of a Sobol sequence")
-    latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("so many points of one")
-    saltelli: Saltelli = optional("the design for Sobol indices, from so many points, a power of two")
+    sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of a Sobol sequence")
+    latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of the hypercube")
+    saltelli: Saltelli = optional("the design for Sobol indices, with this number of points, a power of two")
 
 
 def _list_parameters(schema: dict[str, Any]) -> None:

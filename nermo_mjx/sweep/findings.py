@@ -1,4 +1,4 @@
-"""What a sweep finds in its finished table beside the usual: the comparison it asks for; what its metric hangs on."""
+"""Additional results of a finished sweep: the comparison that it requests, and the sensitivity of its metric."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ def forecast(
     Args:
         out: the directory, which need not be there.
         parts: processes that share the chunks.
-        measure: stands in for the measurement: steps a second of a sweep on an engine.
+        measure: stands in for the measurement: steps per second of a sweep on an engine.
 
     Raises:
         DirectoryError, SpecError: the directory holds another sweep, or one named under `use` no rows of such a sweep.
@@ -140,7 +140,7 @@ def forecast(
 
 
 def measured_rate(sweep: Sweep, engine: str) -> float:
-    """Physics steps a second, all worlds together, of 64 worlds that run for half a second."""
+    """Physics steps per second, all worlds together, of 64 worlds that run for half a second."""
     walk = sweep.structures[0]
     run = Run(duration=_MEASURED_SECONDS, warmup=0.0)
     some = Sample(sweep)

@@ -1,4 +1,4 @@
-"""Which rows a chunk holds, and the batch that a simulator gets for it."""
+"""Which rows a chunk contains, and the batch that a simulator gets for it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
 
 
 def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = None) -> list[np.ndarray]:
-    """Rows of each chunk: chunk-mates have one structure and last alike long; chunks are alike large (to one row).
+    """Rows of each chunk: rows of one chunk share structure and duration; chunks are of equal size (to one row).
 
     Args:
         seconds: how long each row is simulated, (n,) [s].
@@ -64,7 +64,7 @@ def known(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def rows_digest(index: np.ndarray) -> str:
-    """A hash of which rows a chunk holds, and in which order."""
+    """A hash of which rows a chunk contains, and in which order."""
     return hashlib.blake2b(np.asarray(index, dtype="<i8").tobytes(), digest_size=12).hexdigest()
 
 

@@ -74,7 +74,7 @@ class RowList:
 
     @functools.cached_property
     def fingerprint(self) -> str:
-        """A hash of all values and structures, which are told apart by their numbers."""
+        """A hash of all values and structures; structures are distinguished by their numbers."""
         total = hashlib.sha256(json.dumps([*self.values]).encode() + self.structure.astype("<i8").tobytes())
         for column in self.values.values():
             total.update(np.ascontiguousarray(column, "<f8").tobytes())

@@ -110,7 +110,7 @@ def run_sweep(
         spec: a `Sweep`, a dict with the fields of a sweep file, or the path of one.
         out: the directory; see `nermo_mjx.sweep.store`.
         engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
-        progress: called now and then with a `SweepProgress`.
+        progress: called from time to time with a `SweepProgress`.
         notify: called with a sentence when something takes long (compilation).
         warn: called with a sentence when something in the directory is damaged, and is run again.
         chunk: rows simulated and stored together; a directory keeps the size it was begun with.
@@ -122,7 +122,7 @@ def run_sweep(
             used. The result is that of this sweep run in one go.
         use: directories of other sweeps whose rows are taken where this sweep has the same ones.
         simulate: whether rows that are not there are run.
-        log: trackers that get a line a chunk, `tensorboard` or `mlflow`; each needs the extra of its name.
+        log: trackers that get a line per chunk, `tensorboard` or `mlflow`; each needs the extra of its name.
         workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: stands in for `Simulator(spec.setup, engine)`.
 

@@ -20,7 +20,7 @@ _BLOCK = 65_536
 
 @dataclasses.dataclass(frozen=True)
 class Rows:
-    """Columns of equal length n, one entry a run.
+    """Columns of equal length n, one entry per run.
 
     Attributes:
         variant: index of the variant, (n,) int.
@@ -56,7 +56,7 @@ class Sample:
     and Latin hypercube points come from `scipy.stats.qmc`, scrambled with the sweep's seed, and are the same for all
     structures. The draws of a row, its body among them, are seeded by the sweep's seed, the repeat, and the varied
     parameters: not by the structure, so that runs of two structures have the same draws and can be compared one by one.
-    A grid of millions of rows takes no memory; of a sampler, its points do: one number a variant and axis.
+    A grid of millions of rows takes no memory; of a sampler, its points do: one number per variant and axis.
     """
 
     def __init__(self, sweep: Sweep, shares: np.ndarray | None = None) -> None:

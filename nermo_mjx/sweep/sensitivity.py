@@ -1,4 +1,4 @@
-"""What a metric hangs on: Sobol indices of a sweep's parameters with their intervals, by SALib."""
+"""Sensitivity of a metric: Sobol indices of a sweep's parameters with their intervals, by SALib."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Sensitivity:
     """What `sensitivity` finds.
 
     Attributes:
-        table: one row an index: the varied structures, if there are any; `parameter`, `second` (the other one of a
+        table: one row per index: the varied structures, if there are any; `parameter`, `second` (the other one of a
             pair, else empty), `order` ("first", "total" or "second"), `index`, `low`, `high` (its 95 % interval).
         metric: whose variance it is.
         method: "sobol", or "rbd_fast" where the sample is not of Saltelli's design.
@@ -109,7 +109,7 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
         notes.append(_about_noise(float(np.mean(noises)), method))
     for name in labelled(results):
         columns.add(name, np.array([line[name] for line in lines]), "varied", "1", name, scale="structure")
-    columns.add("parameter", np.array([line["parameter"] for line in lines]), "index", "1", "what the metric hangs on")
+    columns.add("parameter", np.array([line["parameter"] for line in lines]), "index", "1", "varied parameter")
     columns.add("second", np.array([line["second"] for line in lines]), "index", "1", "the other parameter of a pair")
     columns.add("order", np.array([line["order"] for line in lines]), "index", "1",
                 "first: alone; second: of a pair, beyond each alone; total: with all others")  # fmt: skip
@@ -172,7 +172,7 @@ class _Data:
         notes = [f"{int((~good).sum()):,} of {len(good):,} runs fell or were lost, {lost:,} variants with all of "
                  "theirs."] if lost or not good.all() else []  # fmt: skip
         if count.any() and whole <= (1e-12 * np.nanmax(np.abs(means))) ** 2:
-            raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it hangs on nothing.")
+            raise ParameterError(f"metric is {metric!r}, which is the same in all variants: it depends on nothing.")
         noise = float(min(within / whole, 1.0)) if whole > 0 else math.nan
         kept = [name for name, there in zip(names, read, strict=True) if there]
         return cls(kept, inputs[:, read], means, noise, notes)

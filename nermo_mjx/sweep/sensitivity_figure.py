@@ -37,7 +37,7 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     columns = 2 if pairs else min(len(parts), 2)
     rows = len(parts) if pairs else -(-len(parts) // columns)
     size = (5.6 if columns == 1 else 9.6, rows * (0.34 * len(names) + 0.9) + 1.2)
-    page = Page(f"What {titled(metric).lower()} hangs on", size, rows, columns)
+    page = Page(f"What {titled(metric).lower()} depends on", size, rows, columns)
     axes = page.axes.ravel()
     places = iter(axes)
     for part in parts:

@@ -1,4 +1,4 @@
-"""Time series beside a sweep's table: one file a chunk, a row a sample, a column a signal; and the room they take."""
+"""Time series beside a sweep's table: one file per chunk, a row per sample, a column per signal; and their size."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def check_room(sweep: Sweep, out: Path, seconds: np.ndarray, missing: Sequence[n
     Args:
         out: the directory.
         seconds: how long each run of the sweep lasts (rows,) [s].
-        missing: rows of each chunk that is to be run.
+        missing: rows of each chunk to be run.
 
     Raises:
         WrongDirectory: the series of these chunks need more than is free.

@@ -1,4 +1,4 @@
-"""Which metrics of a sweep have a better side, and which one: the usual ones, and those of one's own that say so."""
+"""Which metrics of a sweep have a better direction, and which: built-in metrics, and custom ones that declare it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _SIDES: Final = {"high": "max", "low": "min"}
 
 
 def sides_of(metrics: Mapping[str, Metric]) -> dict[str, str]:
-    """The metrics with a better side, and which one it is.
+    """The metrics with a better direction, and which one it is.
 
     >>> sides_of(METRICS)["speed"]
     'max'

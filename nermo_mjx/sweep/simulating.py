@@ -85,7 +85,7 @@ class BatchSimulator:
         return self._simulator
 
     def __getstate__(self) -> dict[str, Any]:
-        """For another machine, where nobody is told that it compiles."""
+        """For another machine, without the message that it compiles."""
         return self.__dict__ | {"notify": None}
 
     def warm(self) -> None:

@@ -34,7 +34,7 @@ def status(out: Path) -> Status:
     if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
         notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
     complete = done == rows and (out / "summary.json").exists()
-    # The figures need no simulation; the others are told apart by the table's columns.
+    # The figures need no simulation; the others are distinguished by the table's columns.
     go_on = ["plot", str(out)] if complete else ["sweep", str(out / "sweep.yaml"), "--out", str(out)]
     return Status("runs", done, rows, complete, f"nermo-mjx {shlex.join(go_on)}",
                   engine=", ".join(dict.fromkeys(filter(None, engines))) or None, notes=tuple(notes))  # fmt: skip

@@ -3,7 +3,7 @@
 DIR/sweep.yaml                    the resolved sweep
 DIR/controller.py, DIR/metrics.py copies of the files of another controller, and of metrics, if the sweep names them
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
-DIR/results/chunk-00000.parquet   rows of one chunk, written whole or not at all
+DIR/results/chunk-00000.parquet   rows of one chunk, written atomically
 DIR/series/chunk-00000.parquet    time series of the same rows, if the sweep saves any; a chunk is both files
 DIR/recordings/row-000123.npz     rows that are kept (`keeping.py`)
 DIR/manifest.sha256               a digest of each chunk, as `sha256sum` writes it; each shard has a file of its own
@@ -73,7 +73,7 @@ class Store:
     Args:
         out: the directory; made if it does not exist.
         sweep: what the directory is for.
-        shard: (i, n) if this process works on every n-th chunk only, beside others. Without it nobody else may write.
+        shard: (i, n) if this process works on every n-th chunk, alongside others; otherwise no other process may write.
         extend: whether a directory that contains a sweep differing only in its rows may be extended to this one.
 
     Raises:
@@ -159,7 +159,7 @@ class Store:
         return ChunkState(ChunkNote(about[b"engine"].decode(), float(about[b"steps"]), float(about[b"wall_seconds"])))
 
     def write_chunk(self, chunk: int, table: pa.Table, series: pa.Table | None = None) -> None:
-        """Store a chunk whole: whoever looks sees all of it or nothing of it. What is in its place is kept aside.
+        """Store a chunk atomically: readers see all of it or nothing. A file already in its place is moved aside.
 
         Its time series are there before it, so that a chunk that is there has them.
         """

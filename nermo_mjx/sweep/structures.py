@@ -210,7 +210,7 @@ def label_of(written: Any) -> str:
 
 
 def value_of(text: str) -> Any:
-    """What a text of a table stands for in a file: `label_of` backwards, but for scenes of one's own.
+    """What a text of a table stands for in a file: `label_of` backwards, but for custom scenes.
 
     >>> value_of("{arc: {radius: 0.5}}")
     {'arc': {'radius': 0.5}}

@@ -56,8 +56,8 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
     """How fast each variant walks relative to the stiff spine.
 
     Returns:
-        One entry a variant with a run that went well: the varied parameters, `ratio` (speed over the mean speed at
-        amplitude 0, all else but the spine's phase alike; nan without such a run), and `base` (that mean speed).
+        One entry per variant with a run that went well: the varied parameters, `ratio` (speed over the mean speed at
+        amplitude 0, all but the spine's phase equal; nan without such a run), and `base` (that mean speed).
     """
     well = results.well
     columns = results.columns(["variant", LEADING, *columns_of(results, "varied")])
@@ -143,8 +143,8 @@ def _correlation(parameter: np.ndarray, speed: np.ndarray) -> float:
 
 
 def _spine_ratio(values: Mapping[str, np.ndarray], speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Speed over speed at amplitude 0, all else but the spine's phase alike, and that speed at amplitude 0."""
-    group = np.zeros(len(speed), int)  # a number for all that is alike
+    """Speed over speed at amplitude 0, all but the spine's phase equal, and that speed at amplitude 0."""
+    group = np.zeros(len(speed), int)  # a number for each group of equal rows
     for name, column in values.items():
         if name not in ("spine", "spine.amplitude", "spine.phase"):
             distinct, place = np.unique(column, return_inverse=True)

@@ -38,7 +38,7 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
 
 
 def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, ...], remark: str) -> Figure:
-    """Two metrics with a better side against each other; the named points have their parameters below."""
+    """Two metrics with a better direction against each other; the named points have their parameters below."""
     x, y = points.metrics[first], points.metrics[second]
     best = front(cost(x.side, x.values), cost(y.side, y.values))
     named = best[named_points(x.values[best], y.values[best])]

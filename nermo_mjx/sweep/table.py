@@ -1,4 +1,4 @@
-"""The result table: one row a run, and in each column's metadata its unit, its meaning and its role.
+"""The result table: one row per run, and in each column's metadata its unit, its meaning and its role.
 
 Roles: `index` (row, variant, repeat, seed, body), `varied`, `randomized`, `metric`, `status`, `code`. A varied
 structure is a column of texts whose `scale` is `structure`; a varied parameter is null where nothing reads it.

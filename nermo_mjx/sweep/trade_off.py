@@ -22,7 +22,7 @@ _WIDTH: Final = 7.2
 def front(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Places of the points that no other point beats, in the order of x.
 
-    A point is beaten by one that is at least as good in both and better in one. Points alike in both count once.
+    A point is dominated by one that is at least as good in both and better in one. Points equal in both count once.
 
     Args:
         x, y: (n,) costs, less is better; a point with a NaN is left out.

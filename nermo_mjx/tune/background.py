@@ -57,7 +57,7 @@ def simulate(
     simulator: SimulatorLike,
     progress: Callable[[float], None] | None = None,
 ) -> pa.Table:
-    """Walk the grid; one row a point: its parameters, the objective, the metrics that it reads, and the status.
+    """Walk the grid; one row per point: its parameters, the objective, the metrics that it reads, and the status.
 
     Args:
         others: values of the tuned parameters that are not on the grid.

@@ -15,8 +15,8 @@ from nermo_mjx.tune.spec import Tuning
 
 #: Worlds of the probe: two cores are busy with them.
 _WORLDS: Final = 16
-#: How much slower MJX runs on a CPU than MuJoCo C, with so many worlds or more, and with fewer in proportion
-#: (docs/benchmarks: 14 simulated seconds a second, and 3.5 with one world, against 136).
+#: How much slower MJX runs on a CPU than MuJoCo C, with this many worlds or more, and with fewer in proportion
+#: (docs/benchmarks: 14 simulated seconds per second, and 3.5 with one world, against 136).
 MJX_SLOWER: Final = 10.0
 MJX_WORLDS: Final = 4
 
@@ -49,7 +49,7 @@ def costs_of(tuning: Tuning) -> list[MethodCost]:
 
 
 def pace_here(tuning: Tuning) -> float:
-    """Simulated seconds a second on the engine `c`, measured now."""
+    """Simulated seconds per second on the engine `c`, measured now."""
     return pace(Simulator(tuning.setup, "c"), tuning.setup, _WORLDS)
 
 

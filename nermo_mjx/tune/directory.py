@@ -4,7 +4,7 @@ DIR/tuning.yaml       the resolved tuning
 DIR/recording.npz     what it compares with, if it does: a copy, so that the directory can be moved
 DIR/run.json          which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/      Orbax checkpoints, the newest few
-DIR/history.parquet   one row an iteration and start
+DIR/history.parquet   one row per iteration and start
 DIR/best.json         the best point and what it cost to find
 DIR/tuned.yaml        a sweep file with the best point's values
 DIR/plots/            figures, and the landscape behind the paths

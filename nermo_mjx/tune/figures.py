@@ -58,7 +58,7 @@ def objective_figure(traces: Traces) -> Figure:
 
 
 def parameters_figure(traces: Traces) -> Figure:
-    """Each parameter over the iterations, in its unit, with its bounds; a periodic one goes on beyond them."""
+    """Each parameter over the iterations, in its unit, with its bounds; a periodic one continues beyond them."""
     tuned = traces.tuning.tuned[:MOST_PANELS]
     left_out = len(traces.tuning.tuned) - len(tuned)
     note = f"{_what(traces)}; dashed: bounds, or where a periodic parameter has gone round; star: best"

@@ -1,4 +1,4 @@
-"""CMA-ES as the steps of a tuning: an iteration is a generation, rebuilt from the history when it goes on."""
+"""CMA-ES as the steps of a tuning: an iteration is a generation, rebuilt from the history on resuming."""
 
 from __future__ import annotations
 

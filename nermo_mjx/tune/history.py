@@ -1,4 +1,4 @@
-"""The history of a tuning: one row an iteration and start; in each column's metadata its unit, meaning and role.
+"""The history of a tuning: one row per iteration and start; in each column's metadata its unit, meaning and role.
 
 Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `error` (of the gradient), `weight` (of the
 first order in a mixture), `metric`, `status` (ok, discarded), `effort` (simulated_seconds, wall_seconds), `code`. A
@@ -23,7 +23,7 @@ from nermo_mjx.tune.tuner import Iterate
 
 #: The file in a tuning's directory.
 FILE: Final = "history.parquet"
-#: The column that no two runs have alike.
+#: The column that differs from run to run.
 WALL: Final = "wall_seconds"
 
 

@@ -30,7 +30,7 @@ def objective_metrics(metrics: Mapping[str, Metric] = METRICS) -> dict[str, Metr
     return aims | {TRAJECTORY_ERROR: TRAJECTORY_METRIC}
 
 
-#: What a term may name where no metric is one's own.
+#: What a term may name without custom metrics.
 OBJECTIVE_METRICS: Final = objective_metrics()
 
 

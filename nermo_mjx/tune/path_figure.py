@@ -154,7 +154,7 @@ def _copies(traces: Traces, paths: list[np.ndarray], ends: list[np.ndarray], sta
 def _draw_path(
     ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float], *, leading: bool
 ) -> None:
-    """One start's way, from a ring to a dot; a way over a periodic bound goes on at the other side."""
+    """One start's path, from a ring to a dot; a path across a periodic bound continues at the other side."""
     width, layer = (1.6, 5) if leading else (0.9, 4)
     halo: list[Any] = [withStroke(linewidth=width + 1.5, foreground=INK)]
     for turn in copies:

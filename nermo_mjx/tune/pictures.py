@@ -90,7 +90,7 @@ class Painter:
         return background.background_of(tuning, table), []
 
     def _video(self, start: Mapping[str, Any], best: Mapping[str, Any]) -> tuple[Path | None, list[str]]:
-        """The video, as kept or made anew."""
+        """The video, as kept or newly made."""
         from nermo_mjx.tune.video import check, shoot
 
         path = self.directory.out / VIDEO

@@ -28,7 +28,7 @@ _LEAST_SPREAD: Final = (1e-3, 1e-2)
 
 
 class WalkProblem:
-    """Implements `evaluation.Problem` for a tuning file; one world a point."""
+    """Implements `evaluation.Problem` for a tuning file; one world per point."""
 
     def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
         """

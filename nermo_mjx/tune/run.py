@@ -1,4 +1,4 @@
-"""Run a tuning: go on from its directory's newest checkpoint, step until the iterations are done, keep the best."""
+"""Run a tuning: resume from its directory's latest checkpoint, step until the iterations are done, keep the best."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def run_tuning(
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
     more is gained (`nermo_mjx.tune.stopping`); every evaluation is one batch of starts x (1 + samples) worlds. After
-    each, the state is stored: whoever kills the process loses the iteration in flight, and the tuning that goes on ends
+    each, the state is stored: killing the process loses the iteration in flight, and the resumed tuning ends
     with the same numbers, bit for bit, on the same machine. What is best is walked again by the engine `c`, from starts
     that the tuning has not seen (`nermo_mjx.tune.verifying`).
 

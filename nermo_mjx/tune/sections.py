@@ -59,7 +59,7 @@ class TunedFields(Fields):
 
 
 class _Metrics(Choice):
-    """A metric that a term may name: one of every run's, or of one's own."""
+    """A metric that a term may name: a built-in or a custom one."""
 
     def check(self, value: Any) -> str:
         return Choice(tuple(objective_metrics(MEASURED.get()))).check(value)
@@ -69,7 +69,7 @@ class _Metrics(Choice):
 
 
 _Metric = Annotated[str, _Metrics(tuple(OBJECTIVE_METRICS))]
-#: Schema of a term of a file without metrics of one's own.
+#: Schema of a term of a file without custom metrics.
 KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} for aim in AIMS}}
 
 

@@ -177,7 +177,7 @@ class Tuning(WalkSpec):
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
 
-        How many iterations there are, figures and video do not count: a tuning can be prolonged.
+        The number of iterations, figures and video do not count: a tuning can be extended.
 
         Raises:
             SpecError: the recording cannot be read.
@@ -232,7 +232,7 @@ def _check_together(doc: Document, tuning: Tuning) -> None:
 
 
 def _check_length(doc: Document, tuning: Tuning) -> None:
-    """A run of so many cycles lasts the longer, the lower its frequency."""
+    """A run of a given number of cycles lasts longer at a lower frequency."""
     low = {each.name: each.low for each in tuning.tuned}.get("frequency")
     if low is None or "frequency" not in tuning.setup.timing or tuning.run.duration is not None:
         return

@@ -23,7 +23,7 @@ def why_done(tuning: Tuning, log: Log) -> str | None:
     if len(log) > tuning.iterations or not stalled(tuning, log):
         return None
     return (f"It stopped after {len(log) - 1} of {tuning.iterations} iterations: the last {tuning.patience} gained "
-            f"less than {NOTHING:.0%} of all that was gained; a longer patience goes on.")  # fmt: skip
+            f"less than {NOTHING:.0%} of the total gain; a longer patience continues.")  # fmt: skip
 
 
 def stalled(tuning: Tuning, log: Log) -> bool:

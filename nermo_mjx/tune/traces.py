@@ -80,7 +80,7 @@ class Traces:
         return shown(name, about["unit"], values)
 
     def unwrapped(self, tuned: Tuned) -> np.ndarray:
-        """Values of a parameter (n, starts) in its own unit; a periodic one goes on beyond its bounds."""
+        """Values of a parameter (n, starts) in its own unit; a periodic one continues beyond its bounds."""
         values = self.column(tuned.name)
         return np.unwrap(values, axis=0, period=tuned.high - tuned.low) if tuned.periodic else values
 

@@ -20,7 +20,7 @@ from nermo_mjx.tune.state import TuneState
 
 @dataclasses.dataclass(frozen=True)
 class Iterate:
-    """What an iteration found at the points it began with; numpy arrays, one entry a start.
+    """What an iteration found at the points it began with; numpy arrays, one entry per start.
 
     Attributes:
         points: parameters in their own units (starts, p).

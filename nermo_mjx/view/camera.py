@@ -64,7 +64,7 @@ def smooth_path(points: Float[np.ndarray, "F 3"], interval: float) -> Float[np.n
 
 
 def body_radius(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> tuple[Float[np.ndarray, " 3"], float]:
-    """Centre [m] and radius [m] of what hangs on the root body and is drawn, in the pose of `data`."""
+    """Centre [m] and radius [m] of everything visible that is attached to the root body, in the pose of `data`."""
     shown = (model.body_rootid[model.geom_bodyid] == model.body_rootid[root]) & (model.geom_group < 3)
     if root == 0 or not shown.any():
         return np.array(model.stat.center), float(model.stat.extent)

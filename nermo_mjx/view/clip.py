@@ -26,7 +26,7 @@ class Detail:
 
     Attributes:
         most: samples at most; of a longer run every second, third, ... one.
-        rate: samples a second at most [Hz].
+        rate: samples per second at most [Hz].
         length, turn, force: what places [m], quaternions and forces [N] are rounded to; 0 is as fine as 16 bits allow.
         curve: the same of curves, as a share of their range.
     """

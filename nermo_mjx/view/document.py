@@ -39,7 +39,7 @@ class Page:
     recordings: int = 0
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the page to a file, at once or not at all.
+        """Write the page to a file, atomically.
 
         Raises:
             RecordingError: it cannot be written.

@@ -18,14 +18,14 @@ PAPER: Final = 255
 
 
 def strip(width: int, height: int) -> Figure:
-    """An empty figure of so many pixels."""
+    """A blank figure of the given size in pixels."""
     figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def write(figure: Figure, x: float, y: float, text: str, **style: Any) -> None:
-    """Write a text whose upper left corner is so many pixels from that of the figure."""
+    """Write a text whose upper left corner is at the given pixels from that of the figure."""
     width, height = figure.get_size_inches() * DPI
     figure.text(x / width, 1 - y / height, text, **({"va": "top", "color": INK} | style))
 

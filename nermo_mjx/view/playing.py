@@ -123,7 +123,7 @@ def write_keyframes(
         recording: what is written.
         path: the file.
         robot: that was recorded; by default assembled from the recording's setup.
-        rate: keyframes a second [Hz]; the nearest samples are taken.
+        rate: keyframes per second [Hz]; the nearest samples are taken.
 
     Raises:
         ParameterError: the rate is not allowed, or gives too many keyframes.

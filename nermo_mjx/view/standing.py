@@ -1,4 +1,4 @@
-"""When a foot of a recording stands, for every picture alike."""
+"""When a foot of a recording is in stance, the same for all figures."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Strip:
         self.begin, self.end = float(recording.time[0]), float(recording.time[-1])
         self._panels, self._width = panels, width
         shown = min(PAST + AHEAD, max(self.end - self.begin, 1e-3))
-        self._rate = (width - MARGIN) / shown  # pixels a second
+        self._rate = (width - MARGIN) / shown  # pixels per second
         self.height = sum(panel.height + GAP for panel in panels) + SCALE
         self.height += self.height % 2
         self._column = self._draw_column()

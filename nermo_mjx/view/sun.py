@@ -1,4 +1,4 @@
-"""The sun of MuJoCo's pictures: overhead, and above the robot wherever it walks."""
+"""The sun in MuJoCo's images: overhead, following the robot."""
 
 from __future__ import annotations
 

@@ -161,7 +161,7 @@ def _cases(settings: Settings) -> Iterator[Lift]:
 
 
 def _parameters(values: Mapping[str, Any]) -> tuple[ModelParameters, Spine]:
-    """Checked parameters of the body, and of the spine's controller; each is a number, or has one value a world."""
+    """Checked parameters of the body, and of the spine's controller; each is a number, or has one value per world."""
     for name in values:
         choice("values", name, sorted(SETTABLE))
     given = {name: np.asarray(value, float) for name, value in values.items()}

@@ -73,10 +73,10 @@ class Candidates:
         self.best_figures: dict[str, float] = {}
 
     def evaluate(self, points: np.ndarray) -> np.ndarray:
-        """Objective of points (n, d) of the unit cube, (n,); batches are as alike in size as they can be.
+        """Objective of points (n, d) of the unit cube, (n,); batches are as equal in size as possible.
 
         Raises:
-            WorkersLost: nobody is left who walks; what was walked is remembered.
+            WorkersLost: no worker is left; finished walks are kept.
         """
         blocks = np.array_split(points, -(-len(points) // self.batch))
         walked = self._walk(blocks)

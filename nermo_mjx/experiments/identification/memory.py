@@ -1,4 +1,4 @@
-"""Candidates of an identification on disk: one line a generation, so that a killed search loses no more than that."""
+"""Candidates of an identification on disk: one line per generation, so that a killed search loses no more than that."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def run_identification(
     workers: Workers | None = None,
     **wanted: Any,
 ) -> dict[str, Any]:
-    """Identify, and write the result into a directory; a search that was stopped there goes on.
+    """Identify, and write the result into a directory; an interrupted search there is resumed.
 
     Args:
         out: the directory.
@@ -73,7 +73,7 @@ def run_identification(
         ParameterError: wrong arguments, or a directory that holds a finished identification, or another search.
         OtherCode: other code made the candidates that the directory holds.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
-        WorkersLost: nobody is left who simulates; the same command resumes.
+        WorkersLost: no worker is left; the same command resumes.
     """
     resolve_engine(engine)
     folder = Path(out)
@@ -208,7 +208,7 @@ The contact of the soles is that of the author's model.
 ## Published speeds
 
 {targets}
-A residual is a deviation in tolerances: 1 is as far as was called acceptable beforehand.
+A residual is a deviation in units of the tolerance: 1 is the deviation declared acceptable beforehand.
 
 ## Parameters
 

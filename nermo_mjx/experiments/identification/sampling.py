@@ -101,7 +101,7 @@ def sample(
     seed: int,
     seeds: np.ndarray | None = None,
 ) -> Sample:
-    """Sample the region; ends when `size` points' worth of it is known, or after so many sweeps.
+    """Sample the region; ends when `size` points' worth of it is known, or after the given number of sweeps.
 
     Args:
         evaluate: objective of points (n, d), (n,).
@@ -178,7 +178,7 @@ def _mixture(
 
 
 def _weights(points: np.ndarray, mixtures: list[_Mixture]) -> np.ndarray:
-    """The prior's density, 1, over the mean of those the points were proposed with; sweeps are alike large."""
+    """The prior's density, 1, over the mean proposal density; sweeps are of equal size."""
     proposed = np.ones(len(points))
     for mixture in mixtures:
         proposed += mixture.density(points)

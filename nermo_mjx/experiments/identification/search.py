@@ -56,7 +56,7 @@ class Search:
         samples: of the Sobol sequence.
         generations, population: of CMA-ES; as many candidates as a population are simulated together throughout.
         bodies: of the ensemble, the best one included; 0 leaves it out.
-        sweeps: of the ensemble, at most; each tries as many candidates as there are to be bodies.
+        sweeps: of the ensemble, at most; each tries as many candidates as bodies are requested.
         tolerance: objective that a body of the ensemble may have.
         seed: of all three; the start of the walks is the same for all candidates.
 
@@ -98,7 +98,7 @@ def identify(
             is judged in the order of the batches.
 
     Raises:
-        WorkersLost: nobody is left who simulates.
+        WorkersLost: no worker is left.
     """
     import cma
 

@@ -30,7 +30,7 @@ DRAWERS: Final[dict[str, Drawer]] = {
 def figures_of(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
     """(EXPERIMENT-PICTURE, figure) of each picture of which the outcome has something to show.
 
-    What it does not have (a profile, a case, a recording) is left out of the pictures.
+    Missing parts (a profile, a case, a recording) are left out of the figures.
 
     Args:
         outcome: of the experiment.

@@ -17,9 +17,9 @@ from scipy import stats
 
 #: Resamples; the same ones in each call, so that the same table gives the same intervals.
 RESAMPLES: Final = 4000
-#: Variants above which their means alone are drawn: so many tell the runs' noise without a second stage.
+#: Variants above which only their means are resampled: that many show the runs' noise without a second stage.
 MANY_VARIANTS: Final = 400
-#: Variants above which nothing is drawn: the resamples of a mean of so many are normal.
+#: Variants above which nothing is resampled: the resampled mean of that many is normal.
 MOST_DRAWN: Final = 10_000
 _LEVEL: Final = 0.95
 #: Numbers of a block of resamples that are held at once.

@@ -50,7 +50,7 @@ class Comparison:
     """What `compare` finds.
 
     Attributes:
-        table: one row a metric, group and other side: `other`, what it is compared with; the columns of the groups
+        table: one row per metric, group and other side: `other`, what it is compared with; the columns of the groups
             (null in the rows over all variants); `metric` and `metric_unit`; base_mean, other_mean, difference, low,
             high, relative, relative_low, relative_high, p, beyond_noise, better, variants, runs_base, runs_other,
             failed_base, failed_other. Each field's metadata has its description.

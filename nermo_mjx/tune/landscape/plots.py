@@ -24,7 +24,7 @@ from nermo_mjx.tune.spec import Tuning
 _SECANTS: Final = ("#fcae12", "#e55c30", "#ba3655", "#781c6d", "#230c4c")  # of the even colour map inferno
 #: Length of a tangent, in distances of two points.
 _TANGENT: Final = 0.8
-#: Slopes further from the middle than so many times the exact ones' spread are cut off.
+#: Slopes further from the middle than this multiple of the exact ones' spread are cut off.
 _CUT: Final = 2.5
 
 

@@ -50,7 +50,7 @@ def evaluate(
     about: dict[str, str],
     batches: Batches,
 ) -> tuple[pa.Table, int]:
-    """Value and gradient at all points, one row a point; and how many of them were evaluated now.
+    """Value and gradient at all points, one row per point; and how many of them were evaluated now.
 
     All batches have one size, the last one is filled up with its last point: one program is compiled.
 
@@ -94,7 +94,7 @@ def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None
     """The table of a file; None if there is none.
 
     Args:
-        wanted: what it is to be of, see `identity`; anything if it is None.
+        wanted: the expected identity, see `identity`; any if it is None.
 
     Raises:
         DirectoryError: it is another one's, damaged, or cannot be read now.

@@ -1,7 +1,7 @@
 """Measure a landscape into a directory: the table first, then everything that is made of it.
 
 DIR/landscape.yaml      the resolved tuning whose objective it is
-DIR/landscape.parquet   one row a point: parameters, objective, exact gradient, metrics
+DIR/landscape.parquet   one row per point: parameters, objective, exact gradient, metrics
 DIR/batches/            until the table is whole: what was evaluated so far
 DIR/recording.npz       what the tuning compares with, if it does
 DIR/run.json            which code made it; versions, machine and command of each session that evaluated points
@@ -78,7 +78,7 @@ def run_landscape(
 
     Objective and exact slope are found at `points` points of each line, and about nine of them secants of five widths.
     Where the slope equals narrow secants, the derivative is right; where it equals wide ones, it leads somewhere. A
-    directory that holds the points already is not evaluated again; one that holds some of them is gone on with.
+    directory that already contains the points is not evaluated again; one that contains some of them is resumed.
 
     Args:
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer, estimator and

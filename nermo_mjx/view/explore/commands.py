@@ -78,7 +78,7 @@ def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:
     if any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items()):
         return False
     chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene",)}
-    # A scene of one's own is written out, which is no option's value.
+    # A custom scene is written out, which is no option's value.
     if any("<" in value for value in chosen["scene"]):
         return False
     step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
