@@ -25,7 +25,7 @@ _REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one"
 
 
 class RecordingError(ValueError):
-    """A file that is no recording, or one that does not fit the model; the message is one sentence."""
+    """A file that is not a recording, or one that does not fit the model; the message is one sentence."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -266,7 +266,7 @@ def test_wrong_use_is_said_in_a_sentence(swept: Path, dropped: Recording, tmp_pa
     path, _ = atlas(tmp_path / "atlas")
     (path / "atlas.parquet").write_text("damaged")
     cases = [
-        ([swept, file], 2, "is a directory: it has a page of its own"),
+        ([swept, file], 2, "is a directory: it has its own page"),
         ([file, "--recordings", "3"], 2, "--recordings is for the page of a directory"),
         ([swept, "--recordings", "-1"], 2, "-1"),
         ([tmp_path / "empty"], 2, "is not a results directory"),

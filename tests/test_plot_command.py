@@ -143,8 +143,9 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
     result = plot(tmp_path / "empty")
     assert result.exit_code == 2
     assert (
-        "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, published "
-        "experiments, an identification, a comparison, a sensitivity analysis nor benchmarks." in result.stderr
+        "is not a results directory: it contains neither a sweep, a search, a tuning, a training, a landscape, "
+        "published experiments, an identification, a comparison, a sensitivity analysis nor benchmarks."
+        in result.stderr
     )
     assert plot(tmp_path / "missing").exit_code == 2
     shutil.rmtree(sweep / "results")

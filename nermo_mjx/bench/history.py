@@ -1,4 +1,4 @@
-"""The runs that results.jsonl holds: the newest good figures of each measurement, by machine, and what failed since."""
+"""The runs that results.jsonl holds: the latest good figures of each measurement, by machine, and what failed since."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Measured:
 
     Attributes:
         good: its newest line with figures, and in `made` when it was measured and with what; None if there is none.
-        failed: the newest line with an error, if that is newer.
+        failed: the latest line with an error, if that is newer.
     """
 
     good: dict[str, Any] | None = None

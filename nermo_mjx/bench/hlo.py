@@ -118,7 +118,7 @@ class Module:
         return self._known[name]
 
     def loops(self, name: str) -> Iterator[tuple[Loop, float]]:
-        """The loops that a computation runs, those within others, too, and how often each is begun."""
+        """The loops that a computation runs, those within others, too, and how often each is started."""
         for each in self.computations[name].values():
             if each.opcode == "while":
                 loop = each.loop()

@@ -22,7 +22,7 @@ TASKS: Final = ("speed", "transport")
 METHODS: Final = ("exact", "mixture", "cma")
 HELD: Final = {"trt": 0.08, "trt1": 0.06, "lat": 0.06}  # [m/s]
 FREQUENCY: Final = 0.8  # [Hz]
-#: Each seed begins elsewhere: so far from the published gait, as a share of the bounds to both sides.
+#: Each seed begins elsewhere: so far from the published gait, as a fraction of the bounds to both sides.
 ASIDE: Final = 0.1
 #: Of CMA-ES: first standard deviation in the coordinates of tunings, where a range is about 4 wide, and a generation.
 SIGMA: Final = 0.5

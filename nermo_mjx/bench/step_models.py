@@ -135,7 +135,7 @@ def _control_ranges(model: mujoco.MjModel) -> np.ndarray:
 def _moved(
     model: mujoco.MjModel, data: mujoco.MjData, kind: int, share: float
 ) -> tuple[list[np.ndarray], list[tuple[int, int]]]:
-    """States, and (contacts, rows) after each, of a model with controls from such a share of their ranges."""
+    """States, and (contacts, rows) after each, of a model with controls from such a fraction of their ranges."""
     random = np.random.default_rng(0)
     mujoco.mj_resetData(model, data)
     if model.nkey:

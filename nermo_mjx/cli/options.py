@@ -171,7 +171,7 @@ def gait(function: F) -> F:
         number("--spine-phase", "Phase of the stride extension [rad]."),
         number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
         choice("--steering", STEERINGS, "What turns the robot."),
-        number("--offset-compensation", "Rear legs compensate the hip's rise: a fraction, or all of it without a number.",
+        number("--offset-compensation", "Rear legs compensate the hip's rise: a fraction, or all without a number.",
                is_flag=False, flag_value=1.0, metavar="[X]"),
         choice("--trajectory", TRAJECTORIES, "Shape of the foot path; free: with movable points."),
         choice("--head", HEADS, "gaze: the neck keeps the picture still while the torso sways."),

@@ -21,7 +21,7 @@ Examples:
   nermo-mjx status runs/quickstart
   nermo-mjx status runs/published --json
 """
-#: Number of sessions to show, the newest.
+#: Number of sessions to show, the latest.
 _SHOWN = 3
 
 

@@ -3,8 +3,8 @@
 DIR/training.yaml      the resolved training
 DIR/metrics.py         custom metrics, if the evaluation has some: a copy
 DIR/run.json           which code made it; versions, machine and command of each session that worked on it
-DIR/checkpoints/       Orbax checkpoints, the newest few: all that was learned, and the history up to it
-DIR/policy.npz         the policy of the newest checkpoint: a controller
+DIR/checkpoints/       Orbax checkpoints, the latest few: all that was learned, and the history up to it
+DIR/policy.npz         the policy of the latest checkpoint: a controller
 DIR/history.parquet    one row per iteration
 DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
 DIR/summary.json       success, return and speed
@@ -46,7 +46,7 @@ class Directory:
         out: the directory; made if it does not exist.
         training: what the directory is for.
         engine: name of the engine that runs.
-        warn: called with a sentence on each thing that is moved aside.
+        warn: called with a message about each thing that is moved aside.
 
     Raises:
         DirectoryError: the directory holds another training, is in use, or cannot be written.
@@ -126,7 +126,7 @@ class Directory:
             self._checkpoints.save(int(learned.iteration), {"learned": learned, "history": curves.rows}, about)
 
     def publish(self, curves: Curves, units: Mapping[str, str], policy: bytes | None) -> None:
-        """Make history.parquet and policy.npz of the newest checkpoint."""
+        """Make history.parquet and policy.npz of the latest checkpoint."""
         self.held.write(FILE, parquet_bytes(history_table(curves, units, self.training.digest())))
         if policy is not None:
             self.held.write(POLICY, policy)

@@ -32,7 +32,7 @@ class Environment:
 
     On the engine `mjx`, `reset` and `step` are pure functions of arrays, for `jax.jit`, `jax.vmap`, `jax.lax.scan` and
     `jax.grad`, whose derivatives are those of `physics.step`. On `c` they are calls of this machine's processors, the
-    state is NumPy's, and only the newest one can be stepped on. Equal keys and actions give equal numbers, on `c` bit
+    state is NumPy's, and only the latest one can be stepped on. Equal keys and actions give equal numbers, on `c` bit
     for bit, whatever the number of threads.
     """
 

@@ -28,7 +28,7 @@ PANELS: Final = {
     "kl": "change of the\npolicy [nat]", "std": "standard deviation\nof actions [1]", "explained": "variance that the\n"
     "critic explains [%]",
 }  # fmt: skip
-#: Iterations over which a curve is smoothed, as a share of all.
+#: Iterations over which a curve is smoothed, as a fraction of all.
 _SMOOTHING: Final = 0.02
 
 

@@ -34,7 +34,7 @@ from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.shapes import Array, Count, Scalar
 
-#: What a file says that it is, and the newest form of it that is read.
+#: What a file says that it is, and the latest form of it that is read.
 KIND: Final = "nermo-mjx policy"
 FORM: Final = 1
 #: What an action does, by the name in files.

@@ -100,10 +100,10 @@ def run_training(
         spec: a `Training`, a dict with the fields of a training file, or the path of one.
         out: the directory; see `nermo_mjx.learn.directory`.
         engine: of the environment; `auto` is `c` on a machine without a GPU, and `mjx` for exact gradients.
-        environment: stands in for that of the training; then there is neither a policy's file nor an evaluation.
+        environment: replaces that of the training; then there is neither a policy's file nor an evaluation.
         progress: called before the first iteration and after each.
         evaluating: called with the share of the evaluation that is done.
-        warn: called with a sentence on each thing that is moved aside.
+        warn: called with a message about each thing that is moved aside.
         accept_new_code: resume a directory that other code started.
         log: trackers, see `nermo_mjx.runs.trackers`.
 

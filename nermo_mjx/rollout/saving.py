@@ -95,7 +95,7 @@ class Series:
     Attributes:
         time: of the samples, since the start [s].
         values: name of a signal -> (n, samples), float32.
-        count: samples of each world (n,): until its run ends, or its numbers are lost.
+        count: samples of each world (n,): until its run ends, or it diverges.
     """
 
     time: Float[np.ndarray, " samples"]

@@ -183,7 +183,7 @@ class Setup:
                 )
 
     def _check_metrics(self) -> None:
-        """Refuse what is no metric, and names that are taken."""
+        """Refuse what is not a metric, and names that are taken."""
         for each in self.metrics:
             if not isinstance(each, (str, OwnMetric)):
                 raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")

@@ -18,9 +18,9 @@ import orbax.checkpoint as ocp
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.runs.files import DirectoryError, replace_file
 
-#: Bytes that must be free for a checkpoint to be begun.
+#: Bytes that must be free for a checkpoint to be started.
 ROOM: Final = 1 << 18
-#: Checkpoints that are kept; all but the newest are there for the case that it is damaged.
+#: Checkpoints that are kept; all but the latest are there for the case that it is damaged.
 KEPT: Final = 3
 #: Parts of a checkpoint by name, each a pytree of arrays, and what it says of itself.
 Parts = Mapping[str, Any]
@@ -83,7 +83,7 @@ class Checkpoints:
         Args:
             like: parts of the same shapes, for what a checkpoint says of itself; it raises a `DirectoryError` where
                 that is of something else.
-            warn: called with a sentence on each checkpoint that is moved aside.
+            warn: called with a message about each checkpoint that is moved aside.
 
         Raises:
             DirectoryError: one cannot be read now, or `like` refuses it; nothing has been changed.

@@ -74,7 +74,7 @@ class RayWorkers:
     Args:
         address: of the cluster, "ADDRESS:PORT" or "auto"; by default that in `$RAY_ADDRESS`, or else one of this
             machine alone is started, and ended with the `with` statement.
-        say: called with a sentence when a node is not used, or a worker is lost.
+        say: called with a message if a node is not used, or a worker is lost.
         patience: seconds to wait for a node while there is none.
 
     Raises:
@@ -149,7 +149,7 @@ class RayWorkers:
         return self._stamp
 
     def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
-        """See `Workers`; how far a task is remains unknown until it is done."""
+        """See `Workers`; the progress of a task remains unknown until it is done."""
         coming, again, lost = iter(tasks), collections.deque[tuple[int, Any]](), collections.Counter[int]()
         self._seen = time.monotonic()
         try:

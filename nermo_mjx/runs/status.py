@@ -19,7 +19,7 @@ class Status:
         unit: what its rows are, such as "runs".
         rows_done: rows that it holds.
         rows: rows that it will have; None while that is decided by what is found.
-        complete: whether all that it was begun for is there.
+        complete: whether all that it was started for is there.
         command: that resumes it, or redraws the figures if nothing is left to do; empty if unknown.
         engine: that made the rows; None if it is not known.
         code: short names of what made the rows, where the directory has no codes of its own.

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from nermo_mjx.runs.code import CodeStamp
 
-#: Told how far a task is: its key, and the share done, 0 to 1.
+#: Told the progress of a task: its key, and the share done, 0 to 1.
 Tell = Callable[[int, float], None]
 
 
@@ -55,7 +55,7 @@ class Workers(Protocol):
 
         Args:
             tasks: each with a key of its own.
-            tell: is told how far a task is, where that is known.
+            tell: is told the progress of a task, where that is known.
 
         Raises:
             TaskFailed: a task cannot be computed.

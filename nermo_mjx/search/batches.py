@@ -44,7 +44,7 @@ from nermo_mjx.sweep.table import chunk_table
 
 SEARCH: Final = "search.yaml"
 MANIFEST: Final = "manifest.sha256"
-#: How far points of a stored batch may be from those that are asked for, as a share of the bounds: another machine's
+#: How far points of a stored batch may be from those that are asked for, as a fraction of the bounds: another machine's
 #: eigenvectors differ in their last digits.
 APART: Final = 1e-6
 #: Column of a gradient: `gradient.METRIC.PARAMETER`; of the objective, METRIC is `quality`.
@@ -69,7 +69,7 @@ class Batches:
 
     Args:
         out: the directory; made if it does not exist.
-        search: what the directory is for; `search.batch` is what it was begun with, once it is entered.
+        search: what the directory is for; `search.batch` is what it was started with, once it is entered.
 
     Raises:
         DirectoryError: the directory holds another search, is in use, or cannot be written.
@@ -94,7 +94,7 @@ class Batches:
         self.directory.__exit__()
 
     def begun_batch(self) -> int | None:
-        """The size of batches that the directory was begun with; None if it is new."""
+        """The size of batches that the directory was started with; None if it is new."""
         return begun.batch if (begun := self._begun()) is not None else None
 
     def claim(self, search: Search) -> None:
@@ -219,7 +219,7 @@ class Batches:
         return True
 
     def _begun(self) -> Search | None:
-        """The search that the directory was begun for, if it was."""
+        """The search that the directory was started for, if it was."""
         path = self.out / SEARCH
         if not path.exists():
             return None

@@ -54,7 +54,7 @@ def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | Non
 
     Args:
         engine: of the simulator.
-        simulator: stands in for `Simulator(search.setup, engine)`.
+        simulator: replaces `Simulator(search.setup, engine)`.
 
     Raises:
         ParameterError: an unknown engine, or a library that is missing.

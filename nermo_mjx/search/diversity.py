@@ -14,7 +14,7 @@ from nermo_mjx.search.scoring import Scores, cells_of
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
 
-#: First standard deviation of CMA-ME, as a share of the bounds; of CMA-MEGA, of the gradients' coefficients, and the
+#: First standard deviation of CMA-ME, as a fraction of the bounds; of CMA-MEGA, of the gradients' coefficients, and the
 #: length of its steps along them.
 SIGMA: Final = 0.15
 COEFFICIENT_SIGMA: Final = 0.2

@@ -12,11 +12,11 @@ from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
 from nermo_mjx.tune.generations import strategy
 
-#: First standard deviation, as a share of the bounds.
+#: First standard deviation, as a fraction of the bounds.
 SIGMA: Final = 0.2
 #: Points of the first spread, in batches: of two, the better half of the bounds is known before a step is taken.
 SPREAD: Final = 2
-#: Standard deviation, as a share of the bounds, at which a search has converged: no robot is built more exactly.
+#: Standard deviation, as a fraction of the bounds, at which a search has converged: no robot is built more exactly.
 CONVERGED: Final = 1e-3
 #: Populations grow by this, at most so often.
 GROWTH: Final = 2.0

@@ -21,7 +21,7 @@ class Gradients(Protocol):
     """Jacobians of a batch of runs."""
 
     def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
-        """d (quality, *measures) / d share of the bounds, (runs, 1 + m, p).
+        """d (quality, *measures) / d fraction of the bounds, (runs, 1 + m, p).
 
         Args:
             values: every parameter that the search names, name -> (runs,).

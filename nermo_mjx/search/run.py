@@ -123,14 +123,14 @@ def run_search(
     Args:
         spec: a `Search`, a dict with the fields of a search file, or the path of one.
         out: the directory; see `nermo_mjx.search.batches`.
-        engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
+        engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
         progress: called from time to time with a `SearchProgress`.
-        notify: called with a sentence when something takes long (compilation).
-        warn: called with a sentence on what is damaged, and is run again.
+        notify: called with a message if something takes long (compilation).
+        warn: called with a message about what is damaged, and is run again.
         accept_new_code: resume a directory that other code or another engine started.
         workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
-        simulator: stands in for `Simulator(search.setup, engine)`.
-        gradients: stands in for those of MJX, which `cma_mega` asks for.
+        simulator: replaces `Simulator(search.setup, engine)`.
+        gradients: replaces those of MJX, which `cma_mega` asks for.
 
     Raises:
         SpecError: the search is wrong; nothing has been written.
@@ -276,7 +276,7 @@ class Going:
         return Simulated(metrics, status, sum(each.steps for each in found), seconds)
 
     def _slopes(self, asked: Asked, rows: Rows, gradients: Gradients | None) -> np.ndarray | None:
-        """Gradients of the points that want them, means over their repeats: (g, 1 + m, p) per share of the bounds."""
+        """Gradients of the requested points, means over repeats: (g, 1 + m, p) per fraction of the bounds."""
         if not asked.gradients:
             return None
         search = self._batches.search

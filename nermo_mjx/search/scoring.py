@@ -19,7 +19,7 @@ class Scores:
         measures: (n, m) of an atlas; NaN where a run failed.
         violation: how far the constraints are from holding, (n,), each in units of its bound; 0 where they hold.
         ok: whether all runs walked to the end with finite numbers, (n,).
-        jacobian: of the first g points, d (quality, *measures) / d shares of the bounds, (g, 1 + m, p), where the
+        jacobian: of the first g points, d (quality, *measures) / d fractions of the bounds, (g, 1 + m, p), where the
             quality is minus the cost; None where it was not asked for.
     """
 
@@ -56,7 +56,7 @@ def scores_of(aim: Aim, repeats: int, metrics: Mapping[str, np.ndarray], well: n
 
     Args:
         metrics: name -> (n * repeats,), at least those of the aim.
-        well: which runs went well (n * repeats,).
+        well: which runs succeeded (n * repeats,).
     """
     means = {name: np.asarray(metrics[name], float).reshape(-1, repeats).mean(axis=1) for name in aim.metrics}
     ok: np.ndarray = np.logical_and.reduce(np.asarray(well, bool).reshape(-1, repeats), axis=1)

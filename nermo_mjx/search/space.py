@@ -1,4 +1,4 @@
-"""Coordinates in which a search moves: shares of the bounds, without ends, so that no step leaves them.
+"""Coordinates in which a search moves: fractions of the bounds, without ends, so that no step leaves them.
 
 A bounded parameter is reflected at its bounds: a coordinate of 1.1 is the share 0.9. A periodic one, whose bounds are
 a whole turn apart, comes back at the other side: 1.1 is 0.1.

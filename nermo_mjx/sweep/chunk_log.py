@@ -33,7 +33,7 @@ class ChunkLog:
             self.add(table)
 
     def add(self, table: pa.Table) -> None:
-        """Take a chunk's rows in; only runs that went well count in best and mean."""
+        """Take a chunk's rows in; only successful runs count in best and mean."""
         self._rows += table.num_rows
         self._statuses.update(table.column("status").to_pylist())
         well = pc.equal(table.column("status"), "ok").to_numpy()

@@ -46,8 +46,8 @@ def heat_maps(
 ) -> Figure:
     """One heat map a panel (its title, and a mask of the points in it) on a shared colour scale.
 
-    Points that share a cell are averaged. The best cell of all (the highest, of a metric without a better side) is a
-    star, that of each panel a ring; a cell without a run that went well is hatched grey.
+    Points that share a cell are averaged. The best cell of all (the highest, for a metric without a better direction) is
+    a star, that of each panel a ring; a cell without a successful run is hatched grey.
 
     With `gain`, z is a gain in percent: 0 is white, the scale is symmetric (large losses are cut off
     where they would leave the gains pale), marks carry their value, and only points where `gain` holds are marked.

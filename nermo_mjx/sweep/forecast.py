@@ -94,7 +94,7 @@ def forecast(
     Args:
         out: the directory, which need not be there.
         parts: processes that share the chunks.
-        measure: stands in for the measurement: steps per second of a sweep on an engine.
+        measure: replaces the measurement: steps per second of a sweep on an engine.
 
     Raises:
         DirectoryError, SpecError: the directory holds another sweep, or one named under `use` no rows of such a sweep.

@@ -64,9 +64,9 @@ def record_rows(
         store: of the complete table.
         results: the table.
         keep: which rows.
-        used: what simulated the table in this process, if anything did; a `Simulator` has its programs compiled.
+        used: what simulated the table in this process, if anything; a `Simulator` has its programs compiled.
         check: called often; may raise an interruption. What is recorded until then stays.
-        warn: called with a sentence where a replay does not give the table's numbers, or nothing can be recorded.
+        warn: called with a message if a replay does not give the table's numbers, or nothing can be recorded.
 
     Raises:
         DirectoryError: a file cannot be written.

@@ -55,7 +55,7 @@ class KnownRows:
 
     Args:
         sources: the directories, each with a sweep.yaml and results; a row that is in several is the first one's.
-        warn: called with a sentence where a chunk cannot be used.
+        warn: called with a message if a chunk cannot be used.
         series: whether time series are taken, too; a chunk without undamaged ones is not used.
 
     Raises:

@@ -121,7 +121,7 @@ def listed_rows(
     What a row leaves out has its default.
 
     Raises:
-        SpecError: a value is no number, out of range, or without effect, or a row comes twice.
+        SpecError: a value is not a number, out of range, or without effect, or a row comes twice.
     """
     values = {name: _numbers(table, name, parameters[name]) for name in table.columns if name not in STRUCTURES}
     for at, each in enumerate(structures):

@@ -40,7 +40,7 @@ def merge_sweeps(
         sources: the directories, two at least.
         out: where the result goes.
         accept_new_code: merge what different code made; the table's column `code` tells the rows apart.
-        warn: called with a sentence where a chunk cannot be used.
+        warn: called with a message if a chunk cannot be used.
 
     Raises:
         SpecError: there are less than two, or the result would go into one of them.

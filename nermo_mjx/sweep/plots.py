@@ -34,7 +34,7 @@ MOST_PAIRED = 4
 
 
 def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Iterator[tuple[str, Figure]]:
-    """(file name, figure) of one metric; only runs that went well count. The note of each begins with the remark."""
+    """(file name, figure) of one metric; only successful runs count. The note of each begins with the remark."""
     if not results.well.any():
         return
     z = metric_of(results, metric)

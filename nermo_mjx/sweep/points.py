@@ -23,7 +23,7 @@ class Points:
         parameters: names of what tells the points apart: the varied parameters, or else the randomized ones.
         rows: a row of each point, (n,), which has its parameters.
         metrics: name -> (n,), as shown; NaN where no run had the number.
-        runs: how many runs went well.
+        runs: how many runs succeeded.
     """
 
     results: Results
@@ -53,7 +53,7 @@ class Points:
 
 
 def points_of(results: Results, metrics: Sequence[str]) -> Points:
-    """The points of a table with these metrics; only runs that went well count."""
+    """The points of a table with these metrics; only successful runs count."""
     well, varied = results.well, columns_of(results, "varied")
     columns = results.columns(["variant", *metrics])
     variant = next(columns)[1]
@@ -89,7 +89,7 @@ def alike(values: np.ndarray) -> bool:
 
 
 def metric_of(results: Results, metric: str) -> ShownValues:
-    """A metric as shown, NaN where a run did not go well."""
+    """A metric as shown, NaN where a run failed."""
     return quantity(results, metric, np.where(results.well, results.column(metric), np.nan))
 
 

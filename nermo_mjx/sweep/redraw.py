@@ -1,4 +1,4 @@
-"""The figures of a sweep's directory, from its table alone: the usual ones, or one of columns that a user names."""
+"""The figures of a sweep's directory, from its table alone: the default ones, or one of columns that a user names."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def figures(
     color: str | None = None,
     notify: Callable[[str], None] | None = None,
 ) -> Figures:
-    """The figures of a sweep's directory, as far as it is finished.
+    """The figures of a sweep's directory, as far as it is complete.
 
     Args:
         out: the directory.
-        x, y, color: columns of one figure, see `chosen_figure`; a metric as color alone gives the usual figures of that
-            metric; without any of them, those of the speed are drawn.
-        notify: called with a sentence where the table is not complete.
+        x, y, color: columns of one figure, see `chosen_figure`; a metric as color alone gives the default figures of
+            that metric; without any of them, those of the speed are drawn.
+        notify: called with a message if the table is not complete.
 
     Raises:
         ParameterError: there is no such column.
@@ -73,9 +73,9 @@ def figures(
 def chosen_figure(
     results: Results, x: str, y: str | None = None, color: str | None = None, remark: str = ""
 ) -> Iterator[tuple[str, Figure]]:
-    """(file name, figure) of the named columns, made when it is asked for.
+    """(file name, figure) of the named columns, made on demand.
 
-    Two parameters of a grid give a heat map, two metrics that have a better side a Pareto front, all else a scatter.
+    Two parameters of a grid give a heat map, two metrics with a better direction a Pareto front, all else a scatter.
 
     Args:
         results: the table.
@@ -84,7 +84,7 @@ def chosen_figure(
         remark: what the figure's note begins with.
 
     Raises:
-        ParameterError: there is no such column, or no run that went well.
+        ParameterError: there is no such column, or no successful run.
     """
     for option, name in (("x", x), ("y", y), ("color", color)):
         _check_column(results, name, option)
@@ -104,7 +104,7 @@ def _usual(out: Path, results: Results, metric: str, remark: str) -> Iterator[tu
 
 
 def _check_column(results: Results, name: str | None, option: str) -> None:
-    """Refuse a name that is no parameter and no metric of the table; None is none."""
+    """Refuse a name that is neither a parameter nor a metric of the table; None is accepted."""
     known = columns_of(results, "varied", "randomized", "metric")
     if name is not None and name not in known:
         hint = did_you_mean(name, known)

@@ -1,4 +1,4 @@
-"""One row of a sweep's directory run again by itself, recorded, and compared with the table."""
+"""One row of a sweep's directory rerun on its own, recorded, and compared with the table."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Replay:
         engine: which engine ran.
         metrics: name -> value, as `all_metrics` describes them.
         status: `ok`, `fell` or `diverged`.
-        history: of this one world (n = 1), until the run ends or its numbers are lost; every sample is finite, and
+        history: of this one world (n = 1), until the run ends or it diverges; every sample is finite, and
             there may be none.
         about: the row's metrics, parameters, setup, run, engine and versions, see `RunResult.about`.
         model: of the robot in its scene.
@@ -167,7 +167,7 @@ def replay_row(
 
     Args:
         found: the row.
-        engine: `auto`, `c` or `mjx`; by default the one that the directory was begun with, if there is such a one.
+        engine: `auto`, `c` or `mjx`; by default the one with which the directory was started, if any.
         progress: called with the share done, in [0, 1].
         simulator: that of the row's setup and engine, where there is one already.
 
@@ -197,7 +197,7 @@ def replay_row(
 
 
 def engine_for(found: SweepRow) -> str:
-    """The engine that the row, or else its directory, was begun with; `auto` where that is none of today's."""
+    """The engine that the row, or else its directory, was started with; `auto` if that no longer exists."""
     return found.engine if found.engine in ENGINES else "auto"
 
 

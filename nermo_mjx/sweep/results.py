@@ -24,12 +24,12 @@ _JOINED = 500
 
 
 class Results:
-    """A result table whose columns are read when they are asked for, in the order of its rows.
+    """A result table whose columns are read on demand, in the order of its rows.
 
     Attributes:
         schema: names, types and metadata of the columns, and of the table.
         rows: how many there are.
-        well: which runs went well, (rows,) bool.
+        well: which runs succeeded, (rows,) bool.
         statuses: how often each status occurs.
     """
 
@@ -119,7 +119,7 @@ def digests_of(out: Path) -> dict[str, str]:
 
 
 def read_table(out: str | os.PathLike[str]) -> pa.Table:
-    """The result table of a sweep's directory, as far as it is finished, in the order of its rows.
+    """The result table of a sweep's directory, as far as it is complete, in the order of its rows.
 
     Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status,
     code). Where several releases made the rows, what one of them did not know is null in its rows.

@@ -109,22 +109,22 @@ def run_sweep(
     Args:
         spec: a `Sweep`, a dict with the fields of a sweep file, or the path of one.
         out: the directory; see `nermo_mjx.sweep.store`.
-        engine: engine of the simulator; "auto" is the one that the directory was begun with, if it was.
+        engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
         progress: called from time to time with a `SweepProgress`.
-        notify: called with a sentence when something takes long (compilation).
-        warn: called with a sentence when something in the directory is damaged, and is run again.
-        chunk: rows simulated and stored together; a directory keeps the size it was begun with.
+        notify: called with a message if something takes long (compilation).
+        warn: called with a message if something in the directory is damaged, and is run again.
+        chunk: rows simulated and stored together; a directory keeps the size it was started with.
         shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same however it was split. The
             shard that finds the table complete sums up.
         accept_new_code: resume a directory that other code or another engine started; the table's column `code`
             tells the rows apart.
         extend: if the directory holds a sweep that differs in its rows alone, make it this one; rows that are there are
-            used. The result is that of this sweep run in one go.
+            used. The result is that of running this sweep in a single pass.
         use: directories of other sweeps whose rows are taken where this sweep has the same ones.
         simulate: whether rows that are not there are run.
         log: trackers that get a line per chunk, `tensorboard` or `mlflow`; each needs the extra of its name.
         workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
-        simulator: stands in for `Simulator(spec.setup, engine)`.
+        simulator: replaces `Simulator(spec.setup, engine)`.
 
     Raises:
         SpecError: the sweep is wrong; nothing has been written.

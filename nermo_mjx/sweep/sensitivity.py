@@ -139,7 +139,7 @@ class _Data:
     Attributes:
         names: the parameters.
         inputs: their values, (variants, p).
-        means: the metric's mean over the runs that went well, (variants,); NaN where there is none.
+        means: the metric's mean over the successful runs, (variants,); NaN where there is none.
         noise: share of the variance of the means that the repeats make.
         notes: sentences.
     """

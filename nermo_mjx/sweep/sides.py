@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from nermo_mjx.rollout import METRICS, Metric
 
-#: Metrics with a better side, and which one it is.
+#: Metrics with a better direction, and which one it is.
 OBJECTIVES: Final = {
     "speed": "max",
     "cost_of_transport": "min",
@@ -41,5 +41,5 @@ def sides_in(schema: pa.Schema) -> dict[str, str]:
 
 
 def cost(side: str, values: np.ndarray) -> np.ndarray:
-    """Values of a metric with this better side so that less is better; without one, less where it is higher."""
+    """Values of a metric with this better direction so that less is better; without one, less where it is higher."""
     return {"": -values, "max": -values, "min": values, "nearest zero": np.abs(values)}[side]

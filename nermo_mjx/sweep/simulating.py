@@ -71,8 +71,8 @@ class BatchSimulator:
         Args:
             setup, run: of the sweep.
             engine: name of the engine, never "auto".
-            simulator: stands in for `Simulator(setup, engine)`.
-            notify: called with a sentence when it compiles.
+            simulator: replaces `Simulator(setup, engine)`.
+            notify: called with a message if it compiles.
             save: which time series are kept.
         """
         self.save = save

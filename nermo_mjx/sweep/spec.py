@@ -54,8 +54,8 @@ class Sweep(WalkSpec):
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
         comparison: what is compared when it is; None if nothing is.
-        save: which time series are kept beside the table, if any are.
-        keep: which rows are recorded when the table is complete, if any are.
+        save: which time series are kept beside the table, if any.
+        keep: which rows are recorded when the table is complete, if any.
     """
 
     axes: tuple[Axis, ...]

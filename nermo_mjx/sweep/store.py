@@ -189,7 +189,7 @@ class Store:
             holds = True
 
     def _claim(self) -> None:
-        """Make the directory this sweep's, or refuse. A directory keeps the chunks it was begun with."""
+        """Make the directory this sweep's, or refuse. A directory keeps the chunks it was started with."""
         path = self.out / "sweep.yaml"
         if not path.exists():
             if any(self.results.glob("*.parquet")):

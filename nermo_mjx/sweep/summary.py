@@ -56,7 +56,7 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
     """How fast each variant walks relative to the stiff spine.
 
     Returns:
-        One entry per variant with a run that went well: the varied parameters, `ratio` (speed over the mean speed at
+        One entry per variant with a successful run: the varied parameters, `ratio` (speed over the mean speed at
         amplitude 0, all but the spine's phase equal; nan without such a run), and `base` (that mean speed).
     """
     well = results.well
@@ -70,13 +70,13 @@ def spine_ratio(results: Results) -> dict[str, np.ndarray]:
 
 @dataclasses.dataclass(frozen=True)
 class Variants:
-    """The variants with a run that went well.
+    """The variants with a successful run.
 
     Attributes:
         all: the number of variants, those without such a run included.
         number: index of each, (variants,).
         first: its first run, by its place among those that went well, (variants,).
-        count: its runs that went well, (variants,).
+        count: its successful runs, (variants,).
         place: where the variant of each such run stands here, (runs,).
         values: the varied parameters, name -> (variants,).
     """
@@ -107,7 +107,7 @@ def _spread(values: np.ndarray) -> dict[str, float]:
 
 
 def _best(variants: Variants, values: np.ndarray, side: str) -> dict[str, Any] | None:
-    """The variant with the best mean over its repeats of a metric (runs,) with a better side."""
+    """The variant with the best mean over its repeats of a metric (runs,) with a better direction."""
     mean, std = variants.means(values)
     score = cost(side, mean)
     if not np.isfinite(score).any():

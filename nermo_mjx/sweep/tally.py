@@ -60,7 +60,7 @@ class Tally:
                 self._resumed += self._rows[k] if resumed else 0
 
     def tell(self, chunk: int | None = None, share: float = 0.0) -> None:
-        """Report how far all is, with a share of the chunk that is under way."""
+        """Report the overall progress, including the fraction of the current chunk."""
         if self._listener is None:
             return
         current = 0.0 if chunk is None else self._cost[chunk] * min(max(float(share), 0.0), 1.0)

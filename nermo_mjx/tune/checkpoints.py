@@ -59,7 +59,7 @@ class Checkpoints:
         Args:
             like: a state of the same tuning; its values do not matter.
             accept: take checkpoints that were computed with other defaults.
-            warn: called with a sentence on each checkpoint that is moved aside.
+            warn: called with a message about each checkpoint that is moved aside.
 
         Raises:
             DirectoryError: one cannot be read now, or was computed in another precision, for another tuning, or with

@@ -3,7 +3,7 @@
 DIR/tuning.yaml       the resolved tuning
 DIR/recording.npz     what it compares with, if it does: a copy, so that the directory can be moved
 DIR/run.json          which code made it; versions, machine and command of each session that worked on it
-DIR/checkpoints/      Orbax checkpoints, the newest few
+DIR/checkpoints/      Orbax checkpoints, the latest few
 DIR/history.parquet   one row per iteration and start
 DIR/best.json         the best point and what it cost to find
 DIR/tuned.yaml        a sweep file with the best point's values
@@ -35,7 +35,7 @@ from nermo_mjx.tune.state import TuneState, initial_state
 RECORDING: Final = "recording.npz"
 VIDEO: Final = "video.mp4"
 _TUNING: Final = "tuning.yaml"
-#: What is made from the newest checkpoint.
+#: What is made from the latest checkpoint.
 _MADE: Final = (FILE, "best.json", "tuned.yaml")
 
 
@@ -45,7 +45,7 @@ class Directory:
     Args:
         out: the directory; made if it does not exist.
         tuning: what the directory is for.
-        warn: called with a sentence on each thing that is moved aside.
+        warn: called with a message about each thing that is moved aside.
 
     Raises:
         DirectoryError: the directory holds another tuning, is in use, or cannot be written.
@@ -130,7 +130,7 @@ class Directory:
         return shown is None or (table is not None and table.num_rows <= log.rows[:, :, 0].size)
 
     def _check(self) -> None:
-        """Refuse a directory that was begun for another tuning."""
+        """Refuse a directory that was started for another tuning."""
         if not any(path.name.isdecimal() for path in (self.out / "checkpoints").glob("*")):
             return  # until an iteration is stored, another tuning may take the directory over
         try:

@@ -12,7 +12,7 @@ which exists where F itself is rough or jumps. They use the same pairs, so that 
 
 The zeroth order is the antithetic evolution strategy (Salimans et al., *Evolution strategies as a scalable alternative
 to reinforcement learning*, 2017); the other half of a pair is the baseline that takes the objective's level out of its
-variance. Where only one half of a pair walked to its end, the centre stands in for the other.
+variance. If only one half of a pair completed its walk, the centre replaces the other.
 
 The mixture is alpha * first + (1 - alpha) * zeroth for each parameter, after Suh, Simchowitz, Zhang and Tedrake, *Do
 differentiable simulators give better policy gradients?* (ICML 2022): least variance, subject to a bound on the bias

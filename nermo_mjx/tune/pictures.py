@@ -35,7 +35,7 @@ class Pictures:
 
 @dataclasses.dataclass(frozen=True)
 class Painter:
-    """Makes the pictures of one directory; nothing that it cannot make does harm to the rest.
+    """Makes the images of one directory; a failure of one does not affect the rest.
 
     Attributes:
         directory: where they go.

@@ -39,7 +39,7 @@ def figures_of(tuning: Tuning, history: pa.Table, background: Background | None 
 
 
 def figures(out: Path) -> Figures:
-    """The figures of a tuning's directory, as far as it is finished.
+    """The figures of a tuning's directory, as far as it is complete.
 
     Raises:
         SpecError: its tuning.yaml cannot be read.

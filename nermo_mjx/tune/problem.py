@@ -34,7 +34,7 @@ class WalkProblem:
         """
         Args:
             tuning: what is tuned.
-            reference: stands in for the tuning's recording, whose file need not be there then.
+            reference: replaces the tuning's recording, whose file need not be there then.
 
         Raises:
             ParameterError: the tuning's recording cannot be compared with its walk.
@@ -119,7 +119,7 @@ def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
     """Read a recording as the reference of a walk of `seconds`.
 
     Raises:
-        ParameterError: it is no recording, of another robot, or shorter than the walk; one sentence.
+        ParameterError: it is not a recording, of another robot, or shorter than the walk; one sentence.
     """
     try:
         recording = Recording.load(path)

@@ -112,13 +112,13 @@ def run_tuning(
     Args:
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
         out: the directory; see `nermo_mjx.tune.directory`.
-        problem: stands in for the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
-        simulator: stands in for `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
+        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        simulator: replaces `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
             the paths, and the video; and start and best, from starts that the tuning has not seen
             (`nermo_mjx.tune.verifying`). Where only a problem stands in, there is none of it.
         progress: called before the first evaluation and after each.
         drawing: called with what is being drawn in the end, and the share of it.
-        warn: called with a sentence on each thing that is moved aside.
+        warn: called with a message about each thing that is moved aside.
         accept_new_code: resume a directory that other code started.
         workers: who evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
             several workers numbers differ in their last digits from those of one.

@@ -27,8 +27,8 @@ class SimulatedProblem:
         """
         Args:
             tuning: what is tuned.
-            reference: stands in for the tuning's recording, whose file need not be there then.
-            simulator: stands in for `Simulator(tuning.setup, "c")`.
+            reference: replaces the tuning's recording, whose file need not be there then.
+            simulator: replaces `Simulator(tuning.setup, "c")`.
 
         Raises:
             ParameterError: the tuning's recording cannot be compared with its walk.

@@ -86,7 +86,7 @@ class Tuning(WalkSpec):
         recording: what `trajectory_error` compares with.
         method: by gradient, by differences, or by CMA-ES, whose generations take the place of the starts.
         optimizer, estimator: how an iteration steps, and from which gradient.
-        starts: points that are tuned side by side in one batch; the first is the given one, the others are drawn.
+        starts: points that are tuned in parallel in one batch; the first is the given one, the others are drawn.
         iterations: steps; there is one evaluation more, of what the last step led to.
         patience: iterations that may gain next to nothing before it stops, see `nermo_mjx.tune.stopping`.
         seed: of the other starts, and of the estimator's perturbations.

@@ -78,4 +78,4 @@ class SharedProblem:
 
 
 def _untold(key: int, share: float) -> None:
-    """How far a share of the worlds is does not matter: an iteration ends with the last of them."""
+    """How far a fraction of the worlds is does not matter: an iteration ends with the last of them."""

@@ -28,7 +28,7 @@ class Detail:
         most: samples at most; of a longer run every second, third, ... one.
         rate: samples per second at most [Hz].
         length, turn, force: what places [m], quaternions and forces [N] are rounded to; 0 is as fine as 16 bits allow.
-        curve: the same of curves, as a share of their range.
+        curve: the same of curves, as a fraction of their range.
     """
 
     most: int

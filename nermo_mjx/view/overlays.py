@@ -21,7 +21,7 @@ class Overlay:
 
     Attributes:
         needs: sensors of the recording that it shows.
-        panels: rows of the strip below the picture; None if it is drawn into the scene.
+        panels: rows of the strip below the image; None if it is drawn into the scene.
     """
 
     needs: tuple[str, ...]
@@ -54,7 +54,7 @@ def check_overlays(names: Sequence[str], recording: Recording | None = None) -> 
 
 
 def strips_of(recording: Recording, names: Sequence[str], width: int) -> list[Strip]:
-    """The strips that stand below the picture, from top to bottom."""
+    """The strips that stand below the image, from top to bottom."""
     kinds = [OVERLAYS[name].panels for name in names]
     return [Strip(recording, panels(recording), width) for panels in kinds if panels is not None]
 

@@ -43,7 +43,7 @@ def play(
         robot: that was recorded; by default assembled from the recording's setup.
         speed: 1 is real time, 0.25 a quarter of it.
         loop: begin again at the end.
-        viewer: stands in for `mujoco.viewer`.
+        viewer: replaces `mujoco.viewer`.
 
     Raises:
         ParameterError: speed is not allowed.

@@ -59,10 +59,10 @@ def run_identification(
 
     Args:
         out: the directory.
-        engine: of the simulations; `auto` is the one that the directory was begun with, if it was.
+        engine: of the simulations; `auto` is the one that the directory was started with, if it was.
         accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
         progress: called with the share done.
-        notify: called with a sentence on files that were in the way.
+        notify: called with a message about files that were in the way.
         workers: who simulates; by default this process. The result is the same.
         wanted: of `search.Search`.
 

@@ -21,7 +21,7 @@ from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
-#: Centres that a mixture has at least, as a share of a sweep's points.
+#: Centres that a mixture has at least, as a fraction of a sweep's points.
 _CENTRES: Final = 1 / 8
 #: Share of the first sweep's proposals that are made about the seeds.
 _SEEDED: Final = 0.25

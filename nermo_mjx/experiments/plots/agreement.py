@@ -1,4 +1,4 @@
-"""The numbers of the report as a picture: each as a share of the published one, with the numbers beside it.
+"""The numbers of the report as a picture: each as a fraction of the published one, with the numbers beside it.
 
 Of an effect, a ratio that says how much something changes, the share is that of its size, the ratio less 1.
 """

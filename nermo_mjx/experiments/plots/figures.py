@@ -44,7 +44,7 @@ def figures_of(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, F
 
 
 def figures(out: Path) -> Figures:
-    """The pictures of all experiments that a directory holds.
+    """The images of all experiments that a directory holds.
 
     Raises:
         DirectoryError: it holds no experiment that can be read.

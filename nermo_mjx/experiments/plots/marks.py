@@ -1,4 +1,4 @@
-"""What all pictures of the experiments share: colours by meaning, entries of legends, and marks.
+"""What all images of the experiments share: colours by meaning, entries of legends, and marks.
 
 One colour has one meaning throughout.
 The profile `exact` is drawn in full colour, `as_published` lighter, and what the publication reports in black outline.

@@ -121,7 +121,7 @@ def _beyond_theory(strategy: str) -> Number:
 
 
 def _off_theory(outcome: Outcome, profile: str) -> float:
-    """Mean deviation of the smallest radii from theory, of all gaits, frequencies and strategies, as a share of it."""
+    """Mean relative deviation of the smallest radii from theory, over all gaits, frequencies and strategies."""
     rows = outcome.where(profile=profile, radius=FULL_LOCK, stride=STRIDE, side=_SIDE)
     radius, theory = (np.asarray(outcome.columns[name], float)[rows] for name in ("turning_radius", "theory_radius"))
     return float(np.mean(np.abs(radius / theory - 1.0))) if rows.any() else float("nan")

@@ -164,7 +164,7 @@ OF_ALL_RUNS = ("fell", "diverged")
 
 
 def differences(pairing: Pairing, metrics: Sequence[str]) -> Differences:
-    """Compare the metrics of a pairing. Runs that did not go well count in `fell` and `diverged` alone."""
+    """Compare the metrics of a pairing. Failed runs count in `fell` and `diverged` alone."""
     sides = (pairing.base, pairing.other)
     well = [side.arm.results.well[side.arm.rows] for side in sides]
     found: list[_Found] = []

@@ -26,7 +26,7 @@ class Batches:
         wanted: the landscape's key; batches of another one are not touched.
         size: of a batch; another machine's differ.
         code: short name of the code that evaluates here.
-        warn: called with a sentence on each batch that is moved aside.
+        warn: called with a message about each batch that is moved aside.
     """
 
     def __init__(

@@ -23,7 +23,7 @@ class Secants:
     """Secants of one width on one line, one a centre; those with an end at which the robot fell are left out.
 
     Attributes:
-        share: width as a share of the parameter's bounds.
+        share: width as a fraction of the parameter's bounds.
         width: distance of the ends, in the parameter's unit.
         centre: middles (k,), in the parameter's unit.
         secant: slopes of the secants (k,).

@@ -47,7 +47,7 @@ def plan(tuning: Tuning, points: int, span: float) -> Plan:
 
     Args:
         points: of each line, ends included.
-        span: length of each line, as a share of the bounds; shorter ones lie about the start.
+        span: length of each line, as a fraction of the bounds; shorter ones lie about the start.
     """
     start = np.array([each.start for each in tuning.tuned])
     rows: list[tuple[float, int, int, float, int]] = []

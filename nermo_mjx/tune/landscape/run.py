@@ -84,11 +84,11 @@ def run_landscape(
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer, estimator and
             further starts do not matter.
         out: the directory.
-        problem: stands in for the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
         points: of each line, 5 or more.
-        span: length of the lines as a share of the bounds, in (0, 1]; shorter lines lie about the start.
+        span: length of the lines as a fraction of the bounds, in (0, 1]; shorter lines lie about the start.
         progress: called with the points done, and all of them.
-        warn: called with a sentence on each thing that is moved aside.
+        warn: called with a message about each thing that is moved aside.
         accept_new_code: reuse points that other code evaluated.
 
     Raises:

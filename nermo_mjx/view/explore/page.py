@@ -50,7 +50,7 @@ def explore(
         path: the directory; it is only read, and may be unfinished.
         recordings: how many go into the page at most; of more, evenly from the best to the worst.
         height: in a notebook [pixels].
-        notify: called with a sentence on each thing that is left out.
+        notify: called with a message about each thing that is left out.
 
     Raises:
         DirectoryError: it is no such directory, or holds no runs yet, or they cannot be read.

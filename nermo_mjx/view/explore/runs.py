@@ -60,7 +60,7 @@ class Column:
         return np.unique(self.values if self.is_text else self.values[np.isfinite(self.values)])
 
     def cost(self) -> np.ndarray:
-        """Its values so that less is better; of one without a better side, less where it is higher."""
+        """Its values so that less is better; of one without a better direction, less where it is higher."""
         signed = {"low": self.values, "zero": np.abs(self.values)}.get(self.better, -self.values)
         return np.where(np.isfinite(signed), signed, np.inf)
 

@@ -24,7 +24,7 @@ def figures_of(
 
     Args:
         recording: what it does not have is left out.
-        notify: called with a sentence on each figure that cannot be drawn.
+        notify: called with a message about each figure that cannot be drawn.
         robot: that was recorded; by default assembled from the recording's setup.
     """
     for name, figure in _figures(Walk(recording), robot):
