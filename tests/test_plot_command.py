@@ -160,7 +160,7 @@ def test_what_has_no_figures_says_why(sweep: Path, tmp_path: Path) -> None:
         assert "cannot be read" in result.stderr
     fallen = tmp_path / "fallen"
     run_sweep(SPEC, fallen, simulator=FakeSimulator(falls_above=0.0))
-    assert "no run went well" in plot(fallen).stderr
+    assert "no run succeeded" in plot(fallen).stderr
     single = tmp_path / "single"
     run_sweep({"vary": {"frequency": [0.5]}, "plots": False}, single, simulator=FakeSimulator())
     assert "all its parameters have one value" in plot(single).stderr

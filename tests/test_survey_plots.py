@@ -227,7 +227,7 @@ def test_a_column_that_is_none_is_refused_with_the_nearest() -> None:
     with pytest.raises(ParameterError, match=r"y is 'rol_std', no column of the table; did you mean 'roll_std'\?"):
         chosen_figure(Results(table()), "speed", "rol_std")
     fallen = table().filter(pa.compute.equal(table().column("status"), "fell"))
-    with pytest.raises(ParameterError, match="no run of the table went well"):
+    with pytest.raises(ParameterError, match="no run in the table succeeded"):
         chosen_figure(Results(fallen), "speed", "slip")
 
 

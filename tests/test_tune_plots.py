@@ -355,7 +355,7 @@ def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
     """A corner of the bounds past the legs' workspace costs the background, and nothing else."""
     result = again(FakeWalker(error=ParameterError("stride is 1.5: the legs cannot reach so far.")))
     first, note = result.pictures.notes
-    assert first.startswith("Start and best are not walked again: stride is 1.5")
+    assert first.startswith("Start and best are not verified: stride is 1.5")
     assert note.startswith("There is no landscape behind the paths, ")
     assert note.endswith("stride is 1.5: the legs cannot reach so far.")
     assert undrawn == [None]

@@ -140,7 +140,7 @@ def table_of(batch: Worlds, result: RunResult) -> tuple[dict[str, np.ndarray], d
     """See `measured`."""
     columns = {**batch.labels, **result.metrics, "status": result.status}
     about = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
-    return columns, about | {"status": Column("1", "ok, or what became of the run")}
+    return columns, about | {"status": Column("1", "ok, or how the run ended")}
 
 
 def recordings_of(

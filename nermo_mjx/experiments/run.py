@@ -121,7 +121,7 @@ def run_experiments(
         accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
         progress: called with what is being done and the share of it.
         notify: called with a message about anything out of the ordinary.
-        workers: who simulates; by default this process, one experiment after the other, else
+        workers: what simulates; by default this process, one experiment after the other, else
             `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
 
     Raises:

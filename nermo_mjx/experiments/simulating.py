@@ -118,7 +118,7 @@ class Simulation:
         """Each experiment makes its own simulator."""
 
     def stamp(self) -> CodeStamp:
-        """Of the code, the model and the engine that simulate here."""
+        """Stamp of the code, the model and the engine that simulate here."""
         return stamp(load_robot().fingerprint, self.engine)
 
     def __call__(self, part: Part, progress: Callable[[float], None] | None = None) -> tuple[Outcome, float]:

@@ -69,7 +69,7 @@ class TrainingFile(WalkFields):
     evaluate: EvaluationFields = Field(
         EvaluationFields.model_validate({}), description="on what the policy is evaluated in the end"
     )
-    plots: bool = Field(True, description="whether figures are made in the end")
+    plots: bool = Field(True, description="whether figures are made at the end")
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -112,7 +112,7 @@ class Training(WalkSpec):
 
     @classmethod
     def from_text(cls, text: str, source: str = "training") -> Training:
-        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
         return _read(read_text(text, source, "training"))
 
     @classmethod

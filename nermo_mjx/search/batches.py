@@ -1,4 +1,4 @@
-"""A search's directory: one chunk of its table for each batch, written before the next batch is asked for.
+"""A search's directory: one chunk of its table for each batch, written before the next batch is requested.
 
 DIR/search.yaml                   the resolved search, and the size of its batches
 DIR/controller.py                 a copy of the file of another controller, if the search names one

@@ -1,4 +1,4 @@
-"""What a search will take here, before it begins."""
+"""The cost of a search on this machine, before it starts."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _ROW_BYTES = 700
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
-    """What a search will take.
+    """The cost of a search.
 
     Attributes:
         engine: that it will run on.
         batch: points of a batch.
         batches, evaluations, runs: whole batches, and what is in them.
         simulated_seconds: of all runs [s], by the mean over the bounds.
-        wall_seconds: by this machine's pace, measured now, while nothing else changes [s].
+        wall_seconds: at this machine's current speed, measured now [s].
         disk_bytes: of the table.
         gradient_runs: what gradients cost, in forward runs; their time is not in the others.
     """

@@ -1,4 +1,4 @@
-"""CMA-ME and CMA-MEGA, for an atlas: pyribs's emitters, which search where cells are empty or can be bettered."""
+"""CMA-ME and CMA-MEGA, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIGMA: Final = 0.15
 COEFFICIENT_SIGMA: Final = 0.2
 LEARNING_RATE: Final = 0.05
 EMITTERS: Final = 4
-#: What an emitter is told that a point was worth which is not in the atlas.
+#: Value reported to an emitter for a point outside the atlas.
 _WORTHLESS: Final = -1e9
 
 
@@ -82,7 +82,7 @@ class Diversity:
                 emitter.tell(*about, add_info)
             else:
                 assert found.jacobian is not None
-                # A gradient that is not finite leads nowhere.
+                # A non-finite gradient is useless.
                 jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
                 emitter.tell_dqd(*about, jacobian * self._slope[part, None, :], add_info)
         self._centres = self._along and not self._centres
@@ -123,7 +123,7 @@ class Diversity:
 
 @contextlib.contextmanager
 def _interpreted() -> Iterator[None]:
-    """Import pyribs without its compiled functions: they save microseconds a batch, and take ten seconds to compile."""
+    """Import pyribs without its compiled functions: they save microseconds per batch and take ten seconds to compile."""
     import numba
 
     config: Any = numba.config

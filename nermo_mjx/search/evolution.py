@@ -14,9 +14,9 @@ from nermo_mjx.tune.generations import strategy
 
 #: First standard deviation, as a fraction of the bounds.
 SIGMA: Final = 0.2
-#: Points of the first spread, in batches: of two, the better half of the bounds is known before a step is taken.
+#: Size of the initial sample, in batches: with two, the better half of the bounds is known before the first step.
 SPREAD: Final = 2
-#: Standard deviation, as a fraction of the bounds, at which a search has converged: no robot is built more exactly.
+#: Standard deviation, as a fraction of the bounds, at which a search has converged: no robot is built more precisely.
 CONVERGED: Final = 1e-3
 #: Populations grow by this, at most so often.
 GROWTH: Final = 2.0
@@ -24,7 +24,7 @@ MOST_GROWTH: Final = 9
 
 
 class Evolution:
-    """An `Optimizer`. The first batch is a spread of points; the best of them is where the first CMA-ES begins.
+    """An `Optimizer`. The first batch is a sample; the first CMA-ES starts from its best point.
 
     When one has converged, the next begins at a random point: with twice the population (IPOP), or either with that
     or with a small one and a small step, depending on which has had fewer evaluations (BIPOP, Hansen 2009).

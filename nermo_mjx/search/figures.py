@@ -1,4 +1,4 @@
-"""How the figures of a search look."""
+"""The figures of a search."""
 
 from __future__ import annotations
 

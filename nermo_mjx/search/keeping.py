@@ -1,4 +1,4 @@
-"""What a search found, run once more: the recordings that it keeps, and a row of its table for `replay`."""
+"""Rerunning a search's results: the recordings that it keeps, and a row of its table for `replay`."""
 
 from __future__ import annotations
 

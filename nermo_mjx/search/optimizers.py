@@ -1,4 +1,4 @@
-"""What chooses the points of a search: asked for a batch, and told what it gave. Nothing else goes in.
+"""Ask-and-tell optimizers of a search: asked for a batch, and told its results. They have no other input.
 
 So a search is repeated, or resumed, by telling it the contents of its table again.
 """
@@ -37,19 +37,19 @@ class Asked:
 
 
 class Optimizer(Protocol):
-    """Chooses points; `ask` and `tell` in turn, and the same answers lead to the same questions."""
+    """Chooses points; `ask` and `tell` alternate, and the same results lead to the same requests."""
 
     def ask(self) -> Asked:
         """The next batch."""
         ...
 
     def tell(self, found: Scores) -> None:
-        """What the batch gave, in its order."""
+        """The results of the batch, in its order."""
         ...
 
 
 class SobolSample:
-    """Points of one Sobol sequence, the published gait first: what a method has to beat."""
+    """Points of one Sobol sequence, starting with the published gait: the baseline for all methods."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
         self._batch, self._first = batch, space.first

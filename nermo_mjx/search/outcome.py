@@ -1,4 +1,4 @@
-"""What a search found, from its table alone: best.json for programs, best.yaml, a sweep file, and an atlas's elites."""
+"""Results of a search, from its table alone: best.json for programs, best.yaml, a sweep file, and an atlas's elites."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from nermo_mjx.sweep.table import Columns, columns_of, meta
 
 BEST: Final = "best.json"
 ATLAS: Final = "atlas.parquet"
-#: Runs of best.yaml: they start a little apart, so that the sweep shows whether the best stands on a knife's edge.
+#: Runs of best.yaml: from slightly different starts, so that the sweep shows whether the best point is fragile.
 REPEATS: Final = 3
 
 
@@ -186,7 +186,7 @@ def publish(batches: Batches, *, complete: bool) -> dict[str, Any]:
 
 
 def atlas_table(found: Evaluations) -> pa.Table:
-    """One row a filled cell, in order: row of the table, cell, parameters, metrics (means over the repeats).
+    """One row per filled cell, in order: row of the table, cell, parameters, metrics (means over the repeats).
 
     The schema's metadata `atlas` is JSON: `objective` with metric and direction, `measures` with metric, range, cells.
     """
@@ -210,7 +210,7 @@ def atlas_table(found: Evaluations) -> pa.Table:
 
 
 def best_sweep(search: Search, best: dict[str, Any], folder: Path | None = None) -> str:
-    """The text of best.yaml: setup, run and `set` of the best point, run a few times from starts a little apart."""
+    """The text of best.yaml: setup, run and `set` of the best point, run a few times from slightly different starts."""
     data = search.sweep.walk_fields(folder) | {"set": {**search.sweep.fixed, **best["parameters"]}}
     head = f"# Row {best['row']} of a search: objective {best['objective']}.\n"
     return head + dump({**data, "randomize": {"repeats": REPEATS}, "seed": search.sweep.seed, "plots": False})

@@ -1,4 +1,4 @@
-"""Run a search: ask for a batch, simulate what the directory does not hold yet, tell what it gave, until the budget is
+"""Run a search: ask for a batch, simulate what the directory lacks, tell the results, until the budget is
 used up."""
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SearchFailed(RuntimeError):
 
 @dataclasses.dataclass(frozen=True)
 class SearchProgress:
-    """How far a search is.
+    """Progress of a search.
 
     Attributes:
         fraction: share of the budget that is used up, 0 to 1.
@@ -128,7 +128,7 @@ def run_search(
         notify: called with a message if something takes long (compilation).
         warn: called with a message about what is damaged, and is run again.
         accept_new_code: resume a directory that other code or another engine started.
-        workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
+        workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(search.setup, engine)`.
         gradients: replaces those of MJX, which `cma_mega` asks for.
 

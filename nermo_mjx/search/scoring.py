@@ -12,7 +12,7 @@ from nermo_mjx.search.sections import Aim
 
 @dataclasses.dataclass(frozen=True)
 class Scores:
-    """What n points gave.
+    """Results of n points.
 
     Attributes:
         cost: (n, k), less is better: one column for one objective, of a front one for each; NaN where a run failed.
@@ -20,7 +20,7 @@ class Scores:
         violation: how far the constraints are from holding, (n,), each in units of its bound; 0 where they hold.
         ok: whether all runs walked to the end with finite numbers, (n,).
         jacobian: of the first g points, d (quality, *measures) / d fractions of the bounds, (g, 1 + m, p), where the
-            quality is minus the cost; None where it was not asked for.
+            quality is minus the cost; None if not requested.
     """
 
     cost: np.ndarray

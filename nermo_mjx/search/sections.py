@@ -30,7 +30,7 @@ METHODS: Final = {"objective": ("cma", "sobol"), "pareto": ("nsga2", "sobol"), "
 
 
 class LimitFields(Fields):
-    """A constraint on a metric, as it stands in a file."""
+    """A constraint on a metric, as written in a file."""
 
     what: ClassVar = "a field of a constraint"
     expected: ClassVar = "{max: x}, {min: x} or both"
@@ -42,25 +42,25 @@ class CmaFields(Fields):
     what: ClassVar = "an option of 'cma'"
     sigma: Positive = optional("first standard deviation, as a share of the bounds, by default 0.2")
     restarts: Annotated[str, Choice(("bipop", "ipop", "none"))] = optional(
-        "what follows when it has converged: by default bipop, large and small populations in turn; ipop: ever larger"
+        "restarts after convergence: by default bipop, alternating large and small populations; ipop: increasing ones"
     )
 
 
 class CmaMeFields(Fields):
     what: ClassVar = "an option of 'cma_me'"
     sigma: Positive = optional("first standard deviation, as a share of the bounds, by default 0.15")
-    emitters: Annotated[int, Whole(1, 1000)] = optional("searches side by side, by default 4")
+    emitters: Annotated[int, Whole(1, 1000)] = optional("number of parallel searches, by default 4")
 
 
 class CmaMegaFields(Fields):
     what: ClassVar = "an option of 'cma_mega'"
     sigma: Positive = optional("first standard deviation of the gradients' coefficients, by default 0.2")
     learning_rate: Positive = optional("of the step along the gradients, by default 0.05")
-    emitters: Annotated[int, Whole(1, 1000)] = optional("searches side by side, by default 4")
+    emitters: Annotated[int, Whole(1, 1000)] = optional("number of parallel searches, by default 4")
 
 
 class MethodFields(OneOf):
-    """How a search continues, as it stands in a file."""
+    """The method of a search, as written in a file."""
 
     alone: ClassVar = ("cma", "nsga2", "cma_me", "cma_mega", "sobol")
     short: ClassVar = ({"enum": [*alone]},)
@@ -71,17 +71,17 @@ class MethodFields(OneOf):
     nsga2: None = optional("NSGA-II, for several objectives")
     cma_me: CmaMeFields | None = optional("CMA-ME, for an atlas")
     cma_mega: CmaMegaFields | None = optional("CMA-MEGA, for an atlas, along gradients from MJX")
-    sobol: None = optional("points of a Sobol sequence, to compare with")
+    sobol: None = optional("points of a Sobol sequence, for comparison")
 
 
 class BudgetFields(OneOf):
-    """How long a search runs, as it stands in a file."""
+    """The budget of a search, as written in a file."""
 
     short: ClassVar = ({"type": "integer", "minimum": 1, "maximum": MOST_EVALUATIONS},)
     expected: ClassVar = "a number of evaluations, or {simulated_seconds: S}"
     other: ClassVar = "is not a budget"
     evaluations: Annotated[int, Whole(1, MOST_EVALUATIONS)] = optional("number of evaluated points")
-    simulated_seconds: Positive = optional("so much simulated time, of all runs together [s]")
+    simulated_seconds: Positive = optional("total simulated time of all runs [s]")
 
     @classmethod
     def written_out(cls, given: Any) -> Any:
@@ -109,7 +109,7 @@ class Limit:
     high: float = math.inf
 
     def written(self) -> dict[str, float]:
-        """As it stands in a search file."""
+        """As written in a search file."""
         bounds = {"min": self.low, "max": self.high}
         return {name: value for name, value in bounds.items() if math.isfinite(value)}
 
@@ -124,7 +124,7 @@ class Measure:
     cells: int
 
     def written(self) -> list[float | int]:
-        """As it stands in a search file."""
+        """As written in a search file."""
         return [self.low, self.high, self.cells]
 
 
@@ -156,7 +156,7 @@ class Aim:
         return tuple(dict.fromkeys([*self.objective.metrics, *measured, *limited]))
 
     def written(self) -> dict[str, Any]:
-        """As it stands in a search file."""
+        """As written in a search file."""
         terms = [term.written() for term in self.objective.terms]
         data: dict[str, Any] = {"pareto" if self.pareto else "objective": terms}
         if self.measures:
@@ -251,9 +251,9 @@ def read_bounds(doc: Document, axes: list[Axis]) -> None:
 
 
 def refuse_foreign(key: str) -> None:
-    """Say of fields of sweeps and tunings what stands for them here."""
+    """Point from fields of sweeps and tunings to their counterparts here."""
     foreign = {"sample": "how points are chosen is the method's: put sobol under 'method' for a sample",
-               "tune": "what is to change stands under 'vary'", "iterations": "how long it runs is its 'budget'",
+               "tune": "what is to change stands under 'vary'" , "iterations": "how long it runs is its 'budget'",
                "chunk": "how many points are evaluated together is its 'batch'"}  # fmt: skip
     if key in foreign:
         raise Refused(f"is not a field of a search: {foreign[key]}.", key)

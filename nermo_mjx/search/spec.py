@@ -1,4 +1,4 @@
-"""What a search is: the checked content of a search file. Everything wrong with it is said here, before work begins."""
+"""What a search is: the checked content of a search file. All errors in it are reported here, before work begins."""
 
 from __future__ import annotations
 
@@ -62,12 +62,12 @@ class SearchFile(WalkFields):
     pareto: list[TermFields] = optional("several objectives, each a term")
     atlas: dict[str, sections.MeasureForm] = Field({}, description="measures by metric: [low, high, cells] of each")
     subject_to: dict[str, sections.LimitFields] = Field({}, description="constraints by metric: {max: x}, {min: x}")
-    method: sections.MethodFields = optional("how it searches; by default what fits")
+    method: sections.MethodFields = optional("search method; the default depends on the objectives")
     budget: sections.BudgetFields = Field(
         sections.BudgetFields.model_validate(_BUDGET), description="how long it runs, 1000 evaluations by default"
     )
     batch: Annotated[int, Whole(4, 100_000)] = optional("points that are evaluated together, a generation")
-    randomize: Randomized = Field(Randomized.model_validate({}), description="what is left to chance in each run")
+    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
     seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="the same seed makes the same search")
     keep: sections.KeepFields = Field(sections.KeepFields(), description="recordings that are kept")
     plots: bool = Field(True, description="whether figures are drawn in the end")
@@ -109,7 +109,7 @@ class Search:
 
     @classmethod
     def from_text(cls, text: str, source: str = "search") -> Search:
-        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
         return _read(read_text(text, source, "search"))
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Sweeps: read and check a sweep file, sample its variants, run them into a directory, sum up and draw."""
+"""Sweeps: read and check a sweep file, sample its variants, run them into a directory, summarize and plot."""
 
 from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.specs.reading import SpecError

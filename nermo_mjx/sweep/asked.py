@@ -1,4 +1,4 @@
-"""What a sweep file asks of the finished table: a comparison."""
+"""The comparison that a sweep file may request of the finished table."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class CompareFields(Fields):
     what: ClassVar = "a field of a comparison"
     example: ClassVar = "by: NAME, of a varied column"
     by: str = Field(description="the varied column whose values are compared")
-    base: float | str = optional("its value to compare with; by default none, or the first")
+    base: float | str = optional("the baseline value; by default none, or the first")
     groups: Annotated[list[str], BeforeValidator(_names)] = Field(
         [], alias="for", description="varied columns: an interval for each combination of their values"
     )
@@ -41,7 +41,7 @@ class AskedComparison:
 
     Attributes:
         by: the varied column whose values are compared.
-        base: its value to compare with; None for `none`, or the first.
+        base: the baseline value; None for `none`, or the first.
         groups: the columns that make groups.
     """
 
@@ -50,7 +50,7 @@ class AskedComparison:
     groups: tuple[str, ...]
 
     def written(self) -> dict[str, Any]:
-        """As it stands in a sweep file."""
+        """As written in a sweep file."""
         return {"by": self.by} | ({} if self.base is None else {"base": self.base}) | {"for": list(self.groups)}
 
 

@@ -1,4 +1,4 @@
-"""How one parameter gets its values: an `Axis` is varied on purpose, a `Draw` is left to chance."""
+"""How one parameter gets its values: an `Axis` is varied systematically, a `Draw` at random."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _Bounds = Annotated[list[float], Numbers("[low, high]", 2, 2)]
 
 
 class AxisForm(OneOf):
-    """A varied parameter, as it stands in a file; with a sampler, `linspace` and `logspace` need no count."""
+    """A varied parameter, as written in a file; with a sampler, `linspace` and `logspace` need no count."""
 
     expected: ClassVar = (
         "{linspace: [from, to, count]} or {logspace: [from, to, count]} or {values: [a, b, ...]}, with a sampler also "
@@ -40,14 +40,14 @@ class AxisForm(OneOf):
 
 
 class DrawForm(OneOf):
-    """A randomized parameter, as it stands in a file."""
+    """A randomized parameter, as written in a file."""
 
     expected: ClassVar = "{uniform: [low, high]} or {loguniform: [low, high]} or {normal: [mean, std]}; put a fixed " \
                          "value under 'set'"  # fmt: skip
     other: ClassVar = "has the form {name!r}"
     uniform: _Bounds = optional("between the bounds")
     loguniform: _Bounds = optional("evenly in the logarithm")
-    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("cut off at the range")
+    normal: Annotated[list[float], Numbers("[mean, std]", 2, 2)] = optional("truncated to the range")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Axis:
     Attributes:
         name: dotted name of the parameter.
         form: a field of `AxisForm`. `logspace` and `loguniform` are given by their end values, not by exponents.
-        numbers: what stood in the list; the count of a linspace or logspace that only bounds a sampler may be absent.
+        numbers: the given list; the count of a linspace or logspace that only bounds a sampler may be absent.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Axis:
             return np.asarray(self.numbers, dtype=float)
         space = np.linspace if self.form == "linspace" else np.geomspace
         steps = space(self.numbers[0], self.numbers[1], int(self.numbers[2]))
-        # 0.88 and not 0.8799999999999999: a table is searched by such values. The ends stay as they were given.
+        # 0.88 and not 0.8799999999999999: users filter tables by such values. The ends stay as given.
         steps[1:-1] = [float(f"{step:.12g}") for step in steps[1:-1]]
         return np.asarray(steps, dtype=float)
 
@@ -85,7 +85,7 @@ class Axis:
         return self.values() if grid or self.form == "values" else self.at(np.linspace(0.0, 0.999, _TRIED))
 
     def written(self) -> dict[str, list[float]]:
-        """The axis as it stands in a sweep file."""
+        """The axis as written in a sweep file."""
         count = [int(self.numbers[2])] if self.form in ("linspace", "logspace") and len(self.numbers) == 3 else []
         return {self.form: [*self.numbers[:2], *count] if self.form != "values" else list(self.numbers)}
 
@@ -96,10 +96,10 @@ class Draw:
 
     Attributes:
         name: dotted name of the parameter.
-        form: a field of `DrawForm`; a normal distribution is cut off at the parameter's range.
+        form: a field of `DrawForm`; a normal distribution is truncated to the parameter's range.
         numbers: (low, high), or (mean, standard deviation).
         low, high: range of the parameter.
-        implied: whether no file names it: a start is perturbed where there are repeats, but for the first one's.
+        implied: whether no file names it: with repeats the start is perturbed, except for the first repeat.
     """
 
     name: str
@@ -118,11 +118,11 @@ class Draw:
         return np.clip(a + b * special.ndtri(low + (high - low) * share), self.low, self.high)
 
     def tried(self) -> np.ndarray:
-        """A few values within the bounds; of a normal draw, all but one in a thousand on either side."""
+        """A few values within the bounds; for a normal draw, all but one in a thousand on either side."""
         return self.at(np.linspace(0.001 if self.form == "normal" else 0.0, 0.999, _TRIED))
 
     def written(self) -> dict[str, list[float]]:
-        """The draw as it stands in a sweep file."""
+        """The draw as written in a sweep file."""
         return {self.form: list(self.numbers)}
 
 

@@ -1,4 +1,4 @@
-"""Which batches are simulated: one a chunk, or one for several chunks of which most rows are known."""
+"""Which batches are simulated: one per chunk, or one for several chunks whose rows are mostly known."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Batch:
     chunks: list[int]
 
     def parts(self, plan: BatchPlan, result: Simulated) -> Iterator[tuple[int, Simulated]]:
-        """What of the batch's result belongs to each chunk; its time and steps by the number of rows."""
+        """The part of the batch's result that belongs to each chunk; time and steps are split by the number of rows."""
         sizes = [len(plan.unknown(k)) for k in self.chunks]
         first = 0
         for k, size in zip(self.chunks, sizes, strict=True):
@@ -39,9 +39,9 @@ class BatchPlan:
 
     Attributes:
         layout: rows of each chunk of the sweep.
-        known: of chunks with a row that is known: where each row is, (n,) int, -1 for the others.
+        known: for chunks with a known row: where each row is, (n,) int, -1 for the others.
         batches: in the order of their first chunks.
-        worlds: of each batch by structure: one shape, so that no engine compiles twice.
+        worlds: batch size by structure: one shape, so that no engine compiles twice.
     """
 
     layout: Sequence[np.ndarray]
@@ -61,7 +61,7 @@ class BatchPlan:
 def plan_batches(
     sweep: Sweep, rows: Sample, layout: Sequence[np.ndarray], chunks: Sequence[int], known: KnownRows | None
 ) -> BatchPlan:
-    """The batches for some chunks of a sweep: each chunk is whole when one batch is done.
+    """The batches for some chunks of a sweep: each chunk is complete when one batch is done.
 
     Args:
         rows: of the sweep, and `layout` those of each chunk.

@@ -1,4 +1,4 @@
-"""What a sweep keeps beside its table, as it stands in a file: time series (`save`) and recordings (`keep`)."""
+"""What a sweep stores beside its table, as written in a file: time series (`save`) and recordings (`keep`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nermo_mjx.specs.reading import Document, did_you_mean
 from nermo_mjx.specs.values import Positive, Whole
 from nermo_mjx.sweep.sides import sides_of
 
-#: Rows of one kind that are recorded at most; each takes about half a megabyte.
+#: Maximum number of recorded rows of one kind; each takes about half a megabyte.
 MOST_KEPT: Final = 10_000
 
 
@@ -46,7 +46,8 @@ class SaveFields(Fields):
         json_schema_extra={"type": ["array", "string"], "minItems": 1},
     )
     rate: Positive = Field(
-        Saving.rate, description="samples a simulated second [Hz]: the control rate, or that divided by a whole number"
+        Saving.rate,
+        description="samples per simulated second [Hz]: the control rate, or that divided by a whole number",
     )
 
 
@@ -56,7 +57,7 @@ class KeepFields(Fields):
     what: ClassVar = "a field of what is kept"
     expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
     best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number of the best, at most one per variant")
-    metric: str = Field(Keep.metric, description="by which the best are chosen: one that has a better side")
+    metric: str = Field(Keep.metric, description="by which the best are chosen: one that has a better direction")
     fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
     diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
     unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")

@@ -1,4 +1,4 @@
-"""A line per chunk for those who follow a sweep from outside: best and mean of each metric so far, statuses, pace."""
+"""A line per chunk for external monitoring of a sweep: best and mean of each metric so far, statuses, pace."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ChunkLog:
             self.add(table)
 
     def add(self, table: pa.Table) -> None:
-        """Take a chunk's rows in; only successful runs count in best and mean."""
+        """Add a chunk's rows; only successful runs count in best and mean."""
         self._rows += table.num_rows
         self._statuses.update(table.column("status").to_pylist())
         well = pc.equal(table.column("status"), "ok").to_numpy()
@@ -51,7 +51,7 @@ class ChunkLog:
                 self._best[name] = min(candidates, key={"high": lambda x: -x, "low": float, "zero": abs}[side])
 
     def tell(self, table: pa.Table, steps_per_second: float = math.nan) -> None:
-        """Take a chunk's rows in, and tell the trackers how things are now; the step is the number of rows."""
+        """Add a chunk's rows, and report the current state to the trackers; the step is the number of rows."""
         self.add(table)
         numbers = {
             "rows": float(self._rows),

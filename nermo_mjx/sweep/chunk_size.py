@@ -18,10 +18,10 @@ MANY_CHUNKS, MOST_GROWTH = 10_000, 10
 #: Share of a device's memory for a batch.
 MEMORY_SHARE: Final = 0.5
 #: What a world takes of it, by engine [bytes]. `mjx`: what XLA plans for a walk, arguments and results included, by
-#: `nermo-mjx bench gpu-plan` (docs/benchmarks); a test holds it to the latest run there. `warp` has memory of its own,
-#: which the plan does not see: a guess, and a high one.
+#: `nermo-mjx bench gpu-plan` (docs/benchmarks); a test holds it to the latest run there. `warp` allocates memory
+#: that the plan does not see: a guess, and a conservative one.
 WORLD_BYTES: Final = {"mjx": 36_000, "warp": 1_000_000}
-#: Worlds with which a device is busy; more of them only take longer, and are lost together.
+#: Worlds that saturate a device; more of them only take longer, and are lost together.
 BUSY_WORLDS = 8192
 
 
@@ -36,7 +36,7 @@ def chunk_rows(
         memory: of one device [bytes]; None for the CPU, also as a device.
         devices: that share a batch; the result is a multiple of them.
         cores: of this machine.
-        parts: processes that share the chunks; each is to get one.
+        parts: processes that share the chunks; each should get one.
     """
     share = math.ceil(rows / parts)
     if engine == "c" or memory is None:

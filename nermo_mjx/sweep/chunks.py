@@ -1,4 +1,4 @@
-"""The chunks of a sweep: which ones are done, and how the others are run."""
+"""The chunks of a sweep: which ones are done, and running the others."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class Work:
         store: where they are kept.
         rows: of the whole sweep.
         layout: rows of each chunk.
-        tally: is told of what is done.
-        log: is told of each chunk that is written.
+        tally: is notified of finished work.
+        log: is notified of each chunk that is written.
         done: which ones are finished, (chunks,) bool.
         mine: which ones this process runs, (chunks,) bool.
         engines: of the finished chunks.
         steps, seconds: physics steps of the finished chunks, and the time they took, summed [s].
-        chunks_run: how many this process has had simulated.
+        chunks_run: number simulated by this process.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Work:
         self._forget()
 
     def survey(self, warn: Callable[[str], None] | None) -> None:
-        """Look at every chunk's file; one with a flaw counts as missing, which is told if this process runs it."""
+        """Check every chunk's file; a defective one counts as missing, and is reported if this process runs it."""
         self._forget()
         flawed: dict[str, list[int]] = {}
         for k, (note, flaw) in self.store.states(self.layout):
@@ -116,12 +116,12 @@ class Work:
     def simulate(
         self, simulator: SweepSimulator, workers: Workers, accept_new_code: bool, known: KnownRows | None = None
     ) -> None:
-        """Have the missing chunks of this process simulated; each is written while the next one is simulated.
+        """Simulate this process's missing chunks; each is written while the next one is simulated.
 
         Args:
             simulator, workers: compute.
             accept_new_code: see `run_sweep`.
-            known: rows that are taken and not simulated.
+            known: rows that are reused instead of simulated.
 
         Raises:
             SpecError: a parameter is refused.
@@ -163,7 +163,7 @@ class Work:
                 each.result()
 
     def take(self, known: KnownRows | None, accept_new_code: bool) -> BatchPlan:
-        """Write the missing chunks whose rows all are known; what is left to be simulated."""
+        """Write the missing chunks whose rows are all known; returns what is left to simulate."""
         missing = np.flatnonzero(self.mine & ~self.done).tolist()
         plan = plan_batches(self.store.sweep, self.rows, self.layout, missing, known)
         if known is not None and plan.known:

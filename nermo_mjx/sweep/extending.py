@@ -9,14 +9,14 @@ from nermo_mjx.rollout.start import START_SPREAD
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
 
-#: Fields that say which rows there are; what else a sweep says is fixed.
+#: Fields that determine the rows; all others are fixed.
 _ROWS: Final = ("vary", "rows", "sample", "randomize.repeats", "seeds")
-#: Fields that a sentence names where two sweeps differ.
+#: Number of fields that a message names when two sweeps differ.
 _NAMED: Final = 3
 
 
 def fixed_differences(there: Sweep, here: Sweep) -> str:
-    """In what two sweeps differ beside their rows, as `seed is 0 there and 5 here`; empty if in nothing.
+    """How two sweeps differ apart from their rows, as `seed is 0 there and 5 here`; empty if they do not.
 
     What one of them fixes may be varied by the other.
     """
@@ -30,7 +30,7 @@ def fixed_differences(there: Sweep, here: Sweep) -> str:
 
 
 def differences(there: Sweep, here: Sweep) -> str:
-    """In what two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
+    """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
     # The same values, but another row 0.
     return _sentence(there, here, _apart(there, here)) or (
         "the parameters under vary or randomize stand in another order"
@@ -44,7 +44,7 @@ def refusal(there: Sweep, here: Sweep) -> str:
         return f"{fixed}: what is not varied stays as it is"
     if there.sampler == here.sampler == "latin_hypercube" and there.samples != here.samples:
         return (
-            f"a Latin hypercube of {there.samples} points is no part of one of {here.samples}: take a Sobol sample, "
+            f"a Latin hypercube of {there.samples} points is not part of one of {here.samples}: use a Sobol sample, "
             "which can be extended, or repeats"
         )
     return ""

@@ -1,4 +1,4 @@
-"""How the figures of a sweep look: heat maps, lines and scatters of one metric. What to draw is `plots.py`'s."""
+"""The figures of a sweep: heat maps, lines and scatter plots of one metric. `plots.py` decides what to draw."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ def heat_maps(
 ) -> Figure:
     """One heat map a panel (its title, and a mask of the points in it) on a shared colour scale.
 
-    Points that share a cell are averaged. The best cell of all (the highest, for a metric without a better direction) is
-    a star, that of each panel a ring; a cell without a successful run is hatched grey.
+    Points that share a cell are averaged. The best cell of all (the highest, without a better direction) is a star,
+    that of each panel a ring; a cell without a successful run is hatched grey.
 
     With `gain`, z is a gain in percent: 0 is white, the scale is symmetric (large losses are cut off
-    where they would leave the gains pale), marks carry their value, and only points where `gain` holds are marked.
+    where they would leave the gains pale), marks show their value, and only points where `gain` holds are marked.
     """
     xs, ys = np.unique(x.values), np.unique(y.values)
     grids = [_cell_means(x.values[mask], y.values[mask], z.values[mask], xs, ys) for _, mask in panels]
@@ -150,7 +150,7 @@ def panelled(count: int, size: float) -> tuple[Figure, list[Axes]]:
 
 
 def best_word(metric: ShownValues) -> str:
-    """What the mark of a metric's best value is called."""
+    """The name of the mark for a metric's best value."""
     return "best" if metric.side else "highest"
 
 
@@ -170,7 +170,7 @@ def _colour_bar(
 
 
 def _beside(ax: Axes, x: float, y: float, text: str, apart: float, *, left: bool) -> None:
-    """A text next to a mark, that many points apart."""
+    """A text next to a mark, at the given distance in points."""
     ax.annotate(text, (x, y), (-apart if left else apart, 0), textcoords="offset points",
                 ha="right" if left else "left", va="center", fontsize=8.5, fontweight="bold", color=INK, zorder=6,
                 bbox={"boxstyle": "round,pad=0.2", "fc": "white", "alpha": 0.75, "lw": 0})  # fmt: skip

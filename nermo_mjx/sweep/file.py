@@ -1,4 +1,4 @@
-"""The fields of a sweep file as they are declared, from which its JSON Schema comes, too."""
+"""The declared fields of a sweep file, also the source of its JSON Schema."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ class SweepFile(WalkFields):
     vary: Vary = Field(Vary.model_validate({}), description="varied structures and parameters")
     rows: Annotated[Any, RowsForm()] = optional("exactly these variants, instead of vary: a table, or a list")
     sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
-    randomize: Randomized = Field(Randomized.model_validate({}), description="what is left to chance in each run")
+    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
     seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
     seeds: Annotated[str, Choice(("content", "position"))] = Field(
-        "content", description="what seeds the draws of a run: its values, or its place, as in earlier releases"
+        "content", description="what seeds the draws of a run: its values, or its position, as in earlier releases"
     )
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")

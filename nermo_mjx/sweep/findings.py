@@ -39,7 +39,7 @@ class Finding:
 def findings(
     results: Results, sweep: Sweep, metric: str = LEADING, notify: Callable[[str], None] | None = None
 ) -> Iterator[Finding]:
-    """What is found of one metric; a sentence is told of what cannot be found in a table, as in one of a few runs."""
+    """The findings for one metric; a message is issued for what cannot be computed, as from a few runs."""
     for name, find in (("comparison", _comparison), ("sensitivity", _sensitivity)):
         try:
             finding = find(results, sweep, metric)

@@ -28,7 +28,7 @@ from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.table import chunk_table
 
-#: What a process holds beside its batch: Python, JAX, MuJoCo, the compiled controller, matplotlib [bytes].
+#: Memory of a process apart from its batch: Python, JAX, MuJoCo, the compiled controller, matplotlib [bytes].
 PROCESS_BYTES: Final = 600_000_000
 #: A world of the engine c: MuJoCo's data, the controller's state and what the metrics sum up [bytes]. Both as measured.
 C_WORLD_BYTES: Final = 100_000
@@ -43,16 +43,16 @@ class Forecast:
 
     Attributes:
         rows, chunks: of the sweep.
-        rows_left: that would be simulated; the others are in the directory, or known from other ones.
+        rows_left: to be simulated; the others are in the directory, or known from other directories.
         batches: that would be simulated.
         structures: setups that are compiled and simulated, one after the other.
         engine: that would run.
         steps: physics steps that would be simulated, all worlds together.
         steps_per_second: at that rate; NaN if it is not known.
-        rate_from: where the rate is from, in words.
-        seconds: time for the steps [s]; NaN if the rate is not known. What it compiles comes in addition.
-        disk_bytes: that the table will take, as far as it is not there, without figures.
-        disk_free: room where the directory is, or would be [bytes].
+        rate_from: source of the rate, in words.
+        seconds: time for the steps [s]; NaN if the rate is unknown. Compilation comes in addition.
+        disk_bytes: that the missing part of the table will take, without figures.
+        disk_free: free space at the directory's location [bytes].
         memory_bytes: of this process; on a GPU, that of the batch is the device's.
         notes: sentences.
     """
@@ -200,7 +200,7 @@ def _noted(path: Path) -> tuple[str, float, float] | None:
 
 
 def _disk_bytes(sweep: Sweep, rows: Sample, layout: list[np.ndarray], left: int, folder: Path | None) -> int:
-    """What the rows that are left will take: as much each as those that are there, or as those of a chunk of noise."""
+    """The space for the remaining rows: as much per row as existing ones, or as in a chunk of noise."""
     files = list(chunk_files(folder).values()) if folder is not None else []
     whole = sum(_rows_in(path) for path in files)
     if whole:

@@ -1,4 +1,4 @@
-"""Rows of a complete sweep that are kept to look at: each replayed and recorded, once."""
+"""Rows of a complete sweep that are kept as recordings: each is replayed and recorded once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.sides import cost, sides_in
 from nermo_mjx.sweep.store import RECORDINGS, Store
 
-#: Kinds of rows that are kept by what became of them.
+#: Kinds of rows that are kept by their outcome.
 _STATUSES: Final = ("fell", "diverged", "unsolved")
 
 
@@ -32,7 +32,7 @@ def recording_file(out: Path, row: int) -> Path:
 def kept_rows(results: Results, keep: Keep) -> dict[int, str]:
     """The rows of a complete table that are kept, and why.
 
-    The best come first, each of another variant; then those that ended in another way, the first ones of the table.
+    The best come first, each of a different variant; then those with another outcome, the first ones in the table.
     """
     kept: dict[int, str] = {}
     if keep.best:
@@ -58,7 +58,7 @@ def record_rows(
     check: Callable[[], None] = lambda: None,
     warn: Callable[[str], None] | None = None,
 ) -> list[Path]:
-    """Record the rows that are kept, as far as that is not done; the files of all of them, in the order of the rows.
+    """Record the rows to keep that are not recorded yet; returns the files of all of them, in the order of the rows.
 
     Args:
         store: of the complete table.
@@ -107,7 +107,7 @@ def record_rows(
 
 
 def _is_recorded(store: Store, row: int) -> bool:
-    """Whether a file is there, undamaged, that shows this row of this sweep."""
+    """Whether there is an undamaged recording of this row of this sweep."""
     try:
         about = Recording.load(recording_file(store.out, row)).metadata
     except RecordingError:

@@ -1,7 +1,7 @@
-"""Rows that have been run before, in a directory's former results or in other directories: taken by their content.
+"""Rows that have been run before, in a directory's former results or in other directories, identified by content.
 
-What a row is follows from its structure, its values, drawn ones included, and its length; not from its number, its
-seed, or the sweep that it was run for.
+A row is identified by its structure, its values, drawn ones included, and its duration; not by its number, its
+seed, or the sweep for which it was run.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class KnownRows:
     """An index of the rows of some directories.
 
     Args:
-        sources: the directories, each with a sweep.yaml and results; a row that is in several is the first one's.
+        sources: the directories, each with a sweep.yaml and results; a row that is in several is taken from the first.
         warn: called with a message if a chunk cannot be used.
         series: whether time series are taken, too; a chunk without undamaged ones is not used.
 
     Raises:
-        DirectoryError: a source is none, or cannot be read.
+        DirectoryError: a source is not a sweep directory, or cannot be read.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class KnownRows:
         if self._unnamed and not accept:
             raise OtherCode(
                 f"{self._unnamed[0]} does not say which code made it, as those of earlier releases: its rows are used "
-                "with --accept-new-code; tell them apart by their column code."
+                "with --accept-new-code; distinguish them by their column code."
             )
         return list(self._codes.values())
 
@@ -232,7 +232,7 @@ def keys_of(structures: Sequence[Structure], structure: np.ndarray, values: Mapp
 
 
 def _identity(walk: Structure) -> str:
-    """What makes a structure, but for its fixed parameters: fields, defaults, and another controller's content."""
+    """What identifies a structure, apart from fixed parameters: fields, defaults, a custom controller's content."""
     fields = {name: value for name, value in walk.walk_fields().items() if name != "set"}
     return json.dumps([fields | controller_identity(walk.setup), walk.setup.defaults()], sort_keys=True)
 

@@ -140,7 +140,7 @@ def listed_rows(
         before = first.setdefault(content[row].tobytes(), row)
         if before != row and table.exact:
             raise SpecError(f"{table.place(row)}: a row is the same as that of {table.place(before)}: "
-                            "every run would be made twice; for repeats use randomize.repeats.")  # fmt: skip
+                            "every run would be made twice; for repeats use randomize.repeats." )  # fmt: skip
     kept = np.array(list(first.values()))
     return RowList({name: column[kept] for name, column in values.items()}, structure[kept])
 

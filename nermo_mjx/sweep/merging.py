@@ -1,4 +1,4 @@
-"""Directories of sweeps become one: the rows of all of them, each once, in a directory of its own."""
+"""Merging sweep directories: the rows of all of them, each once, in a new directory."""
 
 from __future__ import annotations
 

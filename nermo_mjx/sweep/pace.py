@@ -1,4 +1,4 @@
-"""How fast this machine simulates a walk, measured in a moment: what a sweep, a search or a tuning will take."""
+"""How fast this machine simulates a walk, from a short measurement: estimates for sweeps, searches and tunings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PROBE: Final = 0.5
 
 
 def pace(simulator: SimulatorLike, setup: Setup, worlds: int) -> float:
-    """Simulated seconds of all worlds together, a second of wall time, once programs are compiled.
+    """Simulated seconds of all worlds together per second of wall time, once programs are compiled.
 
     Args:
         worlds: of a batch.

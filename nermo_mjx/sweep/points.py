@@ -1,4 +1,4 @@
-"""What a figure of variants shows as one point each: the mean of a variant's runs, or a run where nothing is varied."""
+"""The points of a figure of variants: the mean of each variant's runs, or single runs if nothing is varied."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def repeats_remark(results: Results) -> str:
 
 
 def thinned(values: np.ndarray, most: int, kept: np.ndarray | Sequence[int] = ()) -> np.ndarray:
-    """So many of some sorted values, evenly, and those to be kept; all of them where they are no more."""
+    """A given number of sorted values, evenly spaced, plus those to keep; all of them if there are no more."""
     if len(values) <= most:
         return values
     even = values[np.linspace(0, len(values) - 1, most).round().astype(int)]

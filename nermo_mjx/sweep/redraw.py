@@ -89,7 +89,7 @@ def chosen_figure(
     for option, name in (("x", x), ("y", y), ("color", color)):
         _check_column(results, name, option)
     if not results.well.any():
-        raise ParameterError("no run of the table went well, so that there is nothing to plot.")
+        raise ParameterError("no run in the table succeeded, so there is nothing to plot.")
     return (_figure(results, x, y or LEADING, color, remark) for _ in range(1))
 
 
@@ -99,7 +99,7 @@ def _usual(out: Path, results: Results, metric: str, remark: str) -> Iterator[tu
         some = True
         yield named
     if not some:
-        why = "all its parameters have one value" if results.well.any() else "no run went well"
+        why = "all its parameters have one value" if results.well.any() else "no run succeeded"
         raise DirectoryError(f"there is nothing to draw of {out}: {why}.")
 
 

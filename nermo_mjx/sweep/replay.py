@@ -202,7 +202,7 @@ def engine_for(found: SweepRow) -> str:
 
 
 def report_of(found: SweepRow, replay: Replay) -> dict[str, Any]:
-    """What a replay gave: the fields of `walk --json`, the row's own, and how it compares with the table."""
+    """The result of a replay: the fields of `walk --json`, the row's own, and the comparison with the table."""
     line = found.line
     return {
         "directory": str(found.out),
@@ -217,7 +217,7 @@ def report_of(found: SweepRow, replay: Replay) -> dict[str, Any]:
 
 
 def compared(found: SweepRow, replay: Replay) -> str:
-    """How the replay stands to the table, in a sentence."""
+    """The comparison of the replay with the table, in a sentence."""
     comparison = replay.comparison
     if comparison is None and found.outdated:
         return "Not compared: the row in the table was made by another sweep.yaml, or with other defaults."

@@ -1,4 +1,4 @@
-"""What is found in finished tables, kept: a table in one file, or a directory of table, JSON and figures."""
+"""Stored reports on finished tables: a table in one file, or a directory of table, JSON and figures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TABLES: Final = (".parquet", ".csv")
 def write_report(
     out: Path, kind: str, table: pa.Table, about: Mapping[str, Any], figures: Figures
 ) -> tuple[list[Path], str]:
-    """Write a report, and return its files, and a sentence about files that were in the way, empty if none was.
+    """Write a report, and return its files, and a message about files that were in the way, empty if there were none.
 
     Args:
         out: FILE.csv or FILE.parquet for the table alone, else a directory: KIND.parquet, KIND.json and plots/.
@@ -68,7 +68,7 @@ def report_table(out: Path, kind: str) -> pa.Table:
 
 
 def status(out: Path) -> Status:
-    """What a report's directory holds."""
+    """The contents of a report's directory."""
     kind = str(read_record(out).get("kind"))
     table = parquet_table(out / f"{kind}.parquet")
     rows = 0 if table is None else table.num_rows

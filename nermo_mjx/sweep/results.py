@@ -1,4 +1,4 @@
-"""The result table as a reader sees it: whole, or a few columns at a time where it would not fit into memory."""
+"""Reading the result table: as a whole, or a few columns at a time if it would not fit into memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Run a sweep: cut its rows into chunks, simulate what the directory does not hold yet, then sum up."""
+"""Run a sweep: divide its rows into chunks, simulate what the directory lacks, then summarize."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from nermo_mjx.sweep.store import DirectoryError, Store
 from nermo_mjx.sweep.summary import summarize
 from nermo_mjx.sweep.tally import SweepProgress, Tally
 
-#: How often a chunk is run that is damaged each time it is read again.
+#: How often to rerun a chunk that is damaged each time it is read back.
 ATTEMPTS = 2
 
 
@@ -57,7 +57,7 @@ class SweepResult:
         plots: files of the figures.
         recordings: files of the rows that are kept.
         complete: whether the directory holds every row of the sweep.
-        chunks_run: chunks that this call had simulated.
+        chunks_run: chunks simulated by this call.
         rows_done, rows: finished rows and all rows of the sweep.
         missing: which chunks are missing and how to run them, in words; empty if none is.
     """
@@ -103,7 +103,7 @@ def run_sweep(
     >>> run_sweep(spec, tempfile.mkdtemp(), engine="c").table.column("status").to_pylist()
     ['ok', 'ok']
 
-    Memory does not grow with what is done: a chunk is written while the next one is simulated, and the summary and the
+    Memory does not grow with finished work: a chunk is written while the next one is simulated, and the summary and the
     figures read a few columns at a time.
 
     Args:
@@ -114,16 +114,16 @@ def run_sweep(
         notify: called with a message if something takes long (compilation).
         warn: called with a message if something in the directory is damaged, and is run again.
         chunk: rows simulated and stored together; a directory keeps the size it was started with.
-        shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same however it was split. The
-            shard that finds the table complete sums up.
+        shard: (i, n) runs only every n-th chunk, from i in 0..n-1; the table is the same for any split. The
+            shard that finds the table complete writes the summary.
         accept_new_code: resume a directory that other code or another engine started; the table's column `code`
             tells the rows apart.
-        extend: if the directory holds a sweep that differs in its rows alone, make it this one; rows that are there are
-            used. The result is that of running this sweep in a single pass.
-        use: directories of other sweeps whose rows are taken where this sweep has the same ones.
-        simulate: whether rows that are not there are run.
+        extend: if the directory contains a sweep that differs only in its rows, turn it into this one, reusing existing
+            rows. The result is that of running this sweep in a single pass.
+        use: directories of other sweeps whose rows are reused where this sweep has the same ones.
+        simulate: whether missing rows are run.
         log: trackers that get a line per chunk, `tensorboard` or `mlflow`; each needs the extra of its name.
-        workers: who simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
+        workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(spec.setup, engine)`.
 
     Raises:
@@ -213,7 +213,7 @@ def _finish(
     known: KnownRows | None,
     warn: Callable[[str], None] | None,
 ) -> None:
-    """Run what is missing of this process's share, and see that it is really there."""
+    """Run what is missing of this process's share, and verify that it is stored."""
     for _ in range(ATTEMPTS):
         complete = work.done.all()
         work.simulate(simulator, workers, accept_new_code, known)

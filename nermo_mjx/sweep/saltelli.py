@@ -1,6 +1,6 @@
 """Saltelli's design: the sample from which Sobol indices are found, by SALib.
 
-SALib is a dependency, because its designs and its estimators fit each other to the last row, and it has the intervals.
+SALib is a dependency because its designs and estimators match each other, and it provides the intervals.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Rows:
 
 
 class Sample:
-    """All rows of a sweep, each made on demand; repeats of a variant stand side by side.
+    """All rows of a sweep, each made on demand; repeats of a variant are adjacent.
 
     Structures run slowest. For each of them a grid runs through the product of its axes, the last one fastest. Sobol
     and Latin hypercube points come from `scipy.stats.qmc`, scrambled with the sweep's seed, and are the same for all

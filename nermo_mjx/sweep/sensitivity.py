@@ -30,22 +30,22 @@ _FEWEST: Final = 65
 _HARMONICS: Final = 10
 _METHODS: Final = {
     "sobol": "first and total Sobol indices by Saltelli's design",
-    "rbd_fast": "first Sobol indices from given data, by RBD-FAST: a sample of another design tells no interactions",
+    "rbd_fast": "first Sobol indices from given data, by RBD-FAST: a sample of another design gives no interactions",
 }
 
 
 @dataclasses.dataclass(frozen=True)
 class Sensitivity:
-    """What `sensitivity` finds.
+    """The result of `sensitivity`.
 
     Attributes:
         table: one row per index: the varied structures, if there are any; `parameter`, `second` (the other one of a
             pair, else empty), `order` ("first", "total" or "second"), `index`, `low`, `high` (its 95 % interval).
         metric: whose variance it is.
         method: "sobol", or "rbd_fast" where the sample is not of Saltelli's design.
-        noise: the share of the variance that is noise: randomized parameters and starts, told by the spread of the
-            repeats; NaN where there is one repeat.
-        notes: what is left out, and what to mind, in sentences.
+        noise: the share of the variance that is noise: randomized parameters and starts, estimated from the spread of
+            the repeats; NaN with a single repeat.
+        notes: omissions and caveats, in sentences.
     """
 
     table: pa.Table
@@ -61,13 +61,13 @@ class Sensitivity:
 
 
 def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
-    """How much of a metric's variance each varied parameter makes, alone (first) and with all others (total).
+    """Each varied parameter's share of a metric's variance, alone (first) and including interactions (total).
 
     Indices are shares of the variance over the sample, with 95 % intervals of SALib's bootstrap. With `sample:
     {saltelli: N}` they are estimated as by Saltelli et al. (Comput. Phys. Commun. 181, 2010), first and total, with
     `second_order: true` of pairs, too. Any other random sample gives first indices, by RBD-FAST (Tarantola, Gatelli and
-    Mara, 2006; Plischke, 2010). Each varied structure is analysed for itself. What is randomized is noise: the first
-    indices are shares of a variance that holds it, and each total index holds all of it. More repeats make it less.
+    Mara, 2006; Plischke, 2010). Each varied structure is analysed separately. What is randomized is noise: the first
+    indices are shares of a variance that includes it, and each total index includes all of it. More repeats reduce it.
 
     >>> import tempfile
     >>> from nermo_mjx import run_sweep
@@ -227,9 +227,9 @@ def _line(parameter: str, order: str, index: float, half: float, second: str = "
 
 
 def _about_noise(noise: float, method: str) -> str:
-    """What the randomized parameters do to the indices."""
+    """The effect of the randomized parameters on the indices."""
     rest = "a total index of a parameter without effect is about as large" if method == "sobol" else (
-        "so much no parameter explains"
+        "which no parameter explains"
     )  # fmt: skip
     if math.isnan(noise):
         return "What is randomized counts as noise; one repeat does not tell how much it is: give repeats."

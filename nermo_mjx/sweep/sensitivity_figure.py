@@ -1,4 +1,4 @@
-"""How Sobol indices look, from their table alone: a bar for each parameter alone and with all others."""
+"""Figures of Sobol indices, from their table alone: a bar for each parameter alone and with interactions."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def chunk_with_series(sweep: Sweep, wanted: int | None, usual: Callable[[], int]
 
 
 def check_room(sweep: Sweep, out: Path, seconds: np.ndarray, missing: Sequence[np.ndarray]) -> None:
-    """Refuse to begin what the disk has no room for.
+    """Refuse a sweep for which the disk has no room.
 
     Args:
         out: the directory.
@@ -116,7 +116,7 @@ def check_room(sweep: Sweep, out: Path, seconds: np.ndarray, missing: Sequence[n
 
 
 def size(amount: float) -> str:
-    """Bytes as people read them.
+    """Bytes in readable form.
 
     >>> size(2.5e9)
     '2.5 GB'

@@ -1,4 +1,4 @@
-"""Figures that put the structures of a sweep side by side: a line, a panel or a dot for each combination of them."""
+"""Figures that compare the structures of a sweep: a line, a panel or a dot for each combination of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_GROUPS: Final = 12
 _MOST_ALONE: Final = 6
 _MOST_PAIRED: Final = 3
 _DASHES: Final = ("-", "--", ":", "-.")
-#: Bands of spread are drawn for so many lines; more would cover each other.
+#: Maximum number of lines with bands of spread; more would cover each other.
 _MOST_BANDS: Final = 4
 _BINS: Final = 9
 
@@ -137,7 +137,7 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
-    said = [f"{groups.what}: " + ("running mean" if even else "mean over all else")]
+    said = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
     said += ["band: standard deviation"] if len(groups.names) <= _MOST_BANDS else []
     said += [f"level: without {x.name}"] if level else []
     return around(figure, title, note + "; ".join(said), handles)

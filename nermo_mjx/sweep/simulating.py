@@ -1,4 +1,4 @@
-"""What computes a sweep's chunks: a simulator that is warm after its first, here or on another machine."""
+"""The computer of a sweep's chunks: a simulator that is warm after its first one, here or on another machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nermo_mjx.rollout.setup import without_presettings
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.specs.walk import WalkSpec
 
-#: Simulators of structures that are kept warm: what varies fastest comes again for each of what varies slower.
+#: Number of simulators kept warm: fast-varying structures recur for each slow-varying one.
 MOST_KEPT: Final = 4
 
 
@@ -81,7 +81,7 @@ class BatchSimulator:
 
     @property
     def used(self) -> SimulatorLike | None:
-        """What has simulated here, if anything has."""
+        """The simulator used here, if any."""
         return self._simulator
 
     def __getstate__(self) -> dict[str, Any]:
@@ -94,13 +94,13 @@ class BatchSimulator:
 
     @property
     def simulator(self) -> SimulatorLike:
-        """What simulates, made where it is first needed."""
+        """The simulator, created on first use."""
         self.warm()
         assert self._simulator is not None
         return self._simulator
 
     def stamp(self) -> CodeStamp:
-        """Of the code, the model and the engine that simulate here."""
+        """Stamp of the code, the model and the engine that simulate here."""
         return stamp(self.setup.load().fingerprint, self.engine)
 
     def __call__(self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None) -> Simulated:
@@ -143,7 +143,7 @@ class SweepSimulator:
 
     @property
     def used(self) -> SimulatorLike | None:
-        """What has simulated here last, if anything has."""
+        """The last simulator used here, if any."""
         return None if self._current is None else self._current[1].used
 
     def __getstate__(self) -> dict[str, Any]:
@@ -155,7 +155,7 @@ class SweepSimulator:
         self._of(0 if self._current is None else self._current[0]).warm()
 
     def stamp(self, structure: int = 0) -> CodeStamp:
-        """Of the code, a structure's model and the engine that simulate here."""
+        """Stamp of the code, a structure's model and the engine that simulate here."""
         walk = self.walks[structure]
         return BatchSimulator(walk.setup, walk.run, self.engine).stamp()
 

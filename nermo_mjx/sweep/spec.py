@@ -1,4 +1,4 @@
-"""What a sweep is: the checked content of a sweep file. Everything wrong with it is said here, before work begins."""
+"""What a sweep is: the checked content of a sweep file. All errors in it are reported here, before work begins."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Sweep(WalkSpec):
         rows: the variants, where they are given one by one.
         bodies: "identified", if each run has a body of that ensemble; else None.
         seed: makes samples and draws repeatable.
-        seeds: what seeds the draws of a run beside it: "content", its values, or "position", the number of its variant.
+        seeds: what else seeds the draws of a run: "content", its values, or "position", the number of its variant.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
         comparison: what is compared when it is; None if nothing is.
@@ -82,7 +82,7 @@ class Sweep(WalkSpec):
 
     @classmethod
     def from_text(cls, text: str, source: str = "sweep") -> Sweep:
-        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
         return _read(read_text(text, source))
 
     @classmethod
@@ -92,9 +92,9 @@ class Sweep(WalkSpec):
 
     @classmethod
     def from_rows(cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None) -> Sweep:
-        """The variants of a table (see `rows` of a sweep file), with all else as a sweep file says, if one is given.
+        """The variants of a table (see `rows` of a sweep file), with everything else from a sweep file, if given.
 
-        What the file varies does not count. Raises `SpecError`.
+        What the file varies is ignored. Raises `SpecError`.
         """
         doc = read_mapping({}) if path is None else read_file(path)
         data = {key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")}
@@ -111,7 +111,7 @@ class Sweep(WalkSpec):
     def counts(self) -> tuple[int, ...]:
         """The number of variants of each structure, before repeats.
 
-        A parameter that nothing reads in a structure is not varied there. So a grid has fewer variants of it.
+        A parameter that a structure does not use is not varied there, so a grid has fewer variants of it.
         """
         if self.rows is not None:
             return tuple(np.bincount(self.rows.structure, minlength=len(self.structures)).tolist())
@@ -213,7 +213,7 @@ class Sweep(WalkSpec):
     def digest(self) -> str:
         """A hash of all that decides the rows of the table: the sweep, defaults of what it does not name, and bodies.
 
-        How rows are cut into chunks, and whether figures are drawn, does not count.
+        Chunking and figures are not included.
         """
         defaults: Any = {name: about.default for name, about in self.parameters.items()}
         if self.labelled:

@@ -200,7 +200,7 @@ class Store:
             )
             self._keep_rows()
             create_file(path, self.sweep.to_yaml(folder).encode())
-        # Even if it was written just now: another shard may have been faster, and have chosen other chunks.
+        # Even if it was just written: another shard may have been faster, and have chosen other chunks.
         try:
             begun = Sweep.from_directory(self.out)
         except SpecError as error:
@@ -226,7 +226,7 @@ class Store:
     def _extend(self, begun: Sweep) -> None:
         """Make the directory that of this sweep. Its results go into a folder, where their rows are found again.
 
-        Whatever moment ends it, each result is in one of the two places, with the sweep that it belongs to.
+        If interrupted at any moment, each result is in one of the two places, with the sweep that it belongs to.
         """
         path, folder = self.out / "sweep.yaml", self.out.resolve()
         if chunk_files(self.out):

@@ -1,4 +1,4 @@
-"""What of a walk is chosen by name and varies: gait, spine, pilot, robot... Each combination is a setup of its own."""
+"""Structures: what a sweep varies by name (gait, spine, pilot, robot...). Each combination is a separate setup."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def chunk_table(
     for name, metric in sweep.metrics.items():
         if name in metrics:
             columns.add(name, metrics[name], "metric", metric.unit, metric.doc, better=metric.better)
-    columns.add("status", np.asarray(status), "status", "1", "ok, or what became of the run")
+    columns.add("status", np.asarray(status), "status", "1", "ok, or how the run ended")
     codes = np.broadcast_to(np.asarray(code, object), len(index))
     columns.add("code", codes, "code", "1", "which code made the row, as run.json names it")
     sampler = "grid" if sweep.is_grid else sweep.sampler

@@ -1,5 +1,5 @@
-"""Gradient tuning of named parameters: read and check a tuning file, step its starts, keep every iteration, and show
-what came of it; and whether such gradients can be trusted."""
+"""Gradient tuning of named parameters: read and check a tuning file, step its starts, store every iteration, and plot
+the results; and whether such gradients can be trusted."""
 
 from nermo_mjx.tune.directory import load_tuning
 from nermo_mjx.tune.evaluation import Evaluation, Problem

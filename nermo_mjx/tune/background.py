@@ -23,9 +23,9 @@ from nermo_mjx.tune.sampling import Estimator
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.spec import Tuning
 
-#: Points along each parameter: of one, and of two. A periodic one ends where it begins, which is simulated once.
+#: Points along each parameter: for one, and for two. The ends of a periodic one coincide, and are simulated once.
 POINTS: Final = {1: 37, 2: 17}
-#: Where a tuning's directory keeps it, so that it is simulated once.
+#: File in a tuning's directory, so that it is simulated only once.
 LANDSCAPE: Final = "plots/landscape.parquet"
 _KEY: Final = b"landscape"
 
@@ -57,13 +57,13 @@ def simulate(
     simulator: SimulatorLike,
     progress: Callable[[float], None] | None = None,
 ) -> pa.Table:
-    """Walk the grid; one row per point: its parameters, the objective, the metrics that it reads, and the status.
+    """Simulate the grid; one row per point: its parameters, the objective, the metrics that it uses, and the status.
 
     Args:
         others: values of the tuned parameters that are not on the grid.
 
     Raises:
-        ParameterError: some point of the grid cannot be walked; the message says why.
+        ParameterError: some point of the grid cannot be simulated; the message says why.
     """
     axes, periodic = grid_axes(tuning), {each.name for each in tuning.tuned if each.periodic}
     walked = [nodes[:-1] if name in periodic else nodes for name, nodes in axes.items()]
@@ -80,7 +80,7 @@ def simulate(
     for name in tuning.objective.metrics:
         metric = tuning.metrics[name]
         table.add(name, np.asarray(result.metrics[name]), "metric", metric.unit, metric.doc)
-    table.add("status", status, "status", "1", "ok, or what became of the run")
+    table.add("status", status, "status", "1", "ok, or how the run ended")
     made_by = stamp(tuning.setup.load().fingerprint, result.engine)
     about = {"landscape": key(tuning, others), "engine": result.engine, "code": json.dumps(made_by.fields())}
     return table.table(about)
@@ -113,7 +113,7 @@ def has_background(tuning: Tuning) -> bool:
 
 
 def key(tuning: Tuning, others: Mapping[str, float]) -> str:
-    """A hash of all that decides the grid: not how it is walked on, so not optimizer, estimator, starts and seed."""
+    """A hash of all that determines the grid: not the path over it, so not optimizer, estimator, starts and seed."""
     walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
     nodes: Sequence[list[float]] = [values.tolist() for values in grid_axes(tuning).values()]
     return hashlib.sha256(json.dumps([walk.digest(), nodes, dict(others)]).encode()).hexdigest()[:16]

@@ -1,16 +1,16 @@
-"""Unbounded coordinates for bounded parameters, so that every step of an optimizer stays where it may.
+"""Unbounded coordinates for bounded parameters, so that every step of an optimizer stays within bounds.
 
 A parameter x in (low, high) is the smooth image of a coordinate u that may take any value:
 
     x = low + (high - low) sigmoid(u),         dx/du = (high - low) sigmoid(u) (1 - sigmoid(u))
 
 A periodic parameter (an angle whose bounds are a whole turn) has no bounds to stay away from. Its coordinate is
-proportional to it, and x comes back on the other side, so that a tuner can walk round the circle:
+proportional to it, and x wraps around to the other side:
 
     x = low + (high - low) frac(1/2 + u/4),    dx/du = (high - low) / 4
 
-In the middle of the bounds both have the slope (high - low) / 4: a unit of u is as much of the one parameter's range as
-of the other's, so that one learning rate and one standard deviation serve all.
+In the middle of the bounds both have the slope (high - low) / 4: a unit of u is the same fraction of every parameter's
+range, so that one learning rate and one standard deviation suit all.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 #: A point nearer to a bound than this share of the range is moved in: on the bound itself u is infinite and dx/du zero.
 EDGE: Final = 0.01
-#: No step leads nearer to a bound than this share of the range: beyond it the way back would take forever.
+#: No step leads nearer to a bound than this share of the range: from beyond, returning would take forever.
 FURTHEST: Final = 0.001
 
 

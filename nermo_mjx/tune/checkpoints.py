@@ -17,11 +17,11 @@ from nermo_mjx.tune.state import TuneState
 
 
 class Checkpoints:
-    """The checkpoints of one directory, one an iteration; use it in a `with` statement.
+    """The checkpoints of one directory, one per iteration; use it in a `with` statement.
 
     A checkpoint holds the state and the history so far (item `tuning`), and what they are (`about`: the tuning they
     belong to, precision, names of the metrics, shape of the history, which code made it, checksums). The history has no
-    other source: whatever else is in the directory is made from the checkpoint, so that nothing can disagree with it.
+    other source: everything else in the directory is made from the checkpoint, so that nothing can disagree with it.
 
     Args:
         held: the directory; checkpoints are in its folder `checkpoints`, which is made if it does not exist.

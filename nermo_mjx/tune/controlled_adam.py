@@ -1,12 +1,12 @@
-"""Adam whose learning rate needs no hand: it follows what the objective says of the steps.
+"""Adam with an automatic learning rate: it adapts to the objective values after each step.
 
 With Adam's means of the gradients m and of their squares v, corrected for their start (Kingma and Ba, ICLR 2015), a
 step is rate * m / sqrt(v). An evaluation that is the best so far makes the rate a fifth larger. After two in a row
 that are not, it becomes 0.7 of what it was, and the next step starts from the best point again; after a fall, at once.
 
-What is averaged is the direction, so that a landscape may be rough: the slope of a walk's speed has teeth as steep as
-the hill that they stand on, 0.1 of a unit of u wide, in which a descent that insists on gain gets stuck (a trust region
-with the update of Broyden, Fletcher, Goldfarb and Shanno, much quicker on smooth functions, did at once).
+The direction is averaged, so the landscape may be rough: a walk's speed has teeth as steep as the overall hill, 0.1 of
+a unit of u wide, in which a descent that insists on improvement gets stuck (a trust region with the update of Broyden,
+Fletcher, Goldfarb and Shanno, much faster on smooth functions, did so at once).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
-#: First rate, in coordinates u a step: a thirteenth of a parameter's range in its middle.
+#: Initial rate, in coordinates u per step: a thirteenth of a parameter's range in its middle.
 RATE: Final = 0.3
 _MOST: Final = 1.0
 _GROWS, _SHRINKS, _WAITS = 1.2, 0.7, 2
@@ -25,7 +25,7 @@ _MEMORY: Final = (0.8, 0.9)
 
 
 class ControlledAdam(NamedTuple):
-    """Where the optimizer is.
+    """State of the optimizer.
 
     Attributes:
         adam: means of the gradients and of their squares.
@@ -45,7 +45,7 @@ def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs
     """The optimizer, for the vector u of one start; `update` takes `value`, infinite where there is none.
 
     Args:
-        rate: the first one, in coordinates u a step.
+        rate: the initial one, in coordinates u per step.
 
     >>> import jax
     >>> bowl = lambda u: jnp.sum((u - jnp.array([1.0, 3.0])) ** 2 * jnp.array([1.0, 20.0]))
@@ -70,7 +70,7 @@ def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs
         walked, better = jnp.isfinite(value), value < state.best
         ahead, adam = direction.update(gradient, state.adam)
         before, _ = direction.update(jnp.zeros_like(gradient), state.adam)
-        # A fall has no gradient: the direction stays.
+        # A fall has no gradient: keep the direction.
         ahead = jnp.where(walked, ahead, before)
         adam = optax.tree.where(walked, adam, state.adam)
         waited = jnp.where(better, 0, state.waited + 1)

@@ -1,4 +1,4 @@
-"""What a tuning would take here by each method, before it begins."""
+"""Cost estimates of a tuning on this machine by each method, before it starts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nermo_mjx.sweep.pace import pace
 from nermo_mjx.tune.methods import Method
 from nermo_mjx.tune.spec import Tuning
 
-#: Worlds of the probe: two cores are busy with them.
+#: Worlds of the probe: enough to keep two cores busy.
 _WORLDS: Final = 16
 #: How much slower MJX runs on a CPU than MuJoCo C, with this many worlds or more, and with fewer in proportion
 #: (docs/benchmarks: 14 simulated seconds per second, and 3.5 with one world, against 136).
@@ -23,13 +23,13 @@ MJX_WORLDS: Final = 4
 
 @dataclasses.dataclass(frozen=True)
 class MethodCost:
-    """What a tuning takes by one method.
+    """The cost of a tuning by one method.
 
     Attributes:
         method: its name.
         evaluations: walks; of the method `gradient` with their derivatives.
         simulated_seconds: of all walks, gradients at their cost in forward runs [s].
-        wall_seconds: by this machine's pace, without compiling [s]; None where it is not known, as of MJX on a GPU.
+        wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
     """
 
     method: str

@@ -1,7 +1,7 @@
 """A tuning's directory: what it is for, and the files that are made from its checkpoints.
 
 DIR/tuning.yaml       the resolved tuning
-DIR/recording.npz     what it compares with, if it does: a copy, so that the directory can be moved
+DIR/recording.npz     a copy of its reference recording, if any, so that the directory can be moved
 DIR/run.json          which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/      Orbax checkpoints, the latest few
 DIR/history.parquet   one row per iteration and start
@@ -9,7 +9,7 @@ DIR/best.json         the best point and what it cost to find
 DIR/tuned.yaml        a sweep file with the best point's values
 DIR/plots/            figures, and the landscape behind the paths
 DIR/video.mp4         start and best side by side
-DIR/*.aside-N         what did not fit: nothing is deleted
+DIR/*.aside-N         files that did not match: nothing is deleted
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class Directory:
         return made_by.id
 
     def claim(self, log: Log | None) -> None:
-        """Make the directory this tuning's; what is there and does not follow from this history is moved aside."""
+        """Claim the directory for this tuning; existing files that do not follow from this history are moved aside."""
         if not self._follows(log):
             self.set_aside("of another history", *_MADE, _TUNING)
         setup = keep_controller(self.tuning.setup, self.out.resolve(), self._run.write)
@@ -94,7 +94,7 @@ class Directory:
         write_tuning(self._run, _TUNING, self.tuning, self._warn)
 
     def begin_session(self, begun_at: int) -> None:
-        """Note what runs here from which iteration on; a video of what was best before is moved aside."""
+        """Record what runs here and from which iteration; a video of an earlier best point is moved aside."""
         self._run.note_session(session(begun_at=begun_at))
         self.set_aside("of another best point", VIDEO)
 
@@ -122,7 +122,7 @@ class Directory:
         set_aside(self._run, what, names, self._warn)
 
     def _follows(self, log: Log | None) -> bool:
-        """Whether what the directory shows is of this history, or of its beginning."""
+        """Whether the directory's contents belong to this history, or to its beginning."""
         if log is None:
             return not any((self.out / name).exists() for name in _MADE)
         shown = content_of(self.out / FILE)
@@ -164,7 +164,7 @@ def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], Non
 
 
 def write_tuning(held: RunDirectory, name: str, tuning: Tuning, warn: Callable[[str], None] = lambda _: None) -> None:
-    """Write the resolved tuning into a directory; what a user wrote there is moved aside."""
+    """Write the resolved tuning into a directory; a user's own file there is moved aside."""
     begun, folder, path = None, held.out.resolve(), held.out / name
     with contextlib.suppress(SpecError):
         begun = Tuning.from_file(path, recorded=False)
@@ -176,7 +176,7 @@ def write_tuning(held: RunDirectory, name: str, tuning: Tuning, warn: Callable[[
 
 
 def set_aside(held: RunDirectory, what: str, names: Iterable[str], warn: Callable[[str], None]) -> None:
-    """Move files of a directory aside, as far as they are there, with a sentence on what each is."""
+    """Move existing files of a directory aside, with a message about each."""
     for name in names:
         aside = held.move_aside(name)
         if aside is not None:

@@ -16,7 +16,7 @@ variance. If only one half of a pair completed its walk, the centre replaces the
 
 The mixture is alpha * first + (1 - alpha) * zeroth for each parameter, after Suh, Simchowitz, Zhang and Tedrake, *Do
 differentiable simulators give better policy gradients?* (ICML 2022): least variance, subject to a bound on the bias
-that the first order may bring in. On a step function its sample variance is 0 and so is its mean, whatever the true
+that the first order may bring in. On a step function its sample variance and its mean are 0, whatever the true
 slope ("empirical bias"), and inverse variances alone would give it all the weight. See `mixture` for the rule.
 """
 
@@ -36,7 +36,7 @@ from nermo_mjx.tune.sampling import Estimator
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Worlds:
-    """What the worlds of one start gave, in k pairs.
+    """Results of the worlds of one start, in k pairs.
 
     Attributes:
         noise: e of each pair (k, p).
@@ -165,7 +165,7 @@ def mixture(estimator: Estimator, worlds: Worlds) -> Estimate:
     return Estimate(alpha * first + (1.0 - alpha) * zeroth, error, alpha, count, ~used.any())
 
 
-#: Estimators by name, and what each one does with the worlds of one start.
+#: Estimators by name: functions of the worlds of one start.
 ESTIMATORS: Final[dict[str, Callable[[Estimator, Worlds], Estimate]]] = {
     "exact": exact,
     "smoothed": smoothed,

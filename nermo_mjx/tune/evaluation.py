@@ -1,4 +1,4 @@
-"""What the tuner asks of a simulation: values, gradients and metrics of a batch of points, in one compiled program."""
+"""The tuner's interface to a simulation: values, gradients and metrics of a batch of points in one program."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from jaxtyping import Array, Bool, Float
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """What n points gave.
+    """Results of n points.
 
     Attributes:
         value: objective (n,), lower is better.
-        gradient: d value / d parameters (n, p), per unit of each parameter; None where it was not asked for.
+        gradient: d value / d parameters (n, p), per unit of each parameter; None if not requested.
         metrics: name -> (n,), in the metrics' own units.
         ok: whether the robot walked to the end and all numbers are finite, value and gradient (n,).
     """

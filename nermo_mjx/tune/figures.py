@@ -1,4 +1,4 @@
-"""How a tuning went, over its iterations: objective and metrics, parameters, gradients."""
+"""Figures of a tuning over its iterations: objective and metrics, parameters, gradients."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ START_COLOURS: Final = SERIES
 #: Panels of one figure.
 MOST_PANELS: Final = 12
 _WIDTH, _PANEL, _MARGINS = 7.2, 1.75, 0.85
-#: A path shorter than this share of its bounds is shown larger than they are.
+#: A path shorter than this fraction of its bounds is shown enlarged.
 _ZOOM: Final = 0.2
 
 
@@ -61,7 +61,7 @@ def parameters_figure(traces: Traces) -> Figure:
     """Each parameter over the iterations, in its unit, with its bounds; a periodic one continues beyond them."""
     tuned = traces.tuning.tuned[:MOST_PANELS]
     left_out = len(traces.tuning.tuned) - len(tuned)
-    note = f"{_what(traces)}; dashed: bounds, or where a periodic parameter has gone round; star: best"
+    note = f"{_what(traces)}; dashed: bounds, or where a periodic parameter wraps around; star: best"
     note += f"; {left_out} more parameters are not shown" if left_out else ""
     columns = 1 if len(tuned) <= 3 else 2
     rows = math.ceil(len(tuned) / columns)
@@ -114,7 +114,7 @@ def gradients_figure(traces: Traces) -> Figure:
 
 
 def start_styles(traces: Traces) -> Mapping[int, dict[str, Any]]:
-    """How each drawn start's line looks, by its number; a few have a colour and a legend entry each."""
+    """Line style of each drawn start, by its number; a few have their own colour and legend entry."""
     best, drawn = traces.best[1], traces.drawn()
     if len(drawn) <= len(START_COLOURS):
         names = {start: f"start {start}" + (" (given)" if start == 0 else "") for start in drawn}
@@ -169,7 +169,7 @@ def _mark_falls(ax: Axes, traces: Traces) -> None:
 
 
 def _cut(ax: Axes, values: np.ndarray) -> None:
-    """Leave out what lies so far above the rest that nothing else could be seen."""
+    """Cut off values so far above the rest that nothing else would be visible."""
     good = values[np.isfinite(values)]
     low, high = np.min(good), np.quantile(good, 0.9)
     top = max(high + 2.0 * (high - low), low + 1.05 * (np.nan_to_num(values[0, 0], nan=low) - low))
@@ -191,7 +191,7 @@ def _draw_shares(ax: Axes, traces: Traces) -> None:
 
 
 def _draw_aim(ax: Axes, traces: Traces, term: Term) -> None:
-    """What the term wants of its metric: a line to hold, or the word."""
+    """The target of the term's metric: a line to hold, or a word."""
     target = traces.target(term)
     if target is not None:
         ax.axhline(target, color=MUTED, lw=1.0, ls="--", zorder=1)

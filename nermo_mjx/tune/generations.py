@@ -19,7 +19,7 @@ from nermo_mjx.tune.tuner import Iterate
 
 
 def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
-    """Hansen's CMA-ES with a random generator of its own: NumPy's global one belongs to everyone.
+    """Hansen's CMA-ES with its own random generator, since NumPy's global one is shared.
 
     Args:
         start: where it begins (p,).
@@ -38,15 +38,15 @@ def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Ge
 class GenerationTuner:
     """Steps a tuning by generations, as `tuner.Tuner` does by gradients.
 
-    The population's points stand in the place of the starts: the first point of the first generation is the given one.
-    A point that does not walk to its end counts as worse than all others. Coordinates are those of
+    The points of the population replace the starts: the first point of the first generation is the given one.
+    A point whose walk is not completed counts as worse than all others. Coordinates are those of
     `nermo_mjx.tune.bounds`.
     """
 
     def __init__(self, tuning: Tuning, problem: Problem, log: Log | None) -> None:
         """
         Args:
-            log: the history so far, which is told once more; None if there is none.
+            log: the history so far, which is replayed; None if there is none.
         """
         assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
         self.tuning, self.problem = tuning, problem

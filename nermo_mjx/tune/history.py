@@ -2,7 +2,7 @@
 
 Roles: `index` (iteration, start), `objective`, `parameter`, `gradient`, `error` (of the gradient), `weight` (of the
 first order in a mixture), `metric`, `status` (ok, discarded), `effort` (simulated_seconds, wall_seconds), `code`. A
-tuning that was stopped and went on has the same history as one that was not, but for `wall_seconds`.
+resumed tuning has the same history as an uninterrupted one, except for `wall_seconds`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Log:
     Attributes:
         metrics: names of the metrics in it.
         rows: float64 (iterations, starts, columns), the columns as `columns` lists them, but for the index.
-        codes: which code made the iterations from which one on; "" is code that is not known.
+        codes: which code made the iterations, by first iteration; "" is unknown code.
     """
 
     metrics: tuple[str, ...]
@@ -60,7 +60,7 @@ class Log:
         return np.repeat(np.array([code for _, code in self.codes], object), np.diff([*begun, len(self)]))
 
     def extended(self, tuning: Tuning, found: Iterate, wall_seconds: float, code: str) -> Log:
-        """With one more iteration, which took so long, by this code."""
+        """The history with one more iteration, its duration and its code."""
         simulated, wall = found.simulated_seconds, wall_seconds
         if len(self):
             last = dict(zip((c.name for c in columns(tuning, self.metrics)), self.rows[-1, 0].tolist(), strict=True))
@@ -139,7 +139,7 @@ def history_table(tuning: Tuning, log: Log) -> pa.Table:
 
 
 def read_history(out: str | os.PathLike[str]) -> pa.Table:
-    """The history of a tuning's directory, as far as it goes.
+    """The history of a tuning's directory so far.
 
     Raises:
         DirectoryError: there is none, it is damaged, or cannot be read now.

@@ -9,7 +9,7 @@ from nermo_mjx.specs.fields import Fields, OneOf, optional
 from nermo_mjx.specs.reading import Document
 from nermo_mjx.specs.values import Choice, Positive, Whole
 
-#: Share of a parameter's bounds between a point and its neighbours: secants of this width lead somewhere.
+#: Fraction of a parameter's bounds between a point and its neighbours: secants of this width are useful.
 STEP: Final = 0.02
 #: First standard deviation of CMA-ES, in coordinates u.
 SIGMA: Final = 2.0
@@ -33,7 +33,7 @@ class DifferencesFields(Fields):
 
 
 class MethodFields(OneOf):
-    """How an iteration finds its step, as it stands in a file."""
+    """How an iteration finds its step, as written in a file."""
 
     alone: ClassVar = ("gradient", "cma", "differences")
     short: ClassVar = ({"enum": [*alone]},)
@@ -76,7 +76,7 @@ class Method:
         return parameters * (2 if self.scheme == "central" else 1)
 
     def written(self) -> dict[str, Any]:
-        """As it stands in a tuning file; a gradient's stands in none, as in files of earlier releases."""
+        """As written in a tuning file; omitted for `gradient`, as in files of earlier releases."""
         if self.name == "gradient":
             return {}
         names = ("sigma", "population") if self.name == "cma" else ("scheme", "step")

@@ -13,10 +13,10 @@ from nermo_mjx.rollout import METRICS, Metric
 
 #: The term that compares with a recording; the tuning's file names it under `recording`.
 TRAJECTORY_ERROR: Final = "trajectory_error"
-#: Metrics that say how a run went and not how well it walked: they are flags, or follow from the run's length.
+#: Metrics about the outcome of a run rather than the quality of the walk: flags, or functions of the run's length.
 _NO_AIM: Final = ("distance", "duration", "fell", "diverged", "failure_time")
 TRAJECTORY_METRIC: Final = Metric("1", "mean squared difference from the recording, over its variance", "low")
-#: What a term may do with its metric.
+#: Aims of a term for its metric.
 AIMS: Final = ("maximize", "minimize", "hold")
 
 
@@ -59,7 +59,7 @@ class Term:
         return (-self.weight if self.aim == "maximize" else self.weight) * (m / self.scale)
 
     def written(self) -> dict[str, Any]:
-        """As it stands in a tuning file."""
+        """As written in a tuning file."""
         held = {"at": self.at} if self.aim == "hold" else {}
         return {self.aim: self.metric, **held, "weight": self.weight, "scale": self.scale}
 

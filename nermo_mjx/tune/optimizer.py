@@ -1,5 +1,5 @@
-"""Adam with a controlled rate, or any optimizer of optax by name, with its options and schedules by name; tried out
-before anything long begins."""
+"""Adam with a controlled rate, or any optax optimizer by name, with its options and schedules by name; tried out
+before anything expensive starts."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import describe, did_you_mean
 from nermo_mjx.tune.controlled_adam import controlled_adam
 
-#: The optimizer whose learning rate needs no hand, because it is told the objective's value.
+#: The optimizer with an automatic learning rate, which uses the objective's value.
 CONTROLLED: Final = "controlled_adam"
-#: The learning rate of an optimizer that is named without one, in coordinates u (`nermo_mjx.tune.bounds`) a step.
+#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.tune.bounds`) per step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
 
@@ -33,9 +33,9 @@ class Optimizer:
     Attributes:
         name: `controlled_adam` (`nermo_mjx.tune.controlled_adam`), or of a function of optax that has a learning rate:
             `adam`, `sgd`, `lion`, ...
-        options: keyword arguments of that function. A schedule stands as {name: cosine_decay_schedule, option: value},
-            or as {cosine: {option: value}}.
-        clip: a longer gradient (2-norm over the parameters of one start) is shortened to this; None leaves it.
+        options: keyword arguments of that function. A schedule is written as
+            {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.
+        clip: a longer gradient (2-norm over the parameters of one start) is clipped to this norm; None: no clipping.
 
     Raises:
         ParameterError: an unknown name or option, or one that does not work; the message starts with the field
@@ -55,7 +55,7 @@ class Optimizer:
 
     @property
     def reads_values(self) -> bool:
-        """Whether it is told what each point was worth, so that a fall is something that it can answer."""
+        """Whether it uses objective values, so that it can react to a fall."""
         return self.name == CONTROLLED
 
     def build(self) -> optax.GradientTransformationExtraArgs:
@@ -71,7 +71,7 @@ class Optimizer:
         return optax.with_extra_args_support(chosen)
 
     def written(self) -> dict[str, Any]:
-        """As it stands in a tuning file."""
+        """As written in a tuning file."""
         return {"name": self.name, **self.options} | ({} if self.clip is None else {"clip": self.clip})
 
 

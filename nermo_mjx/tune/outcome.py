@@ -13,7 +13,7 @@ from nermo_mjx.tune.history import Log, columns
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.stopping import is_done, why_done
 
-#: Runs of tuned.yaml: they start a little apart, so that the sweep shows whether the best stands on a knife's edge.
+#: Runs of tuned.yaml: from slightly different starts, so that the sweep shows whether the best point is fragile.
 REPEATS: Final = 3
 
 
@@ -60,7 +60,7 @@ def start_of(tuning: Tuning, log: Log) -> dict[str, Any]:
 
 
 def tuned_sweep(tuning: Tuning, best: dict[str, Any], folder: Path | None = None) -> str:
-    """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from starts a little apart.
+    """The text of tuned.yaml: setup, run and `set` of the best point, run a few times from slightly different starts.
 
     Args:
         tuning: what was tuned.
@@ -68,7 +68,7 @@ def tuned_sweep(tuning: Tuning, best: dict[str, Any], folder: Path | None = None
         folder: where the file is to stand, see `walk_fields`.
     """
     known = tuning.parameters
-    # float32 may stand a rounding outside of what is allowed: the digits that count are seven.
+    # float32 may lie a rounding error outside the allowed range: seven digits are significant.
     values = {name: float(np.clip(value, known[name].low, known[name].high))
               for name, value in best["parameters"].items()}  # fmt: skip
     numbers = {name: float(f"{value:.7g}") if math.isfinite(value) else value for name, value in values.items()}

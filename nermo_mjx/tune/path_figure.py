@@ -1,4 +1,4 @@
-"""The way of each start over one or two parameters, drawn on the objective's landscape where there is one."""
+"""The path of each start over one or two parameters, drawn on the objective's landscape if available."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from nermo_mjx.tune.traces import Traces
 #: Lower is better, and brighter.
 _COLOURS: Final = f"{COLOURS}_r"
 _LEVELS: Final = 18
-#: Share of the landscape's points that the colours cover; the highest of the rest would take the contrast from all.
+#: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
 _COVERED: Final = 0.97
 _LABEL: Final = "objective, lower is better [1]"
 
@@ -37,7 +37,7 @@ def path_figure(traces: Traces, background: Background | None = None) -> Figure:
 def _plane(traces: Traces, background: Background | None) -> Figure:
     x, y = traces.tuning.tuned[:2]
     note = f"ring: start; dot: end; star: best; {_beneath(traces, background) or 'colour: objective'}"
-    figure = page(f"The way over {x.name} and {y.name}", 6.9, 5.4, note)
+    figure = page(f"Path over {x.name} and {y.name}", 6.9, 5.4, note)
     ax = figure.subplots()
     ax.set_facecolor("white" if background is None else MISSING)
     ends = [np.array([traces.in_shown_unit(each.name, end) for end in (each.low, each.high)]) for each in (x, y)]
@@ -110,7 +110,7 @@ def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Backg
     # The outermost points stand a little inside of the bounds, and their colours reach there.
     x[[0, -1]], y[[0, -1]] = (_ends(traces, name) for name in background.axes)
     shown = np.ma.masked_invalid(background.value.T)
-    # The lines lie closer towards the best, as far apart as those of a cone where the objective is a parabola.
+    # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
     levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
     scale = PowerNorm(0.5, low, high)
     ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
@@ -168,7 +168,7 @@ def _draw_path(
 
 
 def _draw_thin(ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float]) -> None:
-    """One start's way as a thin line, which leaves the colour to its points."""
+    """One start's path as a thin line, so that its points carry the colour."""
     for turn in copies:
         x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
         ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)

@@ -1,4 +1,4 @@
-"""What a finished tuning gives to look at: figures, the landscape behind its paths, a video of start and best."""
+"""Figures and video of a finished tuning: plots, the landscape behind its paths, a video of start and best."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Pictures:
     Attributes:
         plots: figures, as PNG and SVG.
         video: of start and best; None if there is none.
-        notes: a sentence on each thing that was wanted and could not be made.
+        notes: a sentence about each requested item that could not be made.
     """
 
     plots: tuple[Path, ...] = ()
@@ -39,7 +39,7 @@ class Painter:
 
     Attributes:
         directory: where they go.
-        simulator: makes what walks in them, the first time that it is needed; None: nothing walks in them.
+        simulator: creates the simulator for them on first use; None: nothing is simulated.
         drawing: called with what is being made, and the share of it.
     """
 
@@ -48,7 +48,7 @@ class Painter:
     drawing: Callable[[str, float], None]
 
     def paint(self, history: pa.Table, start: Mapping[str, Any], best: Mapping[str, Any]) -> Pictures:
-        """Make the pictures that the tuning wants.
+        """Make the requested figures and video.
 
         Args:
             history: the tuning's table.

@@ -54,7 +54,7 @@ class WalkProblem:
         self._gradient = Program(gradient, identity and f"{self.mode} {identity}")
 
     def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
-        """For another machine, where the recording is not, and all else is made again."""
+        """For another machine, which lacks the recording and rebuilds everything else."""
         return WalkProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:

@@ -44,7 +44,7 @@ class TuningFailed(RuntimeError):
 
 @dataclasses.dataclass(frozen=True)
 class TuningProgress:
-    """How far a tuning is.
+    """Progress of a tuning.
 
     Attributes:
         iteration, iterations: steps done and wanted. Before the first evaluation, `best` is None.
@@ -106,7 +106,7 @@ def run_tuning(
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
     more is gained (`nermo_mjx.tune.stopping`); every evaluation is one batch of starts x (1 + samples) worlds. After
     each, the state is stored: killing the process loses the iteration in flight, and the resumed tuning ends
-    with the same numbers, bit for bit, on the same machine. What is best is walked again by the engine `c`, from starts
+    with the same numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts
     that the tuning has not seen (`nermo_mjx.tune.verifying`).
 
     Args:
@@ -115,12 +115,12 @@ def run_tuning(
         problem: replaces the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
         simulator: replaces `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
             the paths, and the video; and start and best, from starts that the tuning has not seen
-            (`nermo_mjx.tune.verifying`). Where only a problem stands in, there is none of it.
+            (`nermo_mjx.tune.verifying`). None of this happens if only `problem` is given.
         progress: called before the first evaluation and after each.
-        drawing: called with what is being drawn in the end, and the share of it.
+        drawing: called with what is being drawn at the end, and its progress.
         warn: called with a message about each thing that is moved aside.
         accept_new_code: resume a directory that other code started.
-        workers: who evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
+        workers: what evaluates the starts; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`. With
             several workers numbers differ in their last digits from those of one.
 
     Raises:
@@ -171,7 +171,7 @@ def run_tuning(
                 best |= {"verified": verified(tuning, points, walker())}
                 directory.write("best.json", to_json(best))
             except ParameterError as error:
-                notes = (f"Start and best are not walked again: {error}",)
+                notes = (f"Start and best are not verified: {error}",)
         painter = Painter(directory, walker, drawing)
         pictures = painter.paint(history, start, best)
         pictures = dataclasses.replace(pictures, notes=(*notes, *pictures.notes))
@@ -197,7 +197,7 @@ def simulation_of(tuning: Tuning) -> Problem:
 def _walker(
     tuning: Tuning, problem: Problem | None, simulator: SimulatorLike | None
 ) -> Callable[[], SimulatorLike] | None:
-    """What makes the simulator of the pictures, once; None if nothing is to walk in them."""
+    """A function that creates the simulator for the images, once; None if nothing is simulated."""
     if simulator is not None:
         return lambda: simulator
     return None if problem is not None else functools.cache(lambda: Simulator(tuning.setup, "c"))

@@ -1,4 +1,4 @@
-"""Where the worlds of an estimate stand: how many, how far from their point, and with which random numbers."""
+"""Placement of the worlds of an estimate: how many, how far from their point, and with which random numbers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Estimator:
         return self.name != "evolution"
 
     def written(self) -> str | dict[str, Any]:
-        """As it stands in a tuning file."""
+        """As written in a tuning file."""
         if self.name == "exact":
             return self.name
         options = {"samples": self.samples, "sigma": self.sigma, "common": self.common}

@@ -18,7 +18,7 @@ from nermo_mjx.tune.objective import AIMS, OBJECTIVE_METRICS, TRAJECTORY_ERROR, 
 from nermo_mjx.tune.optimizer import CONTROLLED, LEARNING_RATE, Optimizer, optimizers
 from nermo_mjx.tune.sampling import COMMON, Estimator
 
-#: Parameters that come back to the same place, and after how much.
+#: Periodic parameters and their periods.
 _PERIODS: Final = {
     "spine.phase": 2 * math.pi, "start.yaw": 2 * math.pi, "start.phase": 1.0, "offset": 1.0, "limb.phase": 1.0,
 }  # fmt: skip
@@ -34,7 +34,7 @@ class Tuned:
     Attributes:
         low, high: bounds; of a periodic parameter they are exactly one period apart.
         start: value of the first start.
-        periodic: whether it may run over a bound and come back at the other.
+        periodic: whether it wraps around from one bound to the other.
     """
 
     name: str
@@ -44,18 +44,18 @@ class Tuned:
     periodic: bool = False
 
     def written(self) -> dict[str, Any]:
-        """As it stands in a tuning file."""
+        """As written in a tuning file."""
         return {"bounds": [self.low, self.high], "start": self.start} | ({"periodic": True} if self.periodic else {})
 
 
 class TunedFields(Fields):
-    """A tuned parameter, as it stands in a file."""
+    """A tuned parameter, as written in a file."""
 
     what: ClassVar = "a field of a tuned parameter"
     expected: ClassVar = "{bounds: [low, high], start: number}, both optional"
     bounds: Annotated[list[Finite], Numbers("[low, high]", 2, 2)] = optional("by default its range")
     start: float = optional("value of the first start, by default the parameter's")
-    periodic: bool = Field(False, description="whether it may run over a bound and come back at the other")
+    periodic: bool = Field(False, description="whether it wraps around from one bound to the other")
 
 
 class _Metrics(Choice):
@@ -74,7 +74,7 @@ KNOWN_METRICS: Final[Any] = {"properties": {aim: {"enum": [*OBJECTIVE_METRICS]} 
 
 
 class TermFields(Fields):
-    """A term of the objective, as it stands in a file."""
+    """A term of the objective, as written in a file."""
 
     what: ClassVar = "a field of a term"
     expected: ClassVar = _OBJECTIVE
@@ -113,7 +113,7 @@ class OptimizerFields(Fields):
     learning_rate: Positive | dict[str, Any] = Field(
         LEARNING_RATE, description="in coordinates u a step; or a schedule such as {cosine: {init_value: 0.1, "
                                    "decay_steps: 40}}")  # fmt: skip
-    clip: Positive = optional("a longer gradient is shortened to this")
+    clip: Positive = optional("a longer gradient is clipped to this norm")
 
     @classmethod
     def written_out(cls, given: Any) -> Any:
@@ -144,7 +144,7 @@ class Mixture(Sampled):
 
 
 class EstimatorFields(OneOf):
-    """How a gradient is estimated, as it stands in a file."""
+    """How a gradient is estimated, as written in a file."""
 
     alone: ClassVar = ("exact",)
     short: ClassVar = ({"enum": [*alone]},)
@@ -154,11 +154,11 @@ class EstimatorFields(OneOf):
     exact: Exact | None = optional("the derivative at the point itself")
     smoothed: Sampled = optional("the mean derivative around the point")
     evolution: Sampled = optional("from differences of the objective, without derivatives")
-    mixture: Mixture = optional("of both, by their variances")
+    mixture: Mixture = optional("both, weighted by their variances")
 
 
 def period_of(name: str) -> float | None:
-    """After how much a parameter comes back to the same place; None if it does not."""
+    """The period of a parameter; None if it is not periodic."""
     return _PERIODS.get(name, _PERIODS.get(name.rpartition(".")[0]))
 
 

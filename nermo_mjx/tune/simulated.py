@@ -44,7 +44,7 @@ class SimulatedProblem:
             self.reference = load_reference(tuning.recording, rollout, self.simulated_seconds)
 
     def __reduce__(self) -> tuple[type[SimulatedProblem], tuple[Any, ...]]:
-        """For another machine, where the recording is not, and all else is made again."""
+        """For another machine, which lacks the recording and rebuilds everything else."""
         return SimulatedProblem, (self.tuning, self.reference)
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:

@@ -1,4 +1,4 @@
-"""What a tuning is: the checked content of a tuning file. Everything wrong with it is said here, before work begins."""
+"""What a tuning is: the checked content of a tuning file. All errors in it are reported here, before work begins."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from nermo_mjx.tune.optimizer import Optimizer
 from nermo_mjx.tune.sampling import Estimator
 from nermo_mjx.tune.sections import Tuned
 
-#: How a derivative is taken: by parameter count, by tangents, or by cotangents.
+#: How a derivative is computed: chosen by parameter count, in forward mode, or in reverse mode.
 MODES: Final = ("auto", "forward", "reverse")
-#: How many iterations may gain next to nothing before a tuning stops, where its file does not say.
+#: Default number of iterations that may gain almost nothing before a tuning stops.
 PATIENCE: Final = 6
 #: A run counted in gait cycles may not grow longer than this where the frequency is tuned [s].
 LONGEST_RUN: Final = 120.0
@@ -58,15 +58,15 @@ class TuningFile(WalkFields):
     method: methods.MethodFields = optional("how an iteration finds its step, by default along exact gradients")
     optimizer: sections.OptimizerFields = optional("how an iteration steps")
     estimator: sections.EstimatorFields = Field(sections.EstimatorFields(exact=None), description="of gradients")
-    starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned side by side")
+    starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned in parallel")
     iterations: Annotated[int, Whole(1, 1_000_000)] = Field(40, description="steps")
     patience: Annotated[int, Whole(1, 1_000_000)] = Field(
-        PATIENCE, description="iterations in a row that may gain next to nothing before the tuning stops"
+        PATIENCE, description="iterations in a row that may gain almost nothing before the tuning stops"
     )
     seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of the other starts, and of perturbations")
-    mode: Annotated[str, Choice(MODES)] = Field("auto", description="how a derivative is taken")
-    plots: bool = Field(True, description="whether figures are made in the end")
-    video: bool = Field(False, description="whether a video of the best is made in the end")
+    mode: Annotated[str, Choice(MODES)] = Field("auto", description="how a derivative is computed")
+    plots: bool = Field(True, description="whether figures are made at the end")
+    video: bool = Field(False, description="whether a video of the best is made at the end")
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -84,10 +84,10 @@ class Tuning(WalkSpec):
         tuned: the tuned parameters in the order of the file.
         objective: what is minimized.
         recording: what `trajectory_error` compares with.
-        method: by gradient, by differences, or by CMA-ES, whose generations take the place of the starts.
+        method: by gradient, by differences, or by CMA-ES, whose generations replace the starts.
         optimizer, estimator: how an iteration steps, and from which gradient.
         starts: points that are tuned in parallel in one batch; the first is the given one, the others are drawn.
-        iterations: steps; there is one evaluation more, of what the last step led to.
+        iterations: steps; there is one more evaluation, of the point reached by the last step.
         patience: iterations that may gain next to nothing before it stops, see `nermo_mjx.tune.stopping`.
         seed: of the other starts, and of the estimator's perturbations.
         mode: how derivatives are taken: `auto`, `forward` or `reverse`.
@@ -115,7 +115,7 @@ class Tuning(WalkSpec):
 
     @classmethod
     def from_text(cls, text: str, source: str = "tuning") -> Tuning:
-        """Read YAML text; `source` is what messages call it. Raises `SpecError`."""
+        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
         return _read(read_text(text, source, "tuning"))
 
     @classmethod
@@ -224,7 +224,7 @@ def _read(doc: Document, *, recorded: bool = True) -> Tuning:
 
 
 def _check_together(doc: Document, tuning: Tuning) -> None:
-    """What no field shows alone: a parameter with two sources or without effect, a run too long, a leg too short."""
+    """Checks of several fields: a parameter with two sources or without effect, a run too long, a leg too short."""
     check_sources(doc, tuning, {"tune": list(tuning.names)})
     _check_length(doc, tuning)
     ranges = {each.name: np.linspace(each.low, each.high, 5) for each in tuning.tuned}

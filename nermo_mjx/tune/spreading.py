@@ -1,4 +1,4 @@
-"""A tuning's worlds, shared among workers: each evaluates those of some starts, with a program that stays warm."""
+"""A tuning's worlds, distributed over workers: each evaluates those of some starts, with a program that stays warm."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nermo_mjx.tune.spec import Tuning
 
 
 class Evaluator:
-    """Evaluates points; a `nermo_mjx.runs.workers.Computer`. The problem travels pickled, and is made again there."""
+    """Evaluates points; a `nermo_mjx.runs.workers.Computer`. The problem is sent pickled, and rebuilt there."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         self._setup, self._engine = tuning.setup, tuning.method.engine

@@ -1,4 +1,4 @@
-"""Where a tuning is: everything that its next iteration depends on, as one pytree of arrays."""
+"""State of a tuning: everything that its next iteration depends on, as one pytree of arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When a tuning is at its end: its iterations are done, or the last of them gained next to nothing."""
+"""When a tuning ends: its iterations are done, or the last of them gained almost nothing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from nermo_mjx.tune.history import Log, columns
 from nermo_mjx.tune.spec import Tuning
 
-#: Share of all that was gained which counts as nothing.
+#: Fraction of the total gain that counts as nothing.
 NOTHING: Final = 0.01
 
 
@@ -27,10 +27,10 @@ def why_done(tuning: Tuning, log: Log) -> str | None:
 
 
 def stalled(tuning: Tuning, log: Log) -> bool:
-    """Whether the last `patience` iterations gained next to nothing, at each start.
+    """Whether the last `patience` iterations gained almost nothing, at each start.
 
     What counts is the lowest objective so far: of each start, or of all points together where they are a generation.
-    All that was gained is the way from the first iteration that walked to the best of all.
+    The total gain is from the first iteration with a completed walk to the best of all.
     """
     if len(log) <= tuning.patience:
         return False

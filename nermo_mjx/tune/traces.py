@@ -1,4 +1,4 @@
-"""A tuning's history as arrays over iterations and starts, as pictures and summaries need it."""
+"""A tuning's history as arrays over iterations and starts, for figures and summaries."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from nermo_mjx.tune.objective import Term
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.spec import Tuning
 
-#: No picture shows more starts than this; the best and the given one are among them.
+#: Maximum number of starts in a figure, including the best and the given one.
 MOST_STARTS: Final = 32
 
 
 @dataclasses.dataclass(frozen=True)
 class Traces:
-    """What each start went through.
+    """The history of each start.
 
     Attributes:
         tuning: that was run.

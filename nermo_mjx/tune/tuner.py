@@ -47,7 +47,7 @@ class Iterate:
 
 
 class Tuner:
-    """Steps a tuning on a problem; its two small programs stand before and behind the problem's large one."""
+    """Steps a tuning on a problem; its two small programs run before and after the problem's large one."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
@@ -97,8 +97,8 @@ class Tuner:
     ) -> tuple[TuneState, Estimate, Bool[Array, " starts"], Float[Array, "starts p"]]:
         """The state after the iteration, the gradient it stepped along (to u), whether each point is ok, and its dx/du.
 
-        A start of which no world walked to the end has no gradient: it goes half the way back to its best point, and
-        its optimizer waits; an optimizer that is told the value answers for itself.
+        A start without a completed walk has no gradient: it moves halfway back to its best point, and
+        its optimizer is not updated; an optimizer that uses values reacts by itself.
         """
         at = self._coordinates(state)
         value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])

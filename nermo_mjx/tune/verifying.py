@@ -1,4 +1,4 @@
-"""What is best, walked again: by MuJoCo C, from starts that the tuning has not seen."""
+"""Verification of start and best: simulated in MuJoCo C, from starts that the tuning has not seen."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _UNSEEN: Final = 0x5EED
 
 
 def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulator: SimulatorLike) -> dict[str, Any]:
-    """What named points give on the engine `c`, each walked from the same few starts a little apart.
+    """Results of named points on the engine `c`, each simulated from the same few slightly different starts.
 
-    Starts are spread as those of a sweep's repeats. A walk that is compared with a recording starts where that one did,
-    and is walked once.
+    Starts are spread like those of a sweep's repeats. A walk that is compared with a recording has its start, and is
+    simulated once.
 
     Args:
         points: name -> values of the tuned parameters.
 
     Returns:
         `engine`, `walks`, and of each point under its name `walks_ok`, the means `objective` and `metrics` over the
-        walks that came to their end, and `lowest` and `highest` objective of them; None where none did.
+        completed walks, and `lowest` and `highest` objective of them; None if there are none.
     """
     alone = TRAJECTORY_ERROR in tuning.objective.metrics
     walks = 1 if alone else WALKS

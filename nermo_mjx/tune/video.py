@@ -1,4 +1,4 @@
-"""The video of a tuning: the walk it began with and the best one, side by side."""
+"""The video of a tuning: its first walk and its best one, side by side."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.view import check_video, recording_of
 from nermo_mjx.view.side_by_side import Pane, render_side_by_side
 
-#: Gait cycles that are shown, and the time that they may take at most [s].
+#: Gait cycles to show, and their maximum duration [s].
 CYCLES, LONGEST = 2.0, 4.0
-#: Slowed, so that one sees when the spine bends. A picture takes 0.1 s of one core without a graphics card.
+#: Slowed down, so that the spine's timing is visible. A frame takes 0.1 s on one core without a graphics card.
 SPEED: Final = 0.5
 FPS, WIDTH, HEIGHT = 25, 480, 360
-#: From above, the spine's bending is seen best, and the feet still.
+#: From above, the bending of the spine is seen best, and the feet are still visible.
 CAMERA: Final = "high"
 
 
@@ -37,7 +37,7 @@ def shoot(
     path: Path,
     progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Walk the given start and the best point once more, after their warm-up, and render both.
+    """Simulate the given start and the best point again, and render both after their warm-up.
 
     Args:
         start, best: `parameters`, `objective` and `metrics` of each; `iteration` and `start` of the best.

@@ -63,7 +63,7 @@ def run_identification(
         accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
         progress: called with the share done.
         notify: called with a message about files that were in the way.
-        workers: who simulates; by default this process. The result is the same.
+        workers: what simulates; by default this process. The result is the same.
         wanted: of `search.Search`.
 
     Returns:

@@ -94,7 +94,7 @@ def identify(
         engine: of the simulations.
         memory: of what was simulated before, which is not simulated again.
         progress: called with the share done.
-        workers: who simulates; by default this process. The numbers are the same: a task is a batch, and what is found
+        workers: what simulates; by default this process. The numbers are the same: a task is a batch, and what is found
             is judged in the order of the batches.
 
     Raises:

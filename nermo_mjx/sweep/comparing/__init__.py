@@ -1,4 +1,4 @@
-"""Which structure is better, where and by how much: sweeps, and parts of one, compared with confidence intervals."""
+"""Which structure is better and by how much: sweeps, and parts of one, compared with confidence intervals."""
 
 from nermo_mjx.sweep.comparing.comparison import Comparison, compare
 

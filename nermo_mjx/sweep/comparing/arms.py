@@ -35,7 +35,7 @@ class Arm:
         name: as messages and tables call it.
         results: the table that holds them.
         rows: their places in it, (n,).
-        keys: what may tell their variants apart, name -> (n,): the varied columns, and what the sweep fixes instead.
+        keys: what may distinguish their variants, name -> (n,): the varied columns, and values fixed instead.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Arm:
 
 
 def opened(source: Source) -> tuple[str, Results, Sweep | None, list[str]]:
-    """The name of a table, the table, the sweep that it is of, if that is known, and notes on what it lacks.
+    """The name of a table, the table, its sweep, if known, and notes on missing rows.
 
     Raises:
         DirectoryError: it holds no results, or they cannot be read.
@@ -96,7 +96,7 @@ def two_tables(base: Source, other: Source) -> tuple[list[Arm], list[str]]:
 
 
 def values_of(source: Source, by: str, base: Value | None) -> tuple[list[Arm], list[str]]:
-    """The runs of one table, apart by a varied column; the base's come first.
+    """The runs of one table, split by a varied column; the base's come first.
 
     Raises:
         ParameterError: there is no such column, or it has no such value, or one value only.
@@ -143,14 +143,14 @@ def where(arm: Arm, chosen: Mapping[str, Value]) -> Arm:
 
 
 def check_name(name: str, known: Sequence[str], option: str) -> None:
-    """Refuse what is no varied column."""
+    """Refuse a column that is not varied."""
     if name not in known:
         raise ParameterError(f"{option} is {name!r}, which is not varied{did_you_mean(name, known)} "
                              f"Varied: {', '.join(known) or 'nothing'}.")  # fmt: skip
 
 
 def value_among(wanted: Value, values: Sequence[Value], option: str) -> Value:
-    """The value that is meant, as the column has it; numbers may differ in their last digits."""
+    """The requested value, as in the column; numbers may differ in their last digits."""
     for value in values:
         if isinstance(value, str) and str(wanted) == value:
             return value
@@ -197,7 +197,7 @@ def _fixed(arm: Arm, sweep: Sweep | None, names: Sequence[str]) -> dict[str, np.
 
 
 def _differences(base: Sweep, other: Sweep, varied: Mapping[str, Any]) -> list[str]:
-    """What the two sweeps fix differently, beside what one of them varies."""
+    """What the two sweeps fix to different values, apart from what one of them varies."""
     first, second = ({**sweep.walk_fields(), **sweep.walk_fields()["set"]} for sweep in (base, other))
     names = [name for name in {**first, **second} if name != "set" and name not in varied]
     told = []

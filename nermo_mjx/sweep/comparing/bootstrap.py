@@ -1,10 +1,10 @@
 """Confidence intervals of a mean over variants whose runs are repeated: a two-stage bootstrap.
 
 Variants are drawn with replacement, and within each drawn variant its runs. Both stages together would count the runs'
-noise twice, because it is in the variants' means already, so these are shrunk towards their mean first (Davison and
+noise twice, because the variants' means already contain it, so these are shrunk towards their mean first (Davison and
 Hinkley, Bootstrap Methods and their Application, 1997, section 3.8; Ng, Grieve and Carpenter, Stata Journal 13, 2013).
-Few repeats are not taken for certain: deviations from a mean of n are spread by sqrt(n / (n - 1)), and the whole by
-what Student's t quantile exceeds the normal one. `scipy.stats.bootstrap` has one stage only.
+Few repeats are treated with caution: deviations from a mean of n are scaled by sqrt(n / (n - 1)), and the whole by
+the ratio of Student's t quantile to the normal one. `scipy.stats.bootstrap` has one stage only.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Interval:
 
     Attributes:
         estimate: the mean over the variants.
-        low, high: its 95 % confidence interval; NaN where nothing tells the noise (one variant, and one run of a cell).
-        p: how likely an estimate as far from 0 is by chance, two-sided; NaN without an interval. It is the larger of
+        low, high: its 95 % confidence interval; NaN where the noise is unknown (one variant, and one run per cell).
+        p: probability of an estimate as far from 0 by chance, two-sided; NaN without an interval. It is the larger of
             the share of resamples beyond 0 and Student's t, because few runs have no resamples far out.
     """
 
@@ -50,7 +50,7 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Inte
     array([2.])
 
     Args:
-        values: of each run, (n, m), all finite; those that count against the others carry a minus sign.
+        values: of each run, (n, m), all finite; those of the side to subtract carry a minus sign.
         cell: the cell of each run, (n,), from 0 to c - 1; runs of a cell are exchangeable.
         variant: the variant of each cell, (c,), from 0 to v - 1.
     """
@@ -60,7 +60,7 @@ def two_stage(values: np.ndarray, cell: np.ndarray, variant: np.ndarray) -> Inte
     apart = values - mean[cell]
     rounding = 1e-12 * np.abs(values).max(axis=0)
     apart[np.abs(apart) <= rounding] = 0.0
-    # Squared standard error of each cell's mean; a single run does not tell any.
+    # Squared standard error of each cell's mean; unknown for a single run.
     noise = _sums(apart**2, cell, cells) / (count * np.maximum(count - 1, 1))[:, None]
     each = _sums(mean, variant, variants)
     each[np.abs(each) <= rounding] = 0.0

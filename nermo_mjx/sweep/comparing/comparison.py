@@ -21,9 +21,9 @@ from nermo_mjx.sweep.sides import OBJECTIVES
 from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.table import Columns, columns_of, meta
 
-#: Share of false findings among those that are called beyond noise.
+#: Share of false findings among those labelled beyond noise.
 FALSE_SHARE: Final = 0.05
-#: Variants of which a mean says little about others.
+#: Number of variants whose mean says little about others.
 FEW_VARIANTS: Final = 4
 _NUMBERS: Final = {
     "base_mean": "mean of the base's variants",
@@ -34,7 +34,7 @@ _NUMBERS: Final = {
     "relative": "difference over the magnitude of the base's mean; none where that is not beyond its noise",
     "relative_low": "low over the same",
     "relative_high": "high over the same",
-    "p": "how likely so large a difference is by chance, two-sided",
+    "p": "probability of so large a difference by chance, two-sided",
 }
 _COUNTS: Final = {
     "variants": "common variants with a number on both sides",
@@ -47,7 +47,7 @@ _COUNTS: Final = {
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """What `compare` finds.
+    """The result of `compare`.
 
     Attributes:
         table: one row per metric, group and other side: `other`, what it is compared with; the columns of the groups
@@ -58,7 +58,7 @@ class Comparison:
         others: what is compared with it; more than one if a column has more than two values.
         groups: the columns that make groups.
         drawn: the metrics of which figures and summaries have the groups.
-        status: of each side, how often each status occurs in the common variants.
+        status: for each side, how often each status occurs in the common variants.
         notes: what is left out or averaged, in sentences.
     """
 
@@ -114,7 +114,7 @@ def compare(
     Runs are paired over the variants that both sides have, and over seeds where both have the same. A difference is
     the mean over the variants of the difference of their runs' means, B minus A, or other minus base. Intervals are
     of a two-stage bootstrap, of the variants and of the runs in each. `beyond_noise` is stricter than an interval
-    without 0: it holds the share of false findings among all metrics, or among all groups of one metric, at 5 %, by
+    without 0: it controls the share of false findings among all metrics, or among all groups of one metric, at 5 %, by
     Benjamini and Hochberg's procedure. Runs that fell or diverged count in the metrics `fell` and `diverged`, and are
     counted beside each of the others.
 
@@ -130,8 +130,8 @@ def compare(
         a: directory of a sweep, or its table.
         b: another one; without it, `by` says what is compared in `a`.
         by: a varied column, of which each value is compared with the base.
-        base: its value to compare with; by default `none`, if there is such a one, else the first.
-        groups: varied columns: an interval for each combination of their values, too.
+        base: the baseline value; by default `none`, if present, else the first.
+        groups: varied columns: an additional interval for each combination of their values.
         where: varied columns and the value to which the runs are restricted.
         drawn: metrics of which figures and summaries have the groups; by default the speed.
 
@@ -184,8 +184,8 @@ def _restricted(arm: Arm, chosen: Mapping[str, Value]) -> Arm:
 
 
 def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
-    """Rows of the table about all variants, whose metrics are one family of findings, or about each group, whose
-    findings on one metric are one."""
+    """Rows of the table about all variants, whose metrics form one family of tests, or about each group, where
+    the tests of one metric form a family."""
     parts = list(pairing.groups(groups)) if groups else [({}, pairing)]
     lines = [{"other": pairing.other.arm.name, "group": place if groups else -1, **label, **line}
              for place, (label, part) in enumerate(parts)
@@ -218,7 +218,7 @@ def _of_metrics(pairing: Pairing, found: Differences) -> Iterator[dict[str, Any]
 def _table(
     lines: Sequence[Mapping[str, Any]], base: Arm, by: str, groups: Sequence[str], drawn: Sequence[str]
 ) -> pa.Table:
-    """The lines as a table whose fields say what they are."""
+    """The lines as a table with described fields."""
     columns = Columns()
 
     def add(name: str, role: str, about: str, unit: str = "1", scale: str = "linear") -> None:

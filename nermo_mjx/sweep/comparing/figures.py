@@ -1,4 +1,4 @@
-"""How a comparison looks, from its table alone: differences by metric, and the gain of one metric by groups."""
+"""Figures of a comparison, from its table alone: differences by metric, and the gain of one metric by groups."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Row = Mapping[str, Any]
 #: Metrics of one figure, and panels.
 _MOST_METRICS: Final = 30
 _MOST_PANELS: Final = 12
-#: Relative differences beyond this run out of the figure, where there are others [share].
+#: Relative differences beyond this are cut off in the figure, if there are others [fraction].
 _FAR: Final = 1.0
 _MARKS: Final = "filled: beyond noise; hollow: within it; bars: 95 % intervals"
 
@@ -64,7 +64,7 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
     drawn = sorted(listed, key=lambda row: row["metric"] not in OBJECTIVES)[:_MOST_METRICS]
     page = Page(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
     ax = page.axes[0, 0]
-    # One that is far off would leave the others no room.
+    # An outlier would leave the others no room.
     ends = np.abs([[row["relative_low"], row["relative_high"]] for row in drawn] or [[0.1, 0.1]])
     far = float(min(max(1.12 * np.nanmax(ends, initial=0.02), 0.02), _FAR))
     ax.axvline(0, color=MUTED, lw=0.8)
@@ -144,7 +144,7 @@ def _line(
 
 
 def _roles(rows: Sequence[Row], groups: Sequence[str]) -> tuple[str, str | None, list[str]]:
-    """Which column goes across, which makes lines, and which make panels: numbers of many values go across."""
+    """Which columns give the x axis, the lines and the panels: numbers with many values give the x axis."""
     count = {name: len({row[name] for row in rows}) for name in groups}
     numbers = [name for name in groups if all(isinstance(row[name], float) for row in rows)]
     x = max(numbers or groups, key=count.__getitem__)

@@ -36,8 +36,8 @@ class Side:
 class Pairing:
     """Two sides over common variants.
 
-    A key that one side lacks, because nothing reads it there, tells no variants apart: all of its runs on the other
-    side are averaged, or in groups by it those of one value.
+    A key that one side lacks, because nothing reads it there, does not distinguish variants: on the other side all its
+    runs are averaged, or in groups by this key those of one value.
 
     Attributes:
         base, other: their runs.
@@ -136,7 +136,7 @@ def pair(base: Arm, other: Arm) -> Pairing:
 
 @dataclasses.dataclass(frozen=True)
 class Differences:
-    """How one side differs from the other, metric by metric, (m,) each.
+    """The difference between the sides, metric by metric, (m,) each.
 
     Attributes:
         names: the metrics.
@@ -208,7 +208,7 @@ def _compare(
     if order is None:  # each variant has a cell of either side
         cell, values = np.concatenate([variant[0], variant[1] + len(both)]), np.concatenate([-numbers[0], numbers[1]])
         owner = np.tile(np.arange(len(both)), 2)
-    else:  # runs of one seed are one: what they share falls out of their difference
+    else:  # runs with the same seed are paired: what they share cancels in the difference
         cell, values, owner = variant[0][order[0]], numbers[1][order[1]] - numbers[0][order[0]], np.arange(len(both))
     interval = two_stage(values, cell, owner)
     means = [_mean_of_means(each, at, len(both)) for each, at in zip(numbers, variant, strict=True)]

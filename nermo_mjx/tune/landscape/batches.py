@@ -1,4 +1,4 @@
-"""Batches of an unfinished landscape, as files beside its table: what was evaluated outlives an interruption."""
+"""Batches of an unfinished landscape, stored as files, so that evaluations survive an interruption."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _FOLDER: Final = "batches"
 
 
 class Batches:
-    """What is there of one landscape in a directory.
+    """Stored batches of one landscape in a directory.
 
     Args:
         held: the directory.
@@ -54,7 +54,7 @@ class Batches:
             return None
 
     def write(self, first: int, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Keep a batch, and say which code made it; its columns, as they are read again."""
+        """Store a batch with the code that made it; returns its columns, as read back."""
         columns = {"code": np.full(len(columns["value"]), self._code), **columns}
         content = io.BytesIO()
         np.savez(content, allow_pickle=False, **columns)
@@ -62,7 +62,7 @@ class Batches:
         return columns
 
     def clear(self) -> None:
-        """Remove them, once the table is written."""
+        """Remove them after the table has been written."""
         folder = self.out / _FOLDER
         with contextlib.suppress(OSError):
             for path in folder.glob(f"{self._name}-*.npz"):

@@ -14,13 +14,13 @@ from nermo_mjx.tune.landscape.plan import WIDTHS
 from nermo_mjx.tune.sections import Tuned
 from nermo_mjx.tune.spec import Tuning
 
-#: Neighbouring points of a line through which a parabola is laid to tell ripple from shape.
+#: Neighbouring points of a line to which a parabola is fitted, to separate ripple from shape.
 _WINDOW: Final = 7
 
 
 @dataclasses.dataclass(frozen=True)
 class Secants:
-    """Secants of one width on one line, one a centre; those with an end at which the robot fell are left out.
+    """Secants of one width on one line, one per centre; those with an end at which the robot fell are left out.
 
     Attributes:
         share: width as a fraction of the parameter's bounds.
@@ -45,7 +45,7 @@ class Secants:
         if not len(self.secant):
             return math.nan
         apart, size = np.abs(self.slope - self.secant), np.abs(self.secant)
-        # A flat place, where both are 0, is no error.
+        # A flat place, where both are 0, is not an error.
         relative = np.divide(apart, size, out=np.where(apart > 0, np.inf, 0.0), where=size > 0)
         return float(np.median(relative))
 

@@ -11,12 +11,12 @@ from jaxtyping import Float, Int
 from nermo_mjx.tune.bounds import FURTHEST
 from nermo_mjx.tune.spec import Tuning
 
-#: Widths of the secants, as shares of a parameter's range: from what tells whether a derivative is right to what tells
-#: whether it leads anywhere.
+#: Widths of the secants, as fractions of a parameter's range: from those that show whether a derivative is correct to
+#: those that show whether it is useful.
 WIDTHS: Final = (0.001, 0.005, 0.02, 0.05, 0.1)
-#: Points of each line about which secants are taken.
+#: Number of points of each line around which secants are taken.
 CENTRES: Final = 9
-#: Share of a line that is left to both of its ends, so that the widest secants fit.
+#: Fraction of a line left free at both ends, so that the widest secants fit.
 _MARGIN: Final = 0.25
 
 

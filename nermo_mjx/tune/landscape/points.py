@@ -1,4 +1,4 @@
-"""The points of a landscape as they were found: evaluated in batches of one size, and kept as a table."""
+"""The points of a landscape: evaluated in batches of one size, and stored as a table."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def read(path: Path, wanted: Mapping[str, Any] | None = None) -> pa.Table | None
 
 
 def identity(tuning: Tuning, points: int, span: float) -> dict[str, Any]:
-    """All that decides the table: not how a tuner would go, so not optimizer, estimator, starts and seed."""
+    """All that determines the table: not a tuner's path, so not optimizer, estimator, starts and seed."""
     walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
     about = walk.identity()
     lines = {"points": points, "span": span, "centres": CENTRES, "widths": list(WIDTHS)}

@@ -1,4 +1,4 @@
-"""What a landscape says: landscape.json for programs, report.md and the terminal's table for readers."""
+"""Reports of a landscape: landscape.json for programs, report.md and the terminal's table for readers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nermo_mjx.runs.text import MISSING, listed, table
 from nermo_mjx.tune.landscape.lines import Slice
 from nermo_mjx.tune.spec import Tuning
 
-#: Where slopes and secants of `JUDGED` agree so far, exact gradients lead the right way.
+#: If slopes and secants of `JUDGED` agree within this, exact gradients point in the right direction.
 JUDGED: Final = (0.02, 0.05)
 ERROR: Final = 0.25
 SIGNS: Final = 0.9
@@ -64,7 +64,7 @@ def rows_of(content: Mapping[str, Any]) -> list[list[str]]:
 
 
 def sentences(content: Mapping[str, Any]) -> list[str]:
-    """What it means, a sentence a parameter."""
+    """The conclusion, one sentence per parameter."""
     return [_sentence(name, about) for name, about in content["parameters"].items()]
 
 
@@ -78,15 +78,15 @@ def _page(content: Mapping[str, Any]) -> Iterator[str]:
     yield "\n".join(f"- {sentence}" for sentence in sentences(content)) + "\n"
     yield (
         "A slope is the exact derivative of the objective at a point, a secant the difference quotient over a width "
-        "about it. Narrow secants tell whether the derivative is right; wide ones, as wide as a tuner's steps, tell "
-        "whether it leads anywhere. Where they differ at wide secants only, the landscape is rough: tune with the "
-        "estimator `smoothed`, `evolution` or `mixture`. Where they differ at narrow ones only, the ripple that "
-        "rounding and contacts leave is larger than the difference of the two ends.\n"
+        "about it. Narrow secants show whether the derivative is correct; wide ones, as wide as a tuner's steps, "
+        "whether it is useful. If they differ only for wide secants, the landscape is rough: tune with the "
+        "estimator `smoothed`, `evolution` or `mixture`. If they differ only for narrow ones, the ripple from "
+        "rounding and contacts is larger than the difference between the two ends.\n"
     )
     sides = "".join(side[0] for _, side in HEADINGS)
     yield table([heading for heading, _ in HEADINGS], rows_of(content), sides)
     yield (
-        "Median error: |slope - secant| / |secant|. Same sign: share of the places where both go the same way. Ripple: "
+        "Median error: |slope - secant| / |secant|. Same sign: share of the places where the signs agree. Ripple: "
         "standard deviation of the objective about a parabola through all points within the width.\n"
     )
     for name, about in content["parameters"].items():

@@ -3,7 +3,7 @@
 DIR/landscape.yaml      the resolved tuning whose objective it is
 DIR/landscape.parquet   one row per point: parameters, objective, exact gradient, metrics
 DIR/batches/            until the table is whole: what was evaluated so far
-DIR/recording.npz       what the tuning compares with, if it does
+DIR/recording.npz       the tuning's reference recording, if any
 DIR/run.json            which code made it; versions, machine and command of each session that evaluated points
 DIR/landscape.json      how well slopes and secants agree, by parameter and width; versions, machine, command
 DIR/report.md           the same to read, with its figures
@@ -36,7 +36,7 @@ from nermo_mjx.tune.methods import Method
 from nermo_mjx.tune.run import as_tuning, simulation_of
 from nermo_mjx.tune.spec import Tuning
 
-#: Points of a line: with the secants about nine of them, 131 walks a parameter.
+#: Points per line: with the secants around nine of them, 131 walks per parameter.
 POINTS = 41
 #: What is made from the table.
 _MADE = ("landscape.json", "report.md")
@@ -77,7 +77,7 @@ def run_landscape(
     """Measure whether a tuning's gradients can be trusted, on a line along each parameter through the given start.
 
     Objective and exact slope are found at `points` points of each line, and about nine of them secants of five widths.
-    Where the slope equals narrow secants, the derivative is right; where it equals wide ones, it leads somewhere. A
+    If the slope equals narrow secants, the derivative is correct; if it equals wide ones, it is useful. A
     directory that already contains the points is not evaluated again; one that contains some of them is resumed.
 
     Args:
@@ -109,7 +109,7 @@ def run_landscape(
         table, evaluated = read(held.out / TABLE, wanted), 0
         if table is None:
             made_by, begun = stamp(tuning.setup.load().fingerprint, tuning.method.engine), any_batch(held.out)
-            # A directory without any point is anyone's.
+            # A directory without points can be claimed by any landscape.
             held.take_code(made_by, holds_rows=begun, accept=accept_new_code or not begun)
             problem = problem or simulation_of(tuning)
             set_aside(held, "of another landscape", _MADE, say)
@@ -138,7 +138,7 @@ def _evaluate(
     about: dict[str, str],
     batches: Batches,
 ) -> tuple[pa.Table, int]:
-    """As `table.evaluate`; stopped, it says how far it came."""
+    """As `table.evaluate`; an interruption reports the progress."""
     done = 0
 
     def count(so_far: int, of_all: int) -> None:
@@ -156,7 +156,7 @@ def _evaluate(
 
 
 def _publish(written: Written, tuning: Tuning, table: pa.Table, evaluated: int) -> LandscapeResult:
-    """Make everything else from the table; landscape.json comes last, and says that all is there."""
+    """Make everything else from the table; landscape.json comes last, and marks completion."""
     from nermo_mjx.plotting.files import write_figures
     from nermo_mjx.tune.landscape.plots import figures_of
 
