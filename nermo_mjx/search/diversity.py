@@ -123,7 +123,7 @@ class Diversity:
 
 @contextlib.contextmanager
 def _interpreted() -> Iterator[None]:
-    """Import pyribs without its compiled functions: they save microseconds per batch and take ten seconds to compile."""
+    """Import pyribs without compiled functions: they save microseconds per batch but take ten seconds to compile."""
     import numba
 
     config: Any = numba.config
