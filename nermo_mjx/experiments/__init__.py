@@ -1,1 +1,1 @@
-"""The published experiments: straight line, turning, balance, maze; and what the publication reports of them."""
+"""The published experiments: straight line, turning, balance, maze; and the published results."""

@@ -1,7 +1,7 @@
 """The body alone: its dimensions and mass, and how far its joints bend under the published load on the test stands.
 
 Nothing walks here. The load case is that of the publication's finite elements, 0.125 N m on a joint; the springs have
-the published stiffnesses, so that it checks how they were built in.
+the published stiffnesses, so it checks how they were modelled.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quant
 NAME: Final = "body"
 #: Torque of the published load case [N m].
 TORQUE: Final = 0.125
-#: Time in which a loaded joint comes to rest [s].
+#: Time allowed for a loaded joint to come to rest [s].
 _REST: Final = 4.0
 SETTABLE: Final = frozenset(name for name, _ in quantities(ModelParameters))
 ABOUT: Final = {
@@ -44,12 +44,12 @@ ABOUT: Final = {
 
 
 def run(settings: Settings) -> Outcome:
-    """Measure the body; a row a profile, whose numbers are the same.
+    """Measure the body; one row per profile, with the same values.
 
     There are no repeats, and the engine is always MuJoCo C.
 
     Raises:
-        ParameterError: a parameter that is none of the body's.
+        ParameterError: a parameter that is not one of the body's.
     """
     bodies, count = settings.bodies or {}, body_count(settings.bodies)
     for name in {**settings.values, **bodies}:
@@ -115,7 +115,7 @@ def _outline(model: Any, data: Any, geom: int) -> np.ndarray:
 
 @functools.cache
 def _knee_bend(pair: str, stiffness: tuple[tuple[str, float], ...]) -> float:
-    """By how much the load bends a knee without its tendon, so that its spring alone bears it [rad]."""
+    """Deflection of a knee under the load, without its tendon, so that only its spring carries it [rad]."""
     limb = f"{pair}_left"
     spec = assemble_leg(limb, parameters=replace_quantities(ModelParameters(), dict(stiffness)))
     for tendon in list(spec.tendons):
@@ -126,7 +126,7 @@ def _knee_bend(pair: str, stiffness: tuple[tuple[str, float], ...]) -> float:
 
 @functools.cache
 def _spine_bend(stiffness: tuple[tuple[str, float], ...]) -> float:
-    """By how much the load bends the four joints in series, the servo being off [rad]."""
+    """Deflection of the four joints in series under the load, with the servo off [rad]."""
     spec = assemble_spine(parameters=replace_quantities(ModelParameters(), dict(stiffness)))
     joints = [f"spine_joint_{i}" for i in range(1, 5)]
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION

@@ -36,7 +36,7 @@ class Case:
     """One case before profiles and repeats.
 
     Attributes:
-        labels: what tells it from the others, by column.
+        labels: what distinguishes it from the others, by column.
         gait, steering: named choices of `published_values`.
         values: parameters by name, on top of those.
     """
@@ -72,8 +72,8 @@ def worlds(
 ) -> Worlds:
     """Every case in every profile, `repeats` times from starts that differ by a seeded shift, and for every body.
 
-    The shift of a repeat is the same for all cases, so that cases are compared from like starts; the first repeat is
-    shifted too.
+    The shift of a repeat is the same for all cases, so that cases are compared from equal starts; the first repeat is
+    also shifted.
 
     Args:
         cases: all with the same labels.
@@ -99,7 +99,7 @@ def worlds(
 
 
 def _of_bodies(batch: Worlds, bodies: Mapping[str, np.ndarray], decided: set[str]) -> Worlds:
-    """All worlds of a batch for each body, the second label telling which; cases keep what they decide."""
+    """All worlds of a batch for each body, identified by the second label; values set by the cases take precedence."""
     count, size = body_count(bodies), len(next(iter(batch.labels.values())))
     labels = {name: np.tile(column, count) for name, column in batch.labels.items()}
     first, *rest = labels

@@ -1,4 +1,4 @@
-"""The published experiments by name: how each is run, what a reader must know of it, and what its video shows."""
+"""The published experiments by name: how each is run, its description, and what its video shows."""
 
 from __future__ import annotations
 

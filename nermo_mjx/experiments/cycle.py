@@ -1,4 +1,4 @@
-"""What needs the course of a walk over its gait cycle: peaks of the pitch, yaw beside the spine, slip over the stance.
+"""Metrics over the gait cycle: peaks of the pitch, correlation of yaw with the spine, slip over the stance.
 
 The walks are recorded; pitch, yaw and the spine's angle are folded over the phase of the gait, which is that of the
 controller's clock, so that noise does not count as a peak. Plain NumPy, after the run.
@@ -23,7 +23,7 @@ from nermo_mjx.rollout import History, Run, Simulator
 
 #: Parts of a gait cycle over which curves are folded; in the profile as_published it has 50 ticks.
 PARTS: Final = 50
-#: A peak counts if it stands out by this share of the curve's range.
+#: A peak counts if its prominence is this fraction of the curve's range.
 PROMINENT: Final = 0.2
 #: A foot bears load above this force [N], as in `rollout.metrics`.
 LOADED: Final = 0.02

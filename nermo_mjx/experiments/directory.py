@@ -1,7 +1,7 @@
-"""The directory of the published experiments: what each one left, and with which settings it was run.
+"""The directory of the published experiments: the results of each one, and its settings.
 
 DIR/results/<experiment>.parquet    one row per world; the settings and the provenance are in the schema's metadata
-DIR/results/<experiment>-bodies.parquet   the same of identified bodies, if they were asked for
+DIR/results/<experiment>-bodies.parquet   the same for identified bodies, if requested
 DIR/results/<experiment>.json       its lines of the report, and what was run
 DIR/recordings/<experiment>-*.npz   runs that plots and videos show
 DIR/plots/, DIR/videos/             made from the above
@@ -34,7 +34,7 @@ class Stored:
     """An experiment that a directory holds.
 
     Attributes:
-        outcome: its table; recordings are read when they are looked at.
+        outcome: its table; recordings are read on demand.
         about: `settings`, `engine`, `code`, `wall_seconds`, and `started`, `command`, `versions`, `machine` of the run.
         table: the file of the table; recordings: those of the recordings.
     """
@@ -61,7 +61,7 @@ class Directory:
             replace_file(path, content)
 
     def save(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
-        """Store an experiment's results in the place of former ones; the table comes last, and makes them valid.
+        """Store an experiment's results, replacing former ones; the table comes last, and makes them valid.
 
         Args:
             about: `code`, `settings`, `engine`, `wall_seconds` and the session.
@@ -84,14 +84,14 @@ class Directory:
         return _read_back(self.load(outcome.experiment), table)
 
     def save_bodies(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
-        """Store what the identified bodies gave, beside the experiment's own results; arguments as for `save`."""
+        """Store the results of the identified bodies, beside the experiment's own; arguments as for `save`."""
         path = self._bodies(outcome.experiment)
         written.write(path, _content(outcome, {**about, "recordings": {}}))
         written.note()
         return _read_back(self.load_bodies(outcome.experiment), path)
 
     def discard_bodies(self, experiment: str, written: Written) -> None:
-        """Remove what the identified bodies gave, or move it aside if it is not as it was written."""
+        """Remove the results of the identified bodies, or move them aside if modified."""
         written.clear(self._bodies(experiment))
 
     def holds_rows(self) -> bool:
@@ -99,11 +99,11 @@ class Directory:
         return any((self.out / "results").glob("*.parquet"))
 
     def load(self, experiment: str) -> Stored | None:
-        """What the directory holds of an experiment; None if that is nothing, or damaged."""
+        """The directory's results of an experiment; None if absent or damaged."""
         return self._load(self._table(experiment))
 
     def load_bodies(self, experiment: str) -> Stored | None:
-        """What the directory holds of the identified bodies in an experiment; None if that is nothing, or damaged."""
+        """The directory's results of the identified bodies in an experiment; None if absent or damaged."""
         return self._load(self._bodies(experiment))
 
     def _load(self, path: Path) -> Stored | None:
@@ -139,7 +139,7 @@ class Directory:
 
 
 class _Recordings(Mapping[str, Recording]):
-    """Recordings by name, each read from its file when it is first looked at."""
+    """Recordings by name, each read from its file on first access."""
 
     def __init__(self, files: Mapping[str, Path]) -> None:
         self._files = files

@@ -1,7 +1,7 @@
-"""In which share of the identified bodies a line of the report holds.
+"""The share of identified bodies for which a line of the report holds.
 
-The identification does not end at one body but at many that walk the published speeds about as well
-(`robot.identified`). A line that holds in all of them does not depend on which of them is the default.
+The identification yields not one body but many that match the published speeds about as well
+(`robot.identified`). A line that holds for all of them does not depend on which of them is the default.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ AT_ONCE: Final = 16
 
 @dataclasses.dataclass(frozen=True)
 class Ensemble:
-    """What several bodies gave.
+    """Results of several bodies.
 
     Attributes:
         bodies: how many there are.
@@ -54,11 +54,11 @@ def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
 
 
 def numbered(parts: Mapping[int, Outcome]) -> Outcome:
-    """What all bodies gave, from batches of them by the place of each one's first; `BODY` tells them apart."""
+    """Results of all bodies, from batches keyed by the position of their first body; `BODY` distinguishes them."""
     several = []
     for begin, part in sorted(parts.items()):
         numbers = {BODY: np.asarray(part.columns[BODY]) + begin}
-        # The order of the columns stays: those before `repeat` tell the cases apart.
+        # Keep the order of the columns: those before `repeat` distinguish the cases.
         columns = {name: numbers.get(name, column) for name, column in part.columns.items()}
         several.append(dataclasses.replace(part, columns=columns, recordings={}))
     return joined(several)
@@ -71,6 +71,6 @@ def of_outcome(outcome: Outcome, figures: Sequence[Figure]) -> Ensemble:
 
 
 def _share(bodies: Iterable[Outcome], figure: Figure) -> float | None:
-    """A body in which the figure could not be measured, because it fell or lost its way, does not hold."""
+    """A body for which the figure could not be measured, because it fell or left the path, does not hold."""
     holds = [agrees(measured(body, figure, PROFILE), figure) for body in bodies]
     return None if all(each is None for each in holds) else sum(each is True for each in holds) / len(holds)

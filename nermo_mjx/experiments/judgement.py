@@ -1,7 +1,7 @@
 """How a published figure is judged: by its size, by its effect, as a bound, as a range, or as an outcome.
 
-An effect is a ratio that says how much something changes. It is judged on its size, the ratio less 1: a spine without
-any effect has the ratio 1, which lies within 25 % of 1.22, but is no gain of 22 %.
+An effect is a ratio that says how much something changes. It is judged on its size, the ratio minus 1: a spine without
+any effect has the ratio 1, which lies within 25 % of 1.22, but is not a gain of 22 %.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Lines of the report: a published figure, the same figure of both profiles, and whether it holds.
 
-What a line is worth depends on what was known when the twin was made, its kind:
+The value of a line as evidence depends on what was known when the twin was made, its kind:
 
 - `fitted`: a term of the objective (`identification.targets`), or a figure that those terms decide;
 - `theory`: a formula of the publication against the same formula here; nothing is simulated;
@@ -9,7 +9,7 @@ What a line is worth depends on what was known when the twin was made, its kind:
   test's forces and height; the sole's contact and the stride of the turning test with the turning results known; the
   pilot's look-ahead and observers with circles and with trots over frequency and stride, with and without the spine;
   dimensions and stiffnesses were entered by hand;
-- `predicted`: none of these. Only predicted lines are evidence. Where there is doubt, a line is not called predicted.
+- `predicted`: none of these. Only predicted lines are evidence. In case of doubt, a line is not called predicted.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Figure:
     """A published figure and how it is measured.
 
     Attributes:
-        name: what it is, in the reader's words.
+        name: what it is, for readers.
         kind: what the figure is worth as evidence, see the module.
         reported: what was published, and how a value is judged by it.
         measure: from an outcome and a profile to the same figure; NaN or None where it was not measured.

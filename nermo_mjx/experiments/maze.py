@@ -16,9 +16,9 @@ from nermo_mjx.rollout import History, Run, Setup, Simulator
 
 NAME: Final = "maze"
 FREQUENCY: Final = 0.67
-#: The end is reached where the torso passes it by no more than this [m], half the robot's length.
+#: The end is reached if the torso passes it within this distance [m], half the robot's length.
 _PASSES: Final = 0.1
-#: Ticks between two looks at the contacts: a touch lasts longer than 20 ms.
+#: Ticks between two checks of the contacts: a touch lasts longer than 20 ms.
 _LOOK: Final = 2
 #: A run ends at this share of the speed of theory.
 _SLOWEST: Final = 0.45

@@ -1,4 +1,4 @@
-"""What an experiment leaves: one row per world, and the recordings that plots and videos show."""
+"""The outcome of an experiment: one row per world, and the recordings used by plots and videos."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from nermo_mjx.recording import Recording
 
-#: Column that tells identified bodies apart, where an outcome has several: 1, 2, ...
+#: Column that identifies the body, if an outcome has several: 1, 2, ...
 BODY: Final = "body"
 
 

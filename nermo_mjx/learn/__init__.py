@@ -1,4 +1,4 @@
-"""Learning: the robot as an environment of many worlds, its rewards, and how a policy is trained in it and walks."""
+"""Learning: the robot as an environment of many worlds, its rewards, and training and running a policy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nermo_mjx.learn.run import TrainingResult, run_training
     from nermo_mjx.learn.spec import Training
 
-#: What brings tables, figures and checkpoints with it, which a walk by a policy does without.
+#: Names that import tables, figures and checkpoints, which running a policy does not need.
 _LATER: Final = {"Training": "spec", "TrainingResult": "run", "run_training": "run"}
 
 __all__ = [

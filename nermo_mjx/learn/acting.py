@@ -1,6 +1,6 @@
-"""What a policy's action does: it changes the controller's servo targets or its parameters, or takes the servos over.
+"""What a policy's action does: it changes the controller's servo targets or its parameters, or replaces the targets.
 
-An action is one number in [-1, 1] for each of the names of its kind. At zero the controller does what it does alone
+An action is one number in [-1, 1] for each of the names of its kind. At zero the controller is unchanged
 (`Residual`, `Modulation`), or the robot stands (`Targets`).
 """
 
@@ -30,14 +30,14 @@ Action = Float[Array, " a"]
 
 @runtime_checkable
 class ActionKind(Protocol):
-    """What an action means to a controller. Values are unbatched."""
+    """The effect of an action on a controller. Values are unbatched."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """One for each number of the action."""
 
     def check(self, controller: ControllerLike) -> None:
-        """Raise `ParameterError` where the controller has nothing that such an action could reach."""
+        """Raise `ParameterError` if the controller has nothing that such an action can change."""
 
     def parameters(self, params: Any, action: Action) -> Any:
         """The controller's parameters under an action."""
@@ -83,10 +83,10 @@ class Residual:
 
 @dataclasses.dataclass(frozen=True)
 class Targets:
-    """Servo targets around those of the standing robot; of the controller only its clock is heard.
+    """Servo targets around those of the standing robot; only the controller's clock is used.
 
     Attributes:
-        hip, knee, spine: range to either side [rad]; a group with 0 stays as it stands.
+        hip, knee, spine: range to either side [rad]; a group with 0 keeps its standing pose.
     """
 
     hip: float = 0.8
@@ -113,7 +113,7 @@ class Targets:
         return _moved(self, home, action)
 
 
-#: What `Modulation` varies, and in which range, unless it is told.
+#: Default parameters of `Modulation`, and their ranges.
 MODULATED: Final[Mapping[str, tuple[float, float]]] = {
     "frequency": (0.4, 1.4), "stride": (0.4, 1.0), "spine.amplitude": (0.0, 0.4), "spine.phase": (-3.1416, 3.1416),
     "pilot.turn_rate": (-1.0, 1.0),
@@ -124,8 +124,8 @@ MODULATED: Final[Mapping[str, tuple[float, float]]] = {
 class Modulation:
     """Parameters of the controller that are changed while it runs.
 
-    An action of -1 sets the low end of the range, 0 the value that the controller has without it, 1 the high end, and
-    between them it goes straight.
+    An action of -1 sets the low end of the range, 0 the value that the controller has without it, 1 the high end,
+    with linear interpolation in between.
 
     Attributes:
         ranges: parameter -> (low, high), in its unit; any named parameter of the controller. The turn rate is read by

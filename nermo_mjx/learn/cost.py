@@ -1,4 +1,4 @@
-"""What a training will take here, before it begins."""
+"""The cost of a training on this machine, before it starts."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nermo_mjx.learn.run import engine_for
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs.checkpoints import KEPT
 
-#: Iterations that are timed; one before them compiles.
+#: Number of timed iterations; one before them compiles.
 _TIMED: Final = 2
 #: Bytes of a row of the history, of each number in it.
 _NUMBER: Final = 8
@@ -21,15 +21,15 @@ _NUMBER: Final = 8
 
 @dataclasses.dataclass(frozen=True)
 class Cost:
-    """What a training will take.
+    """The cost of a training.
 
     Attributes:
         engine: that it will run on.
         iterations, steps_per_iteration, steps: whole iterations, and control steps of all worlds.
         simulated_seconds: of all worlds [s].
-        wall_seconds: by this machine's pace, measured now while nothing else changes [s]; NaN on `mjx`, which compiles
-            for minutes.
-        rate_from: where the pace is from, in words.
+        wall_seconds: at this machine's current speed, measured now [s]; NaN on `mjx`, which compiles for
+            minutes.
+        rate_from: source of the rate, in words.
         disk_bytes: of the directory.
     """
 

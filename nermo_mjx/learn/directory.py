@@ -3,13 +3,13 @@
 DIR/training.yaml      the resolved training
 DIR/metrics.py         custom metrics, if the evaluation has some: a copy
 DIR/run.json           which code made it; versions, machine and command of each session that worked on it
-DIR/checkpoints/       Orbax checkpoints, the latest few: all that was learned, and the history up to it
+DIR/checkpoints/       Orbax checkpoints, the latest few: the full learning state, and the history up to it
 DIR/policy.npz         the policy of the latest checkpoint: a controller
 DIR/history.parquet    one row per iteration
 DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
 DIR/summary.json       success, return and speed
 DIR/plots/             figures
-DIR/*.aside-N          what did not fit: nothing is deleted
+DIR/*.aside-N          files that did not match: nothing is deleted
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Directory:
         self._stack.close()
 
     def restore(self, beginning: Learned, *, accept: bool) -> tuple[Learned, Curves]:
-        """Where the training is, and its history up to there.
+        """The state of the training, and its history so far.
 
         Args:
             beginning: of a training that has not begun.
@@ -103,7 +103,7 @@ class Directory:
         return made_by.id
 
     def claim(self) -> None:
-        """Make the directory this training's; what a user wrote in its place is moved aside."""
+        """Claim the directory for this training; a user's own files in the way are moved aside."""
         folder = self.out.resolve()
         setup = keep_controller(self.training.setup, folder, self.held.write)
         self.training = dataclasses.replace(self.training, setup=setup)
@@ -132,7 +132,7 @@ class Directory:
             self.held.write(POLICY, policy)
 
     def set_aside(self, what: str, *names: str) -> None:
-        """Move files aside, as far as they are there, with a sentence on what each is."""
+        """Move existing files aside, with a message about each."""
         for name in names:
             aside = self.held.move_aside(name)
             if aside is not None:

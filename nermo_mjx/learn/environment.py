@@ -52,7 +52,7 @@ class Environment:
             engine: `c`, `mjx`, or `auto`.
             worlds: how many.
             task: what the policy does there.
-            seed: of `reset()` without a key.
+            seed: for `reset()` without a key.
             threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
 
         Raises:
@@ -81,17 +81,17 @@ class Environment:
 
     @property
     def observation_names(self) -> tuple[str, ...]:
-        """Of every number that a policy observes, such as `gyro.x`."""
+        """Labels of all values that a policy observes, such as `gyro.x`."""
         return self.loop.observation_names
 
     @property
     def privileged_names(self) -> tuple[str, ...]:
-        """Of every number that a critic is told."""
+        """Labels of all values that a critic receives."""
         return self.loop.privileged_names
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Of every number of an action."""
+        """Labels of all values of an action."""
         return self.task.action.names
 
     @property
@@ -101,7 +101,7 @@ class Environment:
 
     @property
     def privileged_size(self) -> int:
-        """Length of what a critic is told."""
+        """Length of a critic's input."""
         return len(self.privileged_names)
 
     @property
@@ -127,7 +127,7 @@ class Environment:
 
         Args:
             state: the last one.
-            action: (n, a), in [-1, 1]; what is beyond counts as the bound.
+            action: (n, a), clipped to [-1, 1].
 
         Raises:
             ParameterError: an action of another shape; on `c` also one that is not finite, or an old state.

@@ -1,4 +1,4 @@
-"""How a policy walks on bodies and from starts that it has not seen, beside the controller that it acts on."""
+"""Evaluation of a policy on unseen bodies and starts, beside the controller that it acts on."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.rollout import RunResult, Setup, Simulator
 from nermo_mjx.sweep.table import Columns
 
-#: Added to a training's seed: no episode of it was drawn from such a key.
+#: Added to a training's seed, so that no training episode was drawn from such a key.
 UNSEEN: Final = 0x5EED
-#: Who walks: the policy, and what it acts on.
+#: What is evaluated: the policy, and the controller that it acts on.
 POLICY, ALONE = "policy", "alone"
 #: Metrics of the table.
 METRICS: Final = ("speed", "distance", "lateral_drift", "cost_of_transport", "servo_work", "slip", "fell", "diverged")
@@ -28,11 +28,11 @@ METRICS: Final = ("speed", "distance", "lateral_drift", "cost_of_transport", "se
 def evaluate(
     training: Training, policy: Policy, engine: str = "auto", progress: Callable[[float], None] | None = None
 ) -> pa.Table:
-    """Walk every scene of the evaluation, by the policy and by the controller alone, from the same starts and bodies.
+    """Simulate every evaluation scene, with the policy and with the controller alone, from the same starts and bodies.
 
     Returns:
         One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
-        it lasted, and led at least as far as the training's evaluation asks for.
+        it lasted, and covered at least the distance required by the training's evaluation.
     """
     cases = [(setup, task, who) for setup, task in training.evaluated() for who in (POLICY, ALONE)]
     parts: list[_Part] = []
@@ -56,7 +56,7 @@ class _Part(NamedTuple):
 
 
 def bodies(training: Training, task: Task) -> dict[str, np.ndarray]:
-    """Parameters of the unseen bodies and starts (n,): from the ranges, and from the ensemble, that it learned on."""
+    """Parameters of the unseen bodies and starts (n,): from the ranges and the ensemble of the training."""
     count = training.evaluation.bodies
     random = np.random.default_rng([training.seed, UNSEEN])
     drawn = {name: random.uniform(low, high, count) for name, (low, high) in task.randomize.items()}
@@ -117,7 +117,7 @@ def _table(training: Training, parts: list[_Part]) -> pa.Table:
         table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)
     status = np.concatenate([np.asarray(part.result.status) for part in parts])
     distance = np.concatenate([np.asarray(part.result.metrics["distance"]) for part in parts])
-    table.add("status", status, "status", "1", "ok, or what became of the walk")
+    table.add("status", status, "status", "1", "ok, or how the walk ended")
     enough = (status == "ok") & (distance >= training.evaluation.distance)
-    table.add("success", enough, "status", "1", "whether it lasted and led far enough")
+    table.add("success", enough, "status", "1", "whether it lasted and went far enough")
     return table.table({"training": training.digest(), "engine": parts[0].result.engine})

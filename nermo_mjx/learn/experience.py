@@ -18,7 +18,7 @@ Values = Any
 
 
 class Stepped(Protocol):
-    """What learning reads of an environment's state; axes are worlds. See `nermo_mjx.learn.Environment`."""
+    """The part of an environment's state that learning reads; axes are worlds. See `nermo_mjx.learn.Environment`."""
 
     observation: Any
     privileged: Any
@@ -61,7 +61,7 @@ class EnvironmentLike(Protocol):
 class Experience(NamedTuple):
     """What happened in t steps of n worlds; `final_*` is what followed each step, before a reset.
 
-    Observation and privileged stand side by side in `seen` and `then`: the actor sees the first columns alone.
+    Observation and privileged are concatenated in `seen` and `then`: the actor sees only the first columns.
     """
 
     seen: Float[Values, "t n k"]
@@ -75,7 +75,7 @@ class Experience(NamedTuple):
 
 @dataclasses.dataclass
 class Scores:
-    """Return and length of the episodes that are under way, and a tally of those that ended; on the host."""
+    """Return and length of the current episodes, and a tally of those that ended; on the host."""
 
     returns: np.ndarray
     lengths: np.ndarray
@@ -106,7 +106,7 @@ class Scores:
 
 
 def both(observation: Any, privileged: Any) -> Float[Array, "*batch k"]:
-    """Observation and privileged side by side."""
+    """Observation and privileged, concatenated."""
     return jnp.concatenate([jnp.asarray(observation, jnp.float32), jnp.asarray(privileged, jnp.float32)], axis=-1)
 
 
@@ -148,7 +148,7 @@ def scanned(
 ) -> tuple[Any, Experience]:
     """Steps of a pure environment as one scan, differentiable in the actor.
 
-    Of a world whose derivative is not finite at some step, none comes from that step's future.
+    If a world's derivative is not finite at some step, the future of that step contributes nothing.
     """
 
     @jax.checkpoint

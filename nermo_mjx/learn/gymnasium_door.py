@@ -1,4 +1,4 @@
-"""The environment as a `gymnasium.vector.VectorEnv`, for trainers that know that form; needs the extra `gymnasium`."""
+"""The environment as a `gymnasium.vector.VectorEnv`, for trainers that use it; needs the extra `gymnasium`."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         Args:
             environment: on the engine `c`.
-            given: instead of it, the arguments of one.
+            given: alternatively, the arguments of an environment.
 
         Raises:
             ValueError: an environment on another engine.
@@ -47,7 +47,7 @@ class NermoVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in all worlds; without a seed the episodes are others each time.
+        """Begin an episode in all worlds; without a seed the episodes differ each time.
 
         Args:
             seed: of all worlds; of several the first.

@@ -1,4 +1,4 @@
-"""What a training knows: networks, optimizers' states, statistics and counters, as one pytree."""
+"""The learning state of a training: networks, optimizer states, statistics and counters, as one pytree."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt
 from nermo_mjx.learn.experience import EnvironmentLike
 from nermo_mjx.learn.networks import Actor, Layers, Statistics, new_actor, new_layers
 
-#: Longer gradients of a network are shortened to this 2-norm.
+#: Gradients of a network are clipped to this 2-norm.
 LONGEST_STEP = 1.0
 
 
@@ -24,7 +24,7 @@ class Learned:
 
     Attributes:
         actor, critic: networks; the critic also sees what is privileged.
-        target: a slow copy of the critic, where the algorithm has one; else the critic of the beginning.
+        target: a slow copy of the critic, if the algorithm uses one; otherwise the initial critic.
         statistics: of observation and privileged, side by side.
         optimizers: states of optax, of actor and critic.
         rate: learning rate of the actor's next step.
@@ -53,7 +53,7 @@ RESET, ACTING, SHUFFLING = range(3)
 
 
 def beginning(environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], std: float, rate: float) -> Learned:
-    """What a training knows before its first step."""
+    """The learning state before the first step."""
     key, first, second = jax.random.split(jax.random.key(seed), 3)
     actor = new_actor(first, environment.observation_size, environment.action_size, hidden, std)
     size = environment.observation_size + environment.privileged_size
@@ -73,7 +73,7 @@ def descent(betas: tuple[float, float] = (0.9, 0.999)) -> optax.GradientTransfor
 def stepped(network: Any, gradient: Any, state: Any, rate: Any, betas: tuple[float, float] = (0.9, 0.999)) -> Any:
     """The network and its optimizer's state one step later.
 
-    A gradient that is not finite moves nothing: the step is left out, and the optimizer waits.
+    A non-finite gradient changes nothing: the step is skipped, and the optimizer is not updated.
     """
     change, after = descent(betas).update(gradient, state)
     fine = jnp.isfinite(optax.global_norm(gradient))

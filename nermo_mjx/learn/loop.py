@@ -1,7 +1,7 @@
-"""What runs between ticks of physics in one world that a policy drives: the run loop, and what a step is judged by.
+"""What runs between ticks of physics in one world driven by a policy: the run loop, and the reward of a step.
 
-A control step is `Task.decimation` ticks of the run loop under one action. Nothing is measured twice over: `observe`
-looks at the tick that has just ended without taking it in, and `step`, which comes next, takes it in.
+A control step is `Task.decimation` ticks of the run loop under one action. Nothing is measured twice: `observe`
+reads the tick that has just ended without accumulating it, and `step`, which comes next, accumulates it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 
 class Observed(NamedTuple):
-    """What a control step gave in one world.
+    """The result of a control step in one world.
 
     Attributes:
         observation, privileged: for the policy (o,), and for a critic (p,).

@@ -22,8 +22,8 @@ from nermo_mjx.runtime import thread_count
 class Mixture:
     """Worlds of several setups side by side, in the form of one `Environment`; `State.engine` is the parts' states.
 
-    Every part has the same observation and the same action. What a critic is told differs: it is told all that any part
-    tells, zeros where a part does not, and which part it is.
+    Every part has the same observation and the same action. The critic's input differs: it is the union of the parts'
+    inputs, with zeros where a part lacks them, and the index of the part.
 
     >>> parts = [(Setup(), Task(duration=1.0)), (Setup(pilot="arc"), Task(duration=1.0))]
     >>> [part.worlds for part in Mixture(parts, worlds=5).parts]
@@ -49,7 +49,7 @@ class Mixture:
         """
         check_worlds(worlds, len(parts))
         counts = [len(each) for each in np.array_split(np.arange(worlds), len(parts))]
-        # The parts take turns on the processors: a part alone may have too few worlds for all of them.
+        # The parts run concurrently on the processors: a single part may have too few worlds for all of them.
         self.parts = tuple(
             Environment(setup, engine=engine, worlds=count, task=task, threads=1)
             for (setup, task), count in zip(parts, counts, strict=True)
@@ -75,7 +75,7 @@ class Mixture:
 
     @property
     def privileged_size(self) -> int:
-        """Length of what a critic is told."""
+        """Length of a critic's input."""
         return len(self.privileged_names)
 
     @property
@@ -112,7 +112,7 @@ class Mixture:
         return State(**joined, engine=tuple(states))
 
     def _told(self, i: int, own: Any) -> Any:
-        """What part i tells a critic, in the columns of all parts."""
+        """The critic's input from part i, in the columns of all parts."""
         which = len(self.privileged_names) - len(self.parts) + i
         if not self.pure:
             told = np.zeros((len(own), self.privileged_size), np.float32)

@@ -1,7 +1,7 @@
 """Actor and critic: two small networks over normalized observations, as plain pytrees.
 
-The actor's mean is tanh of its last layer, whose weights begin at zero: an untrained policy acts as if there were none,
-so that a residual begins as the controller that it is added to. Its standard deviation is a parameter an action.
+The actor's mean is tanh of its last layer, whose weights begin at zero: an untrained policy has no effect,
+so a residual starts as the controller that it is added to. Its standard deviation is one parameter per action.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Statistics:
 
     @classmethod
     def none(cls, size: int) -> Statistics:
-        """Statistics of nothing, which leave values as they are."""
+        """Empty statistics, which leave values unchanged."""
         return cls(jnp.zeros((), jnp.float32), jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32))
 
     def extended(self, values: Float[Array, "*batch k"]) -> Statistics:

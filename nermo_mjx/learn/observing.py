@@ -1,6 +1,6 @@
-"""What a policy is told: groups of readings of the real robot's sensors, late and noisy as they are, and its orders.
+"""What a policy observes: groups of readings of the real robot's sensors, with delay and noise, and its commands.
 
-A critic may know more (`privileged`), since it stays behind when training is over.
+A critic may know more (`privileged`), since it is not used after training.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _AXES: Final = ("x", "y", "z")
 
 @parameter_tree
 class Sensing:
-    """How late and how noisy the sensors' readings reach the policy; noise is normal, and new in each control tick."""
+    """Delay and noise of the sensor readings that reach the policy; noise is normal, and new in each control tick."""
 
     delay: Any = quantity(0.0, unit="s", low=0.0, high=LONGEST_DELAY, doc="age of the readings that a policy gets")
     servo_angle_noise: Any = quantity(0.0, unit="rad", low=0.0, high=1.0, doc="of the servos' angles")
@@ -90,10 +90,10 @@ SENSED: Final[dict[str, Sensed]] = {
     ),
     "tilt": Sensed(_AXES, down, 1.0, "1", "tilt_noise", "direction of gravity, which an IMU with fusion knows"),
 }  # fmt: skip
-#: What a policy is told besides: the gait's phase as cosine and sine, what is commanded, where the path is, and its
-#: own last action.
+#: Other inputs of a policy: the gait's phase as cosine and sine, the command, the path, and its own last
+#: action.
 TOLD: Final = ("phase", "command", "path", "action")
-#: What a policy observes unless it is chosen.
+#: Default observation of a policy.
 OBSERVED: Final = (
     "servo_angle", "servo_load", "knee_angle", "foot_contact", "gyro", "accelerometer", *TOLD,
 )  # fmt: skip
@@ -102,7 +102,7 @@ SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side
 
 
 class Told(NamedTuple):
-    """What is known in one world besides its sensors.
+    """What is known in one world apart from its sensors.
 
     Attributes:
         phase: of the gait cycle, where the controller has one.
@@ -126,7 +126,7 @@ class Observer:
         commands: names of what is commanded.
         actions: names of the actions.
         phase, path: whether the controller has a phase and a path.
-        delayed: how many control ticks readings may be late at most.
+        delayed: largest delay of readings, in control ticks.
         noisy: whether there is noise.
         dt: length of a control tick [s].
     """
@@ -166,7 +166,7 @@ class Observer:
         )  # fmt: skip
 
     def readings(self, sensors: Sensors) -> Vector:
-        """What the sensors say now, scaled."""
+        """Current sensor readings, scaled."""
         parts = [SENSED[name].read(sensors) / SENSED[name].scale for name in self.sensed]
         return jnp.concatenate(parts) if parts else jnp.zeros(0)
 
@@ -181,7 +181,7 @@ class Observer:
     def observe(
         self, sensing: Sensing, memory: Float[Array, "ticks k"], sensors: Sensors, told: Told, key: Any
     ) -> Vector:
-        """The observation: late and noisy readings, and what the policy is told.
+        """The observation: delayed and noisy readings, and the policy's other inputs.
 
         Args:
             sensing: how late and how noisy.
@@ -198,7 +198,7 @@ class Observer:
         return jnp.concatenate([readings, self.told(told, sensors)])
 
     def told(self, told: Told, sensors: Sensors) -> Vector:
-        """What the policy is told besides its readings."""
+        """The policy's inputs other than readings."""
         parts: dict[str, Vector] = {"command": told.command, "action": told.action}
         if told.phase is not None:
             turn = 2.0 * jnp.pi * told.phase
@@ -209,7 +209,7 @@ class Observer:
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
 
     def _late(self, delay: Scalar, newest_first: Float[Array, "ticks k"]) -> Vector:
-        """Readings of a moment between two ticks go straight from the one to the other."""
+        """Readings between two ticks are interpolated linearly."""
         ticks = jnp.clip(jnp.asarray(delay) / self.dt, 0.0, self.delayed)
         before = jnp.clip(jnp.floor(ticks).astype(jnp.int32), 0, self.delayed - 1)
         share = ticks - before

@@ -1,4 +1,4 @@
-"""A policy as ONNX: from an observation to an action, for programs that know nothing of this package."""
+"""A policy as ONNX: from an observation to an action, for programs that do not use this package."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def check_onnx() -> None:
 def export(policy: Policy) -> bytes:
     """An ONNX model with the input `observation` (n, o) and the output `action` (n, a), both float32.
 
-    What the numbers are stands in its metadata: `observation`, `actions` and `action` (what an action does) as JSON.
+    Its metadata describe the values: `observation`, `actions` and `action` (what an action does) as JSON.
 
     Raises:
         ParameterError: the package `onnx` is not installed.

@@ -50,8 +50,8 @@ class NermoMjxEnv(MjxEnv):
 
     Observations are `state`, for the policy, and `privileged_state`, for a critic. An episode is `done` where the robot
     failed, or has walked the task's distance; time limits are a matter of Playground's wrappers. What the episode drew
-    and what the controller carries is in `info["world"]`; where a wrapper puts the first `data` back into a world, its
-    episode begins again there. Of `data`, time, state, controls and sensors are those of the world.
+    and what the controller carries is in `info["world"]`; where a wrapper restores the initial `data` of a world, its
+    episode restarts there. Of `data`, time, state, controls and sensors are those of the world.
     """
 
     def __init__(
@@ -138,14 +138,14 @@ def register(name: str, setup: Setup | None = None, task: Task | None = None) ->
     """Make an environment known to `mujoco_playground.registry` by a name.
 
     Args:
-        name: free; one that there is already is replaced.
+        name: any; an existing one is replaced.
         setup, task: see `Environment`.
     """
 
     def make(config: ConfigDict | None = None, config_overrides: Mapping[str, Any] | None = None) -> NermoMjxEnv:
         return NermoMjxEnv(config, config_overrides, setup=setup, task=task)
 
-    # Of Playground's suites this is the one that does not first download all of MuJoCo Menagerie.
+    # The only one of Playground's suites that does not download all of MuJoCo Menagerie first.
     dm_control_suite.register_environment(name, make, lambda: default_config(setup, task))
 
 

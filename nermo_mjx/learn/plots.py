@@ -57,7 +57,7 @@ def figures(out: Path) -> Figures:
 
 
 def curves_figure(training: Training, curves: Curves) -> Figure:
-    """How the training went, over control steps."""
+    """The course of the training, over control steps."""
     panels = {name: label for name, label in PANELS.items() if name in curves.names}
     figure = page("Training", 7.2, 1.1 + 1.5 * len(panels), f"{_what(training)}; pale: single iterations")
     axes = list(figure.subplots(len(panels), 1, sharex=True))
@@ -73,7 +73,7 @@ def curves_figure(training: Training, curves: Curves) -> Figure:
 
 
 def rewards_figure(training: Training, curves: Curves) -> Figure:
-    """What the terms of the reward, with their weights, gave in a simulated second."""
+    """The weighted reward terms per simulated second."""
     weights = {str(name): weight for name, weight in training.task.rewards.items()}
     terms = [name for name in curves.names if name.startswith("term.")]
     figure = page("Reward by its terms", 7.2, 3.6, f"{_what(training)}; each term times its weight")

@@ -1,7 +1,7 @@
 """A policy as a controller: it observes, acts, can be used wherever a controller can, and is one file.
 
-The file is an NPZ without pickled objects: the networks' arrays, and a text in JSON (`about`) that gives them a
-meaning: what is observed, what an action does, which controller is acted on, versions.
+The file is an NPZ without pickled objects: the networks' arrays, and a JSON text (`about`) that describes them:
+what is observed, what an action does, which controller is acted on, versions.
 """
 
 from __future__ import annotations
@@ -105,10 +105,10 @@ class Policy:
         Args:
             environment: in which it was learned.
             learned: what.
-            about: what else the file is to say.
+            about: further content of the file.
 
         Raises:
-            ParameterError: it acts on a controller that is no published one.
+            ParameterError: it acts on a controller that is not a published one.
         """
         setup, task = environment.setup, environment.task
         if setup.controller is not None or setup.command is not None:
@@ -130,7 +130,7 @@ class Policy:
 
     @functools.cached_property
     def setup(self) -> Setup:
-        """Whose controller is acted on."""
+        """The setup whose controller is acted on."""
         return Setup(**self.base)
 
     @functools.cached_property

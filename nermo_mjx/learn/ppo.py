@@ -26,14 +26,14 @@ class PPO:
 
     Attributes:
         horizon: control steps of each world in an iteration.
-        discount: gamma, of the next control step's reward.
+        discount: gamma, per control step.
         trace: lambda of the advantages.
         epochs, minibatches: passes over an iteration's steps, and parts of each.
         clip: how far the probability ratio may move.
         rate: learning rate, the first one if it follows the policy's change.
         kl: the change of the policy that the learning rate aims at [nat]; None keeps the rate.
         entropy: weight of the policy's entropy.
-        std: first standard deviation of the actions.
+        std: initial standard deviation of the actions.
         hidden: units of each hidden layer, for both actor and critic.
     """
 

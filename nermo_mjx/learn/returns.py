@@ -1,7 +1,7 @@
-"""What an action was worth: generalized advantages and TD(lambda) targets, with ends and time limits told apart.
+"""Generalized advantages and TD(lambda) targets, distinguishing terminations from time limits.
 
-An episode that terminated has no future; one that was cut off at its time limit has, and its value at the observation
-before the reset stands for it. Arrays are (steps, worlds).
+A terminated episode has no future; one truncated at its time limit does, and is bootstrapped with the value at the
+observation before the reset. Arrays are (steps, worlds).
 """
 
 from __future__ import annotations

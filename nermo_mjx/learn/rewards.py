@@ -1,7 +1,7 @@
 """Terms of the reward: each has a name, a unit and a meaning, and is summed over a control step.
 
 The reward of a step is the sum of the terms, each times its weight in `Task.rewards`. Terms are what a step adds: the
-way in metres, not the speed; so a return does not depend on how long a control step is.
+distance in metres, not the speed; so a return does not depend on the length of a control step.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Term:
         unit: of its value.
         doc: what it is.
         value: of a `Moment`, pure JAX, unbatched.
-        needs: the command without which it means nothing.
+        needs: the command without which it is meaningless.
     """
 
     name: str
@@ -76,7 +76,7 @@ def _sum_square(values: Array) -> Scalar:
 
 
 _TERMS: Final = (
-    Term("progress", "m", "way along the path, or along the smoothed heading",
+    Term("progress", "m", "distance along the path, or along the smoothed heading",
          lambda m: m.now.travelled - m.before.travelled),
     Term("speed", "s", f"time at the commanded speed: exp(-(error / {SPEED_WIDTH:g} m/s)^2)",
          lambda m: m.seconds * _kernel(m.speed - m.command["speed"], SPEED_WIDTH), "speed"),
@@ -90,7 +90,7 @@ _TERMS: Final = (
     Term("work", "J", "mechanical work of the servos", lambda m: m.now.work - m.before.work),
     Term("torque", "N^2 m^2 s", "torques of the servos, squared, over time",
          lambda m: m.seconds * _sum_square(m.sensors.servo_torque)),
-    Term("slip", "m", "way that loaded feet slide, the sum of all four",
+    Term("slip", "m", "distance that loaded feet slide, the sum of all four",
          lambda m: jnp.sum(m.now.slid - m.before.slid)),
     Term("dragging", "s", "time in which feet are loaded in their commanded swing, the sum of all four",
          lambda m: jnp.sum(m.now.swing_loaded - m.before.swing_loaded)),
@@ -104,7 +104,7 @@ _TERMS: Final = (
     Term("arrived", "1", "1 where the robot has walked its distance",
          lambda m: jnp.asarray(m.arrived, m.speed.dtype)),
 )  # fmt: skip
-#: Every term that there is, by its name.
+#: All terms, by name.
 TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
 
 

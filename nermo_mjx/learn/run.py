@@ -40,7 +40,7 @@ class TrainingInterrupted(KeyboardInterrupt):
 
 @dataclasses.dataclass(frozen=True)
 class TrainingProgress:
-    """How far a training is.
+    """Progress of a training.
 
     Attributes:
         steps, total: control steps done and wanted.
@@ -62,7 +62,7 @@ class TrainingResult:
         policy: file of the policy; None in an environment that is not of a robot.
         summary: content of summary.json: `steps`, `return` and `success`, and of each scene of the evaluation the
             numbers of the policy and of the controller alone.
-        learned: all that the next iteration would begin with.
+        learned: the learning state after the last iteration.
         history: what happened in each iteration.
         iterations_run: by this call.
         plots: figures.
@@ -92,9 +92,9 @@ def run_training(
 ) -> TrainingResult:
     """Learn a policy into a directory, or resume what it contains, and evaluate it.
 
-    All that was learned is stored behind each section of iterations, and the next section begins new episodes, so that
-    a training that was killed and went on ends with the same numbers as one that was not: on the engine `c` bit for
-    bit. Killing it loses the section in flight.
+    The learning state is stored after each section of iterations, and the next section starts new episodes, so that
+    a training that was killed and resumed ends with the same results as an uninterrupted one: on the engine `c` bit
+    for bit. Killing it loses the section in flight.
 
     Args:
         spec: a `Training`, a dict with the fields of a training file, or the path of one.
@@ -102,7 +102,7 @@ def run_training(
         engine: of the environment; `auto` is `c` on a machine without a GPU, and `mjx` for exact gradients.
         environment: replaces that of the training; then there is neither a policy's file nor an evaluation.
         progress: called before the first iteration and after each.
-        evaluating: called with the share of the evaluation that is done.
+        evaluating: called with the progress of the evaluation.
         warn: called with a message about each thing that is moved aside.
         accept_new_code: resume a directory that other code started.
         log: trackers, see `nermo_mjx.runs.trackers`.
@@ -164,7 +164,7 @@ def engine_for(training: Training, engine: str) -> str:
 
 @dataclasses.dataclass
 class _Learning:
-    """The iterations of a training, and what is told of them."""
+    """The iterations of a training, and their progress messages."""
 
     directory: Directory
     environment: EnvironmentLike

@@ -21,7 +21,7 @@ class SceneTask:
     Attributes:
         setup: what is chosen by name there.
         task: what the policy does there.
-        written: as it stands in a training file.
+        written: as written in a training file.
     """
 
     setup: Setup

@@ -81,7 +81,7 @@ class TaskFields(Fields):
     bodies: bool = Field(False, description="whether each episode draws one of the identified bodies")
     decimation: Annotated[int, Whole(1, 100)] = Field(1, description="control ticks for which an action is held")
     duration: Positive = Field(10.0, description="length of an episode [s]")
-    distance: Positive = optional("way at which an episode ends [m]")
+    distance: Positive = optional("distance at which an episode ends [m]")
     corridor: Positive = optional("distance from the path at which an episode fails [m]")
 
 
@@ -96,7 +96,7 @@ class PpoFields(Fields):
     rate: Positive = optional("learning rate, by default 0.001")
     kl: float | None = optional("change of the policy that the rate follows [nat], by default 0.01; null: none")
     entropy: Annotated[float, Field(ge=0)] = optional("weight of the policy's entropy, by default 0.001")
-    std: Positive = optional("first standard deviation of the actions, by default 0.3")
+    std: Positive = optional("initial standard deviation of the actions, by default 0.3")
     hidden: list[Annotated[int, Whole(1, 4096)]] = optional("units of each hidden layer, by default [64, 64]")
 
 
@@ -109,9 +109,9 @@ class ShortHorizonFields(Fields):
     minibatches: Annotated[int, Whole(1, 10_000)] = optional("parts of a pass, by default 4")
     rate: Positive = optional("learning rate of the actor, by default 0.003")
     critic_rate: Positive = optional("learning rate of the critic, by default 0.001")
-    follow: _Share = optional("share of the critic that its slow copy takes over, by default 0.3")
+    follow: _Share = optional("fraction by which the slow copy moves to the critic, by default 0.3")
     entropy: Annotated[float, Field(ge=0)] = optional("weight of the policy's entropy, by default 0")
-    std: Positive = optional("first standard deviation of the actions, by default 0.1")
+    std: Positive = optional("initial standard deviation of the actions, by default 0.1")
     hidden: list[Annotated[int, Whole(1, 4096)]] = optional("units of each hidden layer, by default [64, 64]")
 
 
@@ -138,7 +138,7 @@ class EvaluationFields(Fields):
     what: ClassVar = "a field of the evaluation"
     bodies: Annotated[int, Whole(1, 100_000)] = Field(100, description="unseen bodies and starts, on each scene")
     scenes: list[str] = optional("where it is evaluated, by default where it learned")
-    distance: Annotated[float, Field(ge=0)] = Field(0.0, description="way without which a walk is no success [m]")
+    distance: Annotated[float, Field(ge=0)] = Field(0.0, description="distance required for success [m]")
     set: dict[str, Finite] = Field({}, description="parameters that are not drawn there, such as terrain.height")
 
 
@@ -158,7 +158,7 @@ class Evaluation:
     Attributes:
         bodies: on each scene.
         scenes: by name, or MJCF; empty for the training's own.
-        distance: way without which a walk is no success [m].
+        distance: required for success [m].
         set: parameters that are not drawn, on the scenes that have them.
     """
 

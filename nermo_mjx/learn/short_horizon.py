@@ -34,13 +34,13 @@ class ShortHorizon:
 
     Attributes:
         horizon: control steps of each world that a derivative passes through.
-        discount: gamma, of the next control step's reward.
+        discount: gamma, per control step.
         trace: lambda of the critic's targets.
         epochs, minibatches: passes of the critic over an iteration's steps, and parts of each.
         rate, critic_rate: learning rates.
-        follow: share of the critic that its slow copy takes over in an iteration.
+        follow: fraction by which the slow copy moves to the critic per iteration.
         entropy: weight of the policy's entropy, with respect to its standard deviation.
-        std: first standard deviation of the actions.
+        std: initial standard deviation of the actions.
         hidden: units of each hidden layer, for both actor and critic.
     """
 

@@ -1,4 +1,4 @@
-"""What a training is: the checked content of a training file. All that is wrong with it is said before it begins."""
+"""What a training is: the checked content of a training file. All errors in it are reported before it starts."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ class TrainingFile(WalkFields):
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
     )
     algorithm: AlgorithmFields = Field(AlgorithmFields(ppo=None), description="how a policy is learned")
-    worlds: Annotated[int, Whole(1, 1_000_000)] = Field(256, description="robots that walk side by side")
+    worlds: Annotated[int, Whole(1, 1_000_000)] = Field(256, description="number of parallel worlds")
     steps: Annotated[int, Whole(1, 10**12)] = Field(2_000_000, description="control steps of all worlds together")
     checkpoint: Annotated[int, Whole(1, 10**12)] = Field(
-        200_000, description="control steps between two checkpoints, behind each of which new episodes begin"
+        200_000, description="control steps between two checkpoints, after each of which new episodes begin"
     )
     seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of all that is drawn")
     evaluate: EvaluationFields = Field(
-        EvaluationFields.model_validate({}), description="on what the policy is evaluated in the end"
+        EvaluationFields.model_validate({}), description="on what the policy is evaluated at the end"
     )
     plots: bool = Field(True, description="whether figures are made at the end")
 
@@ -87,12 +87,12 @@ class Training(WalkSpec):
         task: what a policy does, observes, and is rewarded for.
         scenes: where it learns, if it is on several; then the setup's own scene is none of them.
         algorithm: how it is learned.
-        worlds: robots side by side.
+        worlds: number of parallel worlds.
         steps: control steps of all worlds together, rounded up to whole iterations.
         checkpoint: control steps between two checkpoints.
         seed: of all that is drawn.
-        evaluation: on what the policy is evaluated in the end.
-        plots: whether figures are made in the end.
+        evaluation: on what the policy is evaluated at the end.
+        plots: whether figures are made at the end.
     """
 
     task: Task
@@ -294,12 +294,12 @@ def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
 
 
 def _try_out(setup: Setup, task: Task) -> EpisodeLoop:
-    """What fails here would fail when the environment is made."""
+    """Catch errors that would otherwise occur when the environment is created."""
     return EpisodeLoop(setup.load(), Acting(setup.make_controller(), task.action), task, ())
 
 
 def _said(doc: Document, path: FieldPath, make: Any) -> Any:
-    """What `make` makes; what it refuses is said of the field that it names."""
+    """The result of `make`; errors are reported for the field that they name."""
     try:
         return make()
     except SpecError:

@@ -1,4 +1,4 @@
-"""The environment as a `VecEnv` of Stable-Baselines3, for its trainers and those of sbx; it brings neither."""
+"""The environment as a `VecEnv` of Stable-Baselines3, for its trainers and those of sbx; neither is installed by it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nermo_mjx.learn.gymnasium_door import NermoVectorEnv
 
 
 class NermoVecEnv(VecEnv):
-    """A batch of worlds on MuJoCo's C engine, in the form that Stable-Baselines3 had before Gymnasium had one.
+    """A batch of worlds on MuJoCo's C engine, in Stable-Baselines3's own interface, which predates Gymnasium's.
 
     A world whose episode has ended begins the next one in the same step. Its info then has the last observation in
     `terminal_observation`, whether it was only cut off in `TimeLimit.truncated`, its return, length in control steps
@@ -26,7 +26,7 @@ class NermoVecEnv(VecEnv):
         """
         Args:
             environment: on the engine `c`.
-            given: instead of it, the arguments of one.
+            given: alternatively, the arguments of an environment.
 
         Raises:
             ValueError: an environment on another engine.
@@ -47,7 +47,7 @@ class NermoVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Keep the actions (n, a) for `step_wait`."""
+        """Store the actions (n, a) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -69,7 +69,7 @@ class NermoVecEnv(VecEnv):
         return observation, reward.astype(np.float32), ended, infos
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """There is nothing to close."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of the environment, which all worlds share, once for each."""
@@ -81,11 +81,11 @@ class NermoVecEnv(VecEnv):
         raise NotImplementedError(f"{attr_name} cannot be set: worlds share one environment, see `Task`.")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **given: Any) -> list[Any]:
-        """Refused: worlds are no objects."""
+        """Refused: worlds are not separate objects."""
         raise NotImplementedError(f"{method_name} cannot be called: worlds share one environment.")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """No world is wrapped; `VecMonitor` and its like go around all of them."""
+        """No world is wrapped; `VecMonitor` and similar wrap all of them."""
         return [False] * len(self._places(indices))
 
     def _places(self, indices: int | Sequence[int] | None) -> Sequence[int]:

@@ -1,4 +1,4 @@
-"""A task: what a policy does and observes, what it is rewarded for, when an episode ends, and what differs between."""
+"""A task: what a policy does and observes, its rewards, when an episode ends, and what differs between episodes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from nermo_mjx.shapes import Array, Count
 
 
 class Outcome(enum.Enum):
-    """How an episode stands: a member's place is its code in `State.status`, and its value is the sentence."""
+    """Status of an episode: a member's position is its code in `State.status`, and its value is the sentence."""
 
     walking = "The robot is walking."
     timed_out = "The time of the episode is over."
@@ -43,7 +43,7 @@ class Outcome(enum.Enum):
 
 @parameter_tree
 class Command:
-    """What the robot is to do, in an episode; only what a task names is commanded."""
+    """What the robot is commanded to do in an episode; only what a task names is commanded."""
 
     speed: Any = quantity(0.1, unit="m/s", low=0.0, high=1.0, doc="wanted speed")
     yaw_rate: Any = quantity(0.0, unit="rad/s", low=-3.0, high=3.0, doc="wanted yaw rate, positive left")
@@ -51,15 +51,15 @@ class Command:
 
 @parameter_tree
 class Given:
-    """Parameters that an episode has besides those of a run."""
+    """Parameters of an episode in addition to those of a run."""
 
     sensing: Sensing = group(Sensing)
     command: Command = group(Command)
 
 
-#: What differs between episodes unless a task says so.
+#: Default differences between episodes.
 RANDOMIZED: Final[Mapping[str, tuple[float, float]]] = {"start.phase": (0.0, 1.0), "start.yaw": (-0.05, 0.05)}
-#: Rewards unless a task has its own: walk ahead, stay on the path, spend little, stay up.
+#: Default rewards: walk forward, stay on the path, use little energy, stay upright.
 REWARDS: Final[Mapping[str | Term, float]] = {
     "progress": 20.0, "deviation": -2.0, "tilt": -1.0, "work": -0.5, "action_change": -0.002, "failed": -2.0,
 }  # fmt: skip
@@ -67,7 +67,7 @@ REWARDS: Final[Mapping[str | Term, float]] = {
 
 @dataclasses.dataclass(frozen=True)
 class Task:
-    """What an `Environment` is made of besides its setup.
+    """What defines an `Environment` in addition to its setup.
 
     >>> Task(randomize={"contact.friction": (1.0, 1.6)}, distance=1.0).decimation
     1
@@ -79,11 +79,11 @@ class Task:
         set: parameter -> its value in all episodes: parameters of the setup, `sensing.*` and `command.*`.
         randomize: parameter -> (low, high), drawn uniformly for each episode.
         bodies: draw a body of the identified ensemble for each episode.
-        decimation: control ticks for which an action is held. The published controller's own tick is the default: the
-            residual learners on this robot act at each, and a policy costs a tenth of a tick's physics.
+        decimation: control ticks for which an action is held. The default is the published controller's own tick: the
+            residual learners on this robot act at each one, and a policy costs a tenth of a tick's physics.
         duration: of an episode [s].
-        distance: walked that far [m], an episode ends; None for never.
-        corridor: this far from the path [m] an episode ends; None for never.
+        distance: at which an episode ends [m]; None for never.
+        corridor: distance from the path at which an episode ends [m]; None for never.
 
     A command is named like any parameter: with `command.speed` or `command.yaw_rate` under `set` or `randomize` the
     policy is told it, and the published controller obeys it as far as it can (the yaw rate with the pilot `open_loop`).
@@ -119,7 +119,7 @@ class Task:
         return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
 
     def check(self, setup: Setup) -> None:
-        """Refuse names that there are not, values out of range, and what has two sources.
+        """Refuse unknown names, values out of range, and names with two sources.
 
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
@@ -169,7 +169,7 @@ class EpisodeParameters:
 
     Attributes:
         loop: of the run loop; the action is in `loop.control.action`.
-        given: how its sensors are, and what is commanded.
+        given: sensor delay and noise, and the command.
         drawn: what was drawn, each in [-1, 1] of its range, (r,).
         seed: of the noise, a whole number below 2^24.
     """

@@ -1,4 +1,4 @@
-"""The worlds of an environment on each engine, and what they say of themselves after a control step."""
+"""The worlds of an environment on each engine, and what they return after a control step."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What the robot's eyes go through: yaw and pitch of its head, and how fast the picture moves; part of the metrics.
+"""What the robot's eyes go through: yaw and pitch of its head, and how fast the image moves; part of the metrics.
 
 The head's attitude is the torso's, turned by the neck. Far away things move across the middle of a picture as fast as
-the head turns about its own vertical and its lateral axis; a head that rolls turns the picture about its middle.
+the head turns about its own vertical and its lateral axis; a head that rolls turns the image about its middle.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class EyeState:
     Attributes:
         angles: pitch and yaw of the head at the last tick [rad]; yaw goes on beyond half a turn.
         mean, square: Welford's running mean and sum of squared deviations of the angles.
-        motion: integral of the squared angular speed of the picture [rad^2/s].
+        motion: integral of the squared angular speed of the image [rad^2/s].
     """
 
     angles: Float[Array, " 2"]
@@ -78,7 +78,7 @@ def head_orientation(sensors: Sensors) -> Quaternion:
 
 
 def picture_speed(sensors: Sensors) -> Scalars:
-    """Angular speed of what is far away across the middle of the picture [rad/s]."""
+    """Angular speed of what is far away across the middle of the image [rad/s]."""
     rate = head_rate(sensors)
     return jnp.sqrt(rate[..., 0] ** 2 + rate[..., 2] ** 2 + 1e-12)
 

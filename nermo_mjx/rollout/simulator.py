@@ -202,7 +202,7 @@ class Simulator:
             notify(f"compiling the {self.engine.name} program, once per machine")
         self._compiled.add(program)
         session = self.engine.open(batch.params, batch.qpos, batch.fields)
-        # Whole blocks only: a recorded block of another length would be another program.
+        # Whole blocks only: a recorded block of another length would need another program.
         ticks = -(-batch.ticks // BLOCK) * BLOCK if traced else batch.ticks
         traces: list[Trace] = []
         for done, size in _blocks(ticks):

@@ -74,7 +74,7 @@ def trade_off(
     ax.scatter(x.values[best], y.values[best], s=26, color=BEST, ec="white", lw=0.6, zorder=4)
     set_scales(ax, x, y)
     ax.margins(0.06)
-    # Labels are placed on the better side of their points, where there is nothing else.
+    # Labels are placed on the better direction of their points, where there is nothing else.
     right, up = (1 if side == "max" else -1 for side in sides)
     for letter, (place, _) in zip(letters, named, strict=False):
         ax.annotate(letter, (x.values[place], y.values[place]), (7 * right, 7 * up), textcoords="offset points",

@@ -34,7 +34,7 @@ class Evaluator:
             self._problem = pickle.loads(self._problem)
 
     def stamp(self) -> CodeStamp:
-        """Of the code and the model that walk here."""
+        """Stamp of the code and the model that simulate here."""
         return stamp(self._setup.load().fingerprint, self._engine)
 
     def __call__(self, task: tuple[np.ndarray, bool], progress: Callable[[float], None] | None = None) -> Evaluation:

@@ -54,7 +54,7 @@ def render(
         path: the file; it appears only when it is whole.
         fps: frames per second of the video.
         width, height: size of the robot's picture in pixels, even numbers for MP4; strips of overlays stand below it.
-        camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the pictures of both
+        camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the images of both
             eyes, each half as wide.
         speed: 1 is real time, 0.25 a quarter of it.
         overlays: names of `OVERLAYS`.

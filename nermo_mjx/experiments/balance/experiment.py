@@ -41,7 +41,7 @@ from nermo_mjx.rollout.simulator import BLOCK
 
 NAME: Final = "balance"
 SCENE: Final = "balance_stand"
-#: Parameters of the controller that have a meaning here; those of the body come from `ModelParameters`.
+#: Parameters of the controller that apply here; those of the body come from `ModelParameters`.
 SPINE_NAMES: Final = ("spine.max_servo_angle", "spine.balance_lift", "spine.offset_compensation")
 #: Parameters that may be set for all worlds.
 SETTABLE: Final = frozenset(SPINE_NAMES) | {name for name, _ in quantities(ModelParameters)}
@@ -90,7 +90,7 @@ class Lift:
         return {"profile": self.profile, **body, "leg": LIMBS[self.limb], "sbc": self.sbc, "repeat": self.repeat}
 
     def nudge(self, seed: int) -> Nudge:
-        """How its start differs; the same in both profiles."""
+        """The perturbation of its start; the same in both profiles."""
         return nudge(seed, 2 * self.limb + self.sbc, self.repeat)
 
 
@@ -103,7 +103,7 @@ def run(settings: Settings, scene: str = SCENE) -> Outcome:
         scene: see `RobotConfig`.
 
     Raises:
-        ParameterError: a parameter that has no meaning here.
+        ParameterError: a parameter that does not apply here.
     """
     cases, values, bodies = list(_cases(settings)), settings.values, settings.bodies
     which = np.array([case.body - 1 for case in cases])
@@ -203,7 +203,7 @@ def _simulate(
     """Run all worlds, and record every tick."""
     session = engine.open(params, qpos, fields)
     blocks: list[Trace] = []
-    # Whole blocks only: a recorded block of another length would be another program.
+    # Whole blocks only: a recorded block of another length would need another program.
     for done in range(0, ticks, BLOCK):
         blocks.append(session.record(BLOCK))
         if progress:

@@ -1,4 +1,4 @@
-"""What the balance test measures of each world, and when it counts as passed. Plain NumPy, after the run."""
+"""Measurements of the balance test in each world, and when it counts as passed. Plain NumPy, after the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS
 
 #: For each lifted limb, the front and the rear foot of the diagonal over which it may tip. The third standing foot is
-#: the one opposite, 3 - limb: it carries what the centre of mass lies inside of the diagonal.
+#: the one opposite, 3 - limb: it carries the load if the centre of mass is inside the diagonal.
 DIAGONAL: Final = ((1, 2), (0, 3), (0, 3), (1, 2))
 #: A foot that reads more than this touches [N]. The sensor sums contacts in which there is a force and reads exactly 0
 #: without one, so that any small number will do; this one is a thousandth of what a foot carries.
@@ -29,7 +29,7 @@ TOUCH: Final = 0.001
 
 ABOUT: Final = {
     "passed": Column("1", "upright, and the lifted foot clear of the ground"),
-    "upright": Column("1", "no tilt, from the lift on, by which the lifted foot would come down again"),
+    "upright": Column("1", "no tilt, from the lift on, that would bring the lifted foot down again"),
     "clear": Column("1", "the lifted foot never touches the ground while it swings"),
     "contact_share": Column("1", "share of the swing with the lifted foot on the ground"),
     "clearance": Column("m", "least height of the lifted sole above the ground during the swing"),
@@ -55,7 +55,7 @@ ABOUT: Final = {
 
 @functools.cache
 def tip_angle() -> float:
-    """By how much the robot must turn about its diagonal for the lifted foot to come down again [rad].
+    """Rotation about the diagonal at which the lifted foot comes down again [rad].
 
     Height by which the full compression lifts a foot, over that foot's distance from the diagonal, both from the
     kinematics of the level stance: 0.20 rad in front, 0.15 rad behind. The smaller one judges all cases.
@@ -77,7 +77,7 @@ def verdict(force: Float[np.ndarray, "*batch T"], tilt: Float[np.ndarray, "*batc
 
     Args:
         force: of the lifted foot during the swing [N].
-        tilt: of the torso from the lift on [rad]. What is not finite does not pass.
+        tilt: of the torso from the lift on [rad]. Non-finite values do not pass.
     """
     return np.all(tilt < tip_angle(), axis=-1), np.all(force <= TOUCH, axis=-1)
 
@@ -105,7 +105,7 @@ def centre_of_mass(model: mujoco.MjModel, qpos: Float[np.ndarray, "T nq"]) -> Fl
 def readings(
     limb: int, model: mujoco.MjModel, qpos: np.ndarray, sensors: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """What one world shows over time: `roll`, `pitch`, `tilt` (T,) [rad], `centre_of_mass` (T, 3) and `com_margin` [m].
+    """Time histories of one world: `roll`, `pitch`, `tilt` (T,) [rad], `centre_of_mass` (T, 3) and `com_margin` [m].
 
     Args:
         limb: the lifted one.

@@ -32,7 +32,7 @@ ROUTING: Final = "type3"
 
 @dataclasses.dataclass(frozen=True)
 class Phase:
-    """A stretch of the protocol, in seconds of its clock: what changes does so within `ramp`, and holds."""
+    """A phase of the protocol, in seconds of its clock: changes happen within `ramp`, then hold."""
 
     begin: float
     end: float
@@ -40,7 +40,7 @@ class Phase:
 
     @property
     def still(self) -> tuple[float, float]:
-        """The second half of the hold, when nothing moves any more."""
+        """The second half of the hold, when everything is at rest."""
         return (self.begin + self.ramp + self.end) / 2, self.end
 
 
@@ -80,7 +80,7 @@ class BalanceParameters:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class BalanceState:
-    """What the loop carries: ticks done, and what the servos aim at [rad]."""
+    """The loop's state: ticks done, and servo targets [rad]."""
 
     tick: Array
     ctrl: Float[Array, " n_servos"]
@@ -93,7 +93,7 @@ def ramp(time: ArrayLike, begin: float, duration: float) -> Float[Array, "*batch
 
 
 def during(time: ArrayLike, phase: str) -> Float[Array, "*batch"]:
-    """How much of a phase's ramp is done, in [0, 1]."""
+    """Progress of a phase's ramp, in [0, 1]."""
     return ramp(time, PHASES[phase].begin, PHASES[phase].ramp)
 
 
@@ -131,15 +131,15 @@ class BalanceLoop:
     def servos(self, params: BalanceParameters, time: ArrayLike) -> ServoAngles:
         """Commanded angles at a time of the protocol [s], continuous in time.
 
-        A spine bent by 0.1 rad a joint holds one hip 5 mm higher and the other 4 mm lower, so that three legs of
-        neutral length would tilt the robot towards the foot to be lifted. The feet that carry take that up (5.31).
+        A spine bent by 0.1 rad a joint holds one hip 5 mm higher and the other 4 mm lower, so three legs of
+        neutral length would tilt the robot towards the foot to be lifted. The loaded feet compensate for that (5.31).
         """
         spine = during(time, "shift") * self.spine_servo(params)
         lifted = jnp.asarray(params.lifted)[:, None]
         legs = four_legs()
         shift = (1.0 - lifted) * fusion.compensation(params.spine, spine)
         level = inverse(legs, forward(legs, STANCE, ROUTING).foot + shift, ROUTING).servo
-        # Exactly the stance where there is nothing to take up: a round trip through the foot would cost some digits.
+        # Exactly the stance if there is nothing to compensate: a round trip through the foot would lose some digits.
         stance = jnp.where(shift[:, 1:] == 0.0, jnp.asarray(STANCE, level.dtype), level)
         angles = stance + (1.0 - during(time, "stand")) * params.start
 

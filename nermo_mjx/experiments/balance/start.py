@@ -1,4 +1,4 @@
-"""Where a world of the balance test starts: on its four feet, a little off, each repeat in its own way."""
+"""Start poses of the balance test: on four feet, slightly perturbed, differently for each repeat."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def nudge(seed: int, case: int, repeat: int) -> Nudge:
 
 
 def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
-    """Positions (nq,): heading -y, the four soles of the neutral stance level with the ground, then nudged."""
+    """Positions (nq,): heading -y, the four soles of the neutral stance level with the ground, then perturbed."""
     legs = four_legs()
     axes = np.concatenate([shoulders(), hips(0.0)]).astype(float)
     neutral = _soles(axes, np.asarray(forward(legs, STANCE, ROUTING).foot, float))

@@ -1,4 +1,4 @@
-"""Candidates of an identification: walked in batches of one size, judged by the objective, the best remembered."""
+"""Candidates of an identification: simulated in batches of one size and scored by the objective; the best is kept."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.workers import TaskFailed, Workers
 
-#: What the candidates walk.
+#: The walk of the candidates.
 WALKS: Final = Setup(pilot="straight", spine="stride_extension")
 _CYCLES: Final = 8.0
 
 
 @dataclasses.dataclass
 class Walking:
-    """Walks batches of candidates on an engine; a `nermo_mjx.runs.workers.Computer`."""
+    """Simulates batches of candidates on an engine; a `nermo_mjx.runs.workers.Computer`."""
 
     engine: str
 
@@ -32,19 +32,19 @@ class Walking:
         self._simulator = Simulator(WALKS, engine=self.engine)
 
     def stamp(self) -> CodeStamp:
-        """Of the code, the model and the engine that walk here."""
+        """Stamp of the code, the model and the engine that simulate here."""
         return stamp(WALKS.load().fingerprint, self.engine)
 
     def __call__(
         self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Speed of worlds with these parameters, and whether they were walked to the end, (n,) each."""
+        """Speed of worlds with these parameters, and whether their walks were completed, (n,) each."""
         result = self._simulator.run(values, Run(cycles=_CYCLES))
         return result.metrics["speed"], np.asarray(result.status) == "ok"
 
 
 class Candidates:
-    """Evaluates points of a space, and remembers all of them and the best.
+    """Evaluates points of a space, and records all of them and the best.
 
     Args:
         workers: have begun `Walking`; parameters outside the space keep their defaults.

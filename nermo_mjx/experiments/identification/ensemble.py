@@ -1,8 +1,8 @@
-"""The identification's uncertainty: many bodies that walk about as near to the published speeds as the best one.
+"""The identification's uncertainty: many bodies that match the published speeds about as well as the best one.
 
-Free are the identified parameters and, within their plausible ranges, the friction of sole and tail. Prior: even in the
-logarithms within the bounds. A body belongs to the ensemble if its objective is within a tolerance that was stated
-beforehand; within it, none is preferred to another. `sampling` says how they are found.
+Free are the identified parameters and, within plausible ranges, the friction of soles and tail. Prior: uniform in the
+logarithms within the bounds. A body belongs to the ensemble if its objective is within a tolerance that was fixed
+beforehand; within it, none is preferred. `sampling` describes how they are found.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Bodies:
         tolerance: of the objective.
         sweeps: how they were found.
         found: distinct bodies within the tolerance, of which these were taken.
-        effective: bodies of equal weight that would know as much as those found.
+        effective: effective sample size of those found.
         share: of the prior within the tolerance, estimated.
     """
 

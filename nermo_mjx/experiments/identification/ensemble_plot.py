@@ -1,4 +1,4 @@
-"""The ensemble in one figure: how each parameter is spread within its bounds, and which pairs go together."""
+"""The ensemble in one figure: the distribution of each parameter within its bounds, and correlations of pairs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of an identification: the objective over the search, the residuals of its targets, the ensemble."""
+"""Figures of an identification: the objective over the search, the residuals of its targets, the ensemble."""
 
 from __future__ import annotations
 

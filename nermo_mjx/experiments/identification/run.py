@@ -92,7 +92,7 @@ def run_identification(
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
         started = time.monotonic()
-        # What decides the candidates' course; the ensemble's settings only say how far it goes.
+        # What determines the candidates; the ensemble's settings only determine how far it goes.
         begun = {name: settings[name] for name in ("samples", "generations", "population", "seed")}
         with clear_errors(folder):
             memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)

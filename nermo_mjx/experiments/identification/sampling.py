@@ -1,11 +1,11 @@
-"""Points spread evenly over the part of a unit cube where a costly objective stays within a tolerance.
+"""Points distributed uniformly over the part of a unit cube where an expensive objective is within a tolerance.
 
-A sequential Monte Carlo sampler (adaptive multiple importance sampling; Cornuet et al., 2012). The prior is even over
-the cube. A Sobol sample of it comes first; then, in each sweep, as many proposals from a mixture of normal
-distributions about the points that came nearest, with their covariance, the level sinking to the tolerance as points
-permit. Every point ever evaluated is weighed by the prior over the mean density that all sweeps together proposed it
-with, so that each one within the tolerance counts, no matter which sweep found it, and it hardly matters where the
-first centres lay. Since the Sobol sample is a part of that mean, no weight can exceed the number of sweeps plus one.
+A sequential Monte Carlo sampler (adaptive multiple importance sampling; Cornuet et al., 2012). The prior is uniform
+over the cube. A Sobol sample of it comes first; then, in each sweep, as many proposals from a mixture of normal
+distributions around the best points, with their covariance, where the level decreases to the tolerance as points
+permit. Every point ever evaluated is weighted by the prior over the mean proposal density of all sweeps, so that each
+one within the tolerance counts, no matter which sweep found it, and the initial centres hardly matter. Since the Sobol
+sample is part of that mean, no weight can exceed the number of sweeps plus one.
 
 Metropolis moves from the same starts would cost the same and end with fewer distinct points, still close to them.
 """
@@ -48,7 +48,7 @@ class Sample:
         weights: of an even distribution over the region, (m,); their sum is 1.
         sweeps: the Sobol sample, and the sweeps after it.
         share: of the cube within the tolerance, estimated, some per cent too low where it is small.
-        effective: points of equal weight that would know as much as these (Kish).
+        effective: effective sample size (Kish).
     """
 
     points: np.ndarray
@@ -110,7 +110,7 @@ def sample(
         size: points of a sweep, and effective size that is wanted.
         sweeps: after the Sobol sample, at most.
         seed: makes it repeatable.
-        seeds: points (k, d) to begin about as well; where they come from does not matter.
+        seeds: additional points (k, d) to start from; their origin does not matter.
     """
     random = np.random.default_rng((seed, dimension, size))
     points = qmc.Sobol(dimension, rng=random).random_base2(max(size - 1, 1).bit_length())[:size]
@@ -136,7 +136,7 @@ def sample(
 
 
 def thin(sample: Sample, n: int, seed: int) -> Sample:
-    """At most n of the points, taken about as often as they weigh, so that those that stay weigh about the same."""
+    """At most n of the points, selected roughly in proportion to weight, so that the remaining weights are similar."""
     if len(sample.points) <= n:
         return sample
     taken = _inclusion(sample.weights, n)
@@ -166,7 +166,7 @@ def _inclusion(weights: np.ndarray, n: int) -> np.ndarray:
 def _mixture(
     centres: np.ndarray, weights: np.ndarray, seeds: np.ndarray | None, random: np.random.Generator
 ) -> _Mixture:
-    """Normal distributions about weighed centres, as wide as a density estimate from them should be (Silverman)."""
+    """Normal distributions about weighted centres, with the bandwidth of a density estimate (Silverman)."""
     shares, d = weights / weights.sum(), centres.shape[1]
     away = centres - shares @ centres
     covariance = (away.T * shares) @ away + 1e-4 * np.eye(d)

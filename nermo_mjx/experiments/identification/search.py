@@ -88,7 +88,7 @@ def identify(
     progress: Callable[[float], None] | None = None,
     workers: Workers | None = None,
 ) -> Identified:
-    """Search the parameters whose straight-line speeds come nearest to the published ones, then all that come near.
+    """Find the parameters whose straight-line speeds match the published ones best, then all within the tolerance.
 
     Args:
         engine: of the simulations.

@@ -1,4 +1,4 @@
-"""What the identification looks at: published speeds on the straight line, the cases that give them, the objective."""
+"""Targets of the identification: published speeds on the straight line, the cases that give them, the objective."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Pictures of the experiments, in the form of the published figures."""
+"""Figures of the experiments, in the form of the published ones."""

@@ -1,4 +1,4 @@
-"""Pictures of balance: verdicts, pitch and stability over time, and the forces on the feet."""
+"""Figures of balance: verdicts, pitch and stability over time, and the forces on the feet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of the maze: the ways walked seen from above, the torso's sway on the way, and time and speed."""
+"""Figures of the maze: the paths walked seen from above, the torso's sway along them, and time and speed."""
 
 from __future__ import annotations
 

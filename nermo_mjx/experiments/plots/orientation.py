@@ -1,4 +1,4 @@
-"""Pictures of the straight line: how the torso sways, without and with the spine, and with compensation."""
+"""Figures of the straight line: the sway of the torso, without and with the spine, and with compensation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of turning: speed on quarter circles, time on one, the paths walked, and the smallest radius."""
+"""Figures of turning: speed on quarter circles, time on one, the paths walked, and the smallest radius."""
 
 from __future__ import annotations
 
