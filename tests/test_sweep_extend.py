@@ -200,14 +200,14 @@ def test_a_latin_hypercube_has_no_further_points(tmp_path):
     """Its points depend on how many there are; repeats can be added."""
     few, many = (changed(vary=UNIFORM, sample={"latin_hypercube": count}) for count in (4, 8))
     run_sweep(few, tmp_path, simulator=FakeSimulator())
-    with pytest.raises(DirectoryError, match="a Latin hypercube of 4 points is no part of one of 8"):
+    with pytest.raises(DirectoryError, match="a Latin hypercube of 4 points is not part of one of 8"):
         run_sweep(many, tmp_path, simulator=FakeSimulator(), extend=True)
     more = few | {"randomize": few["randomize"] | {"repeats": 2}}
     assert run_sweep(more, tmp_path, simulator=FakeSimulator(), extend=True).rows == 8
 
 
 def test_an_extension_is_begun_by_one_process(tmp_path):
-    with pytest.raises(SpecError, match="begin with it alone"):
+    with pytest.raises(SpecError, match="start it on its own"):
         run_sweep(SMALL, tmp_path, extend=True, shard=(0, 2), simulator=FakeSimulator())
 
 
