@@ -15,8 +15,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.kinematics import balance, body
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
+
+#: The published robot.
+ROBOT = Geometry()
 
 pytestmark = pytest.mark.compiles
 
@@ -81,8 +85,12 @@ def test_hips_and_centre_of_mass_are_where_mujoco_puts_them():
     """Hip axes, their rise, the diagonals, the feet and the centre of mass equal those of the MuJoCo body."""
     theta = np.linspace(-0.3, 0.3, 13)
     with jax.enable_x64(True):
-        hips, rise, lengths = body.hips(theta), body.hip_height_offset(theta), body.diagonals(theta)
-        com, feet = body.centre_of_mass(MASSES, theta), body.feet_positions(theta, STRIDING)
+        hips, rise, lengths = (
+            body.hips(theta, ROBOT),
+            body.hip_height_offset(theta, ROBOT),
+            body.diagonals(theta, ROBOT),
+        )
+        com, feet = body.centre_of_mass(MASSES, theta, ROBOT), body.feet_positions(theta, STRIDING, ROBOT)
     neutral = mujoco_at(0.0)
     for i, angle in enumerate(theta):
         data = mujoco_at(angle)
@@ -99,15 +107,17 @@ def test_hips_and_centre_of_mass_are_where_mujoco_puts_them():
 
 def test_neutral_positions_are_the_published_ones():
     """Shoulders and hips of the straight spine are those of Table A.5 with its errata, left before right."""
-    np.testing.assert_allclose(body.shoulders()[0], (0.0368, -0.0615, -0.0324), atol=1e-7)
-    np.testing.assert_allclose(body.hips(0.0), [(0.0428, 0.0604, -0.0253), (-0.0428, 0.0604, -0.0253)], atol=1e-4)
-    np.testing.assert_allclose(body.hip_height_offset(0.0), 0.0, atol=1e-8)
+    np.testing.assert_allclose(body.shoulders(ROBOT)[0], (0.0368, -0.0615, -0.0324), atol=1e-7)
+    np.testing.assert_allclose(
+        body.hips(0.0, ROBOT), [(0.0428, 0.0604, -0.0253), (-0.0428, 0.0604, -0.0253)], atol=1e-4
+    )
+    np.testing.assert_allclose(body.hip_height_offset(0.0, ROBOT), 0.0, atol=1e-8)
 
 
 def test_bending_left_extends_the_front_left_diagonal():
     """Both diagonals are monotonic over the usable range, in opposite senses, and mirror each other (erratum 7)."""
     with jax.enable_x64(True):
-        lengths = np.asarray(body.diagonals(np.linspace(-0.1, 0.1, 41)))
+        lengths = np.asarray(body.diagonals(np.linspace(-0.1, 0.1, 41), ROBOT))
     assert (np.diff(lengths[:, 0]) > 0).all()
     assert (np.diff(lengths[:, 1]) < 0).all()
     np.testing.assert_allclose(lengths[:, 0], lengths[::-1, 1], atol=1e-12)
@@ -115,8 +125,8 @@ def test_bending_left_extends_the_front_left_diagonal():
 
 def test_stride_gain_is_the_published_one():
     """0.1 rad a joint gains about 0.015 m a stride, and the gain is monotonic and odd in the angle."""
-    assert float(body.stride_gain(0.1)) == pytest.approx(0.015, abs=5e-4)
-    gains = np.asarray(body.stride_gain(np.linspace(-0.1, 0.1, 21)))
+    assert float(body.stride_gain(0.1, ROBOT)) == pytest.approx(0.015, abs=5e-4)
+    gains = np.asarray(body.stride_gain(np.linspace(-0.1, 0.1, 21), ROBOT))
     assert (np.diff(gains) > 0).all()
     np.testing.assert_allclose(gains, -gains[::-1], atol=1e-7)
 
@@ -138,17 +148,17 @@ def test_stride_gain_is_what_stiff_legs_would_walk():
 
     for theta_v in (0.03, 0.1):
         travel = np.mean(stations(theta_v) - stations(-theta_v))
-        assert float(body.stride_gain(theta_v)) == pytest.approx(travel, rel=1e-4)
+        assert float(body.stride_gain(theta_v, ROBOT)) == pytest.approx(travel, rel=1e-4)
 
 
 def test_mass_model_may_be_batched():
     """Masses and centres with leading axes give one centre of mass each."""
     scale = np.array([0.5, 1.0, 2.0])
     batch = MassModel(0.1647 * scale, np.full(3, 0.1053), np.tile(FRONT_COM, (3, 1)), np.tile(REAR_COM, (3, 1)))
-    together = body.centre_of_mass(batch, 0.05)
+    together = body.centre_of_mass(batch, 0.05, ROBOT)
     for i in range(3):
         single = MassModel(0.1647 * scale[i], 0.1053, np.array(FRONT_COM), np.array(REAR_COM))
-        np.testing.assert_allclose(together[i], body.centre_of_mass(single, 0.05), atol=1e-7)
+        np.testing.assert_allclose(together[i], body.centre_of_mass(single, 0.05, ROBOT), atol=1e-7)
 
 
 def test_diagonal_distance_is_published_and_signed():
@@ -171,7 +181,7 @@ def test_balance_meets_its_condition_in_mujoco(feet, lift):
     """For every stance the MuJoCo body at the returned angle has the wanted d, or the best that the limit allows."""
     limit = 0.1
     with jax.enable_x64(True):
-        angles = np.asarray(balance_angle(MASSES, np.broadcast_to(feet, (16, 4, 2)), STANCES, lift, limit))
+        angles = np.asarray(balance_angle(MASSES, np.broadcast_to(feet, (16, 4, 2)), STANCES, ROBOT, lift, limit))
     solved = 0
     for stance, angle in zip(STANCES, angles, strict=True):
         front, rear = np.flatnonzero(stance[:2]), 2 + np.flatnonzero(stance[2:])
@@ -199,7 +209,9 @@ def test_balance_meets_its_condition_in_mujoco(feet, lift):
 def test_the_spine_bends_towards_balance():
     """With a hind leg up the centre of mass lies behind the diagonal; the spine bends to the side of the lifted leg."""
     lifted = {limb: np.array([name != limb for name in LIMBS]) for limb in LIMBS}
-    left, right = (float(balance_angle(MASSES, BALANCING, lifted[limb], 0.009)) for limb in ("rear_left", "rear_right"))
+    left, right = (
+        float(balance_angle(MASSES, BALANCING, lifted[limb], ROBOT, 0.009)) for limb in ("rear_left", "rear_right")
+    )
     assert left == pytest.approx(-right, abs=1e-5)
     assert abs(left) > 0.05
     # With the rear left leg up, the front left - rear right diagonal carries; the third foot is the front right one.
@@ -214,7 +226,7 @@ def test_balance_without_a_published_lift_reaches_the_limit():
     """A lift that no angle can reach gives the limit, whatever the limit."""
     stance = np.array([True, True, False, True])
     for limit in (0.02, 0.1):
-        assert abs(float(balance_angle(MASSES, BALANCING, stance, 0.5, limit))) == pytest.approx(limit, rel=1e-4)
+        assert abs(float(balance_angle(MASSES, BALANCING, stance, ROBOT, 0.5, limit))) == pytest.approx(limit, rel=1e-4)
 
 
 def test_balance_is_differentiable():
@@ -223,7 +235,7 @@ def test_balance_is_differentiable():
     with jax.enable_x64(True):
 
         def solve(y, lift):
-            return balance_angle(MASSES, jnp.asarray(feet).at[3, 0].set(y), stance, lift)
+            return balance_angle(MASSES, jnp.asarray(feet).at[3, 0].set(y), stance, ROBOT, lift)
 
         y, lift, step = feet[3, 0], 0.009, 1e-6
         gradient = jax.jit(jax.grad(solve, argnums=(0, 1)))(y, lift)
@@ -242,12 +254,12 @@ def everything(values):
     def results(values):
         theta, lift, feet = values[0], values[1], values[2:10].reshape(4, 2)
         return (
-            body.hips(theta),
-            body.hip_height_offset(theta),
-            body.diagonals(theta),
-            body.stride_gain(theta),
-            body.centre_of_mass(MASSES, theta),
-            balance.balance_angle(MASSES, feet, STANCES, lift),
+            body.hips(theta, ROBOT),
+            body.hip_height_offset(theta, ROBOT),
+            body.diagonals(theta, ROBOT),
+            body.stride_gain(theta, ROBOT),
+            body.centre_of_mass(MASSES, theta, ROBOT),
+            balance.balance_angle(MASSES, feet, STANCES, ROBOT, lift),
         )
 
     gradient = jax.grad(lambda values: sum(jnp.sum(leaf) for leaf in results(values)))(values)

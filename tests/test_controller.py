@@ -24,11 +24,15 @@ from nermo_mjx.control.parameters import ControlParameters, Spine
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
 from nermo_mjx.rollout import Setup, Simulator
+
+#: The published robot.
+ROBOT = Geometry()
 
 pytestmark = pytest.mark.compiles
 
@@ -253,7 +257,7 @@ def test_the_first_posture_is_the_gaits_own(gait, phase):
 def test_the_servo_angles_put_the_feet_where_they_are_commanded():
     """Forward kinematics is the oracle; the tolerance is float32 rounding over an arccosine."""
     states, servo = walk(published_controller(), control_parameters("lat", frequency=0.8))
-    reached = forward(four_legs(), jnp.stack([servo.hip, servo.knee], axis=-1), "type3")
+    reached = forward(four_legs(ROBOT), jnp.stack([servo.hip, servo.knee], axis=-1), "type3")
     np.testing.assert_allclose(reached.foot, states.foot, atol=2e-6)
     assert reached.reachable.all()
 
@@ -326,9 +330,9 @@ def test_spine_based_steering_bends_the_spine_and_leaves_the_strides():
 def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
     feet = trajectory.neutral_feet(control_parameters().stance)
     all_down, lifted = jnp.ones(4, bool), jnp.asarray([True, True, False, True])
-    balance = jax.jit(lambda stance: fusion.balance(Spine(), MASSES, feet, stance))
+    balance = jax.jit(lambda stance: fusion.balance(Spine(), MASSES, feet, stance, ROBOT))
     assert balance(all_down) == pytest.approx(0.0, abs=1e-9)
-    angle = joint_angle(balance(lifted))
+    angle = joint_angle(balance(lifted), ROBOT)
     assert 0.0 < abs(float(angle)) <= 0.1 + 1e-6
 
 
@@ -349,7 +353,7 @@ def test_offset_compensation_takes_the_hips_rise_out_of_the_rear_feet():
         )[0]
         for share in (0.0, 1.0)
     )
-    rise = hip_height_offset(joint_angle(plain.spine))
+    rise = hip_height_offset(joint_angle(plain.spine, ROBOT), ROBOT)
     np.testing.assert_array_equal(compensated.gait.points, plain.gait.points)
     np.testing.assert_allclose(compensated.foot[:, 2:, 1] - plain.foot[:, 2:, 1], -rise, atol=1e-7)
     np.testing.assert_array_equal(compensated.foot[:, :2], plain.foot[:, :2])
@@ -708,7 +712,7 @@ def test_the_published_gaits_are_within_the_workspace(gait, profile):
 
 def test_a_spine_servo_angle_of_0_4_is_about_0_1_rad_a_joint():
     """What `max_servo_angle` and the balance mode's limit have in common [A.4.2]."""
-    assert servo_angle(0.1) == pytest.approx(0.4, abs=0.02)
+    assert servo_angle(0.1, ROBOT) == pytest.approx(0.4, abs=0.02)
 
 
 # --- the gait factor

@@ -20,12 +20,16 @@ from nermo_mjx.control.fusion import SpineModes, harmonics, stride_extension
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse
 from nermo_mjx.robot import SERVOS
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import servo_range
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
 from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
 from nermo_mjx.tune.spec import Tuning
+
+#: The published robot.
+ROBOT = Geometry()
 
 STEPPING = FreeStepping()
 FREE_NAMES = [name for name, _ in quantities(ControlParameters) if name.split(".")[0] in ("limb", "foot")]
@@ -119,7 +123,7 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
     coarse, fine = (feet_of(params, np.arange(n) / n) for n in (500, 5000))
     longest = [np.linalg.norm(np.roll(path, -1, axis=0) - path, axis=-1).max() for path in (coarse, fine)]
     assert longest[1] < 0.2 * longest[0]
-    found = inverse(four_legs(), jnp.asarray(fine), "type3")
+    found = inverse(four_legs(ROBOT), jnp.asarray(fine), "type3")
     assert found.reachable.all()
     for limb, servo in enumerate(SERVOS[4:8]):
         low, high = servo_range(servo)
@@ -129,7 +133,7 @@ def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:
 
 @pytest.mark.compiles
 def test_a_foot_beyond_the_workspace_is_led_back_by_its_derivative() -> None:
-    near, far = four_reaches("type3")
+    near, far = four_reaches(ROBOT, "type3")
     foot = jnp.asarray([[0.001, -0.002], [0.03, -0.0621], [0.0, -0.0405], [0.05, -0.06]])
     drawn = within(near, far, foot)
     distance = np.linalg.norm(drawn, axis=-1)
@@ -181,7 +185,7 @@ def test_the_derivative_by_every_number_equals_differences() -> None:
         def servos(values: jax.Array) -> jax.Array:
             params = replace_quantities(base, dict(zip(names, values, strict=True)))
             feet = jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1])(jnp.arange(40) / 40 + 0.0123)
-            return inverse(four_legs(), feet, "type3").servo
+            return inverse(four_legs(ROBOT), feet, "type3").servo
 
         along = jax.jit(lambda way: (jax.jvp(servos, (values,), (way,))[1],
                                      (servos(values + 1e-6 * way) - servos(values - 1e-6 * way)) / 2e-6))  # fmt: skip

@@ -18,9 +18,13 @@ from scipy.optimize import brentq
 
 from nermo_mjx.kinematics import leg as kin
 from nermo_mjx.kinematics.tendon import arm_range, knee_range
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.leg_plane import pull
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
+
+#: The published robot.
+ROBOT = Geometry()
 
 pytestmark = pytest.mark.compiles
 
@@ -140,7 +144,7 @@ def test_type_1_agrees_with_the_published_spiral(geometry):
 def test_inverse_undoes_forward(routing, x64, tolerance):
     """inverse(forward(servo)) returns the servo angles, and forward(inverse(foot)) the foot, for all four legs."""
     with jax.enable_x64(x64):
-        legs = kin.four_legs()
+        legs = kin.four_legs(ROBOT)
         q1, theta = poses(legs, routing, 2000)
         servo = jnp.stack([jnp.asarray(q1), kin.knee_servo(legs, q1, theta, routing)], axis=-1)
         pose = forward(legs, servo, routing=routing)
@@ -158,7 +162,7 @@ def test_inverse_undoes_forward(routing, x64, tolerance):
 def test_pulling_the_tendon_always_flexes_the_knee(routing):
     """Over the whole knee range the tendon's length falls with the knee angle, with a lever of at least 0.4 mm."""
     with jax.enable_x64(True):
-        legs = kin.four_legs()
+        legs = kin.four_legs(ROBOT)
         q1 = np.random.default_rng(1).uniform(-2.0, 2.0, (500, 4))
         low, high, works = knee_range(legs, q1, routing)
         theta = low + (high - low) * np.linspace(0, 1, 30)[:, None, None]
@@ -226,7 +230,7 @@ def test_huge_feet_and_servos_saturate(routing):
 def test_jacobian_is_the_finite_difference(routing):
     """d(y, z)/d(q1, q2) equals a central difference of the forward kinematics, for all four legs."""
     with jax.enable_x64(True):
-        legs = kin.four_legs()
+        legs = kin.four_legs(ROBOT)
         q1, theta = poses(legs, routing, 50)
         servo = np.stack([q1, kin.knee_servo(legs, q1, theta, routing)], axis=-1)
         ours = jacobian(legs, servo, routing=routing)
@@ -255,7 +259,7 @@ def test_the_geometry_is_differentiable():
 
 def test_legs_and_batches_broadcast():
     """Four legs with a batch of feet (N, 4, 2) give what each leg gives alone, also under vmap."""
-    legs = kin.four_legs()
+    legs = kin.four_legs(ROBOT)
     feet = np.array([0.0, -0.045]) + np.random.default_rng(2).uniform(-0.01, 0.01, (5, 4, 2))
     together = inverse(legs, feet, routing="type2")
     mapped = jax.jit(jax.vmap(lambda foot: kin.inverse(legs, foot, "type2")))(feet)
@@ -276,7 +280,7 @@ def test_unknown_routing_is_refused_in_words(function):
 @jax.jit
 def everything(values):
     """All results of both directions for four legs and three routings, and both their derivatives."""
-    legs = kin.four_legs()
+    legs = kin.four_legs(ROBOT)
 
     def results(values):
         poses = [kin.forward(legs, values, routing) for routing in ROUTINGS]
@@ -325,7 +329,7 @@ def test_any_float64_gives_finite_values_and_derivatives(values):
 def test_the_border_of_the_workspace_has_finite_derivatives(x64):
     """Feet and servos exactly on the border, and a rounding error to either side of it, are differentiable."""
     with jax.enable_x64(x64):
-        legs = kin.four_legs()
+        legs = kin.four_legs(ROBOT)
         for q1 in (-1.2, 0.0, 0.7):
             for routing in ROUTINGS:
                 for end in knee_range(legs, q1, routing)[:2]:

@@ -96,7 +96,7 @@ def test_a_longer_leg_gets_longer_links():
 
 def test_the_tendon_lies_in_the_pulleys_groove():
     """The groove's floor is the published radius less the tendon's; the rim stands above the tendon."""
-    x, y, z = leg_shapes()["leg_pulley"].vertices.T
+    x, y, z = leg_shapes(Geometry())["leg_pulley"].vertices.T
     radius, outer = np.hypot(y, z), np.abs(x) < 0.6
     floor = radius[outer & (radius > 5.0)].max()
     assert MM * FRONT_LEG.pulley_radius - TENDON - 0.2 < floor < MM * FRONT_LEG.pulley_radius - TENDON

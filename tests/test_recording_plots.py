@@ -16,6 +16,7 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.plotting.files import FORMATS, write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import LIMBS, load_robot
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.view import Recording, model_hash
 from nermo_mjx.view.plots.body import ground_path, orientation
 from nermo_mjx.view.plots.feet import commanded_feet, in_leg_frame, leg_paths, over_ground
@@ -24,6 +25,9 @@ from nermo_mjx.view.plots.gait_diagram import gait_diagram
 from nermo_mjx.view.plots.servos import servo_angles
 from nermo_mjx.view.plots.walk import Walk
 from nermo_mjx.view.standing import spans
+
+#: The published robot.
+ROBOT = Geometry()
 
 pytestmark = pytest.mark.draws
 
@@ -163,15 +167,15 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
     """A model's leg at taut servo angles has its foot where the closed form has it, however the torso stands."""
     robot = load_robot()
     joints, servo = robot.joints, np.array([[0.5, 0.3], [0.2, 0.1], [-0.4, 0.2], [-0.8, 0.4]])
-    pose = forward(four_legs(), servo, "type3")
+    pose = forward(four_legs(ROBOT), servo, "type3")
     qpos = np.tile(robot.model.qpos0, (2, 1))
     qpos[:, joints.hip], qpos[:, joints.pulley] = servo[:, 0], servo[:, 1]
     qpos[:, joints.knee] = np.asarray(pose.knee_angle)
     qpos[1, joints.root : joints.root + 7] = [0.1, -0.2, 0.3, *np.array([0.8, 0.2, -0.4, 0.4])]
-    for found in in_leg_frame(robot, qpos):
+    for found in in_leg_frame(robot.model, qpos):
         np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)
     ctrl = np.concatenate([servo[:, 0], servo[:, 1], [0.0, 0.0]])[None]
-    np.testing.assert_allclose(commanded_feet(ctrl, "type3")[0], np.asarray(pose.foot), atol=1e-6)
+    np.testing.assert_allclose(commanded_feet(ctrl, "type3", ROBOT)[0], np.asarray(pose.foot), atol=1e-6)
     figure = leg_paths(Walk(recording), robot)
     assert figure is not None
     assert "ahead of the axis [mm]" in texts(figure)

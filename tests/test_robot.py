@@ -15,8 +15,12 @@ import pytest
 from nermo_mjx.kinematics import body, leg, spine
 from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import PARTS, part_of
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
+
+#: The published robot.
+ROBOT = Geometry()
 
 TAILS = ("rigid", "articulated")
 #: Neutral foot (y, z) of Table A.7, from the shoulder or hip axis.
@@ -150,7 +154,7 @@ def test_centres_of_mass_are_those_of_the_compiled_model():
     np.testing.assert_allclose(masses.rear_com, (0.0, 0.02062, -0.01169), atol=1e-4)
     data = at_rest(load_robot().model)
     common = data.subtree_com[0] - data.body("torso").xpos
-    np.testing.assert_allclose(common, body.centre_of_mass(masses, 0.0), atol=1e-6)
+    np.testing.assert_allclose(common, body.centre_of_mass(masses, 0.0, ROBOT), atol=1e-6)
     np.testing.assert_allclose(common, (0.0, 0.0046, -0.0262), atol=1.5e-3)
 
 
@@ -377,13 +381,13 @@ def test_hips_and_shoulders_are_where_the_kinematics_puts_them():
         torso = data.body("torso")
         axes = np.array([seen_from(data, torso.xpos, torso.xmat, f"{limb}_axis") for limb in LIMBS])
         with jax.enable_x64(True):
-            pose, hips = spine.transform(angles["spine"][0]), body.hips(angles["spine"][0])
-        np.testing.assert_allclose(axes[:2], body.shoulders(), atol=1e-6)
+            pose, hips = spine.transform(angles["spine"][0], ROBOT), body.hips(angles["spine"][0], ROBOT)
+        np.testing.assert_allclose(axes[:2], body.shoulders(ROBOT), atol=1e-6)
         np.testing.assert_allclose(axes[2:], hips, atol=1e-6)
         np.testing.assert_allclose(seen_from(data, torso.xpos, torso.xmat, "spine_end"), pose[:3, 3], atol=1e-6)
         turn = torso.xmat.reshape(3, 3).T @ data.site("spine_end").xmat.reshape(3, 3)
         np.testing.assert_allclose(turn, pose[:3, :3], atol=1e-6)
-    np.testing.assert_allclose(body.shoulders()[0], BODY.shoulder, atol=1e-7)
+    np.testing.assert_allclose(body.shoulders(ROBOT)[0], BODY.shoulder, atol=1e-7)
 
 
 def test_legs_are_where_the_kinematics_puts_them():

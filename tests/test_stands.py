@@ -16,7 +16,11 @@ import pytest
 from nermo_mjx.kinematics import leg, spine
 from nermo_mjx.robot import LIMBS, ParameterError, assemble_leg, assemble_spine
 from nermo_mjx.robot.equipment import KNEE_REST
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, SPINE
+
+#: The published robot.
+ROBOT = Geometry()
 
 GEOMETRY = {"front": FRONT_LEG, "rear": REAR_LEG}
 NEUTRAL = {"front": (-0.005, -0.045), "rear": (0.0, -0.050)}
@@ -155,16 +159,18 @@ def test_spine_servo_bends_the_spine_as_predicted(servo):
     model = assemble_spine().compile()
     data = settle(model, np.array([servo]), 1500)
     joints = np.array([data.joint(f"spine_joint_{i}").qpos[0] for i in range(1, 5)])
-    predicted = float(spine.joint_angle(servo))
+    predicted = float(spine.joint_angle(servo, ROBOT))
     assert np.abs(joints).max() <= SPINE.max_joint_angle
     assert joints.mean() == pytest.approx(predicted, rel=0.10)
     np.testing.assert_allclose(joints, joints.mean(), rtol=1e-3)
     # Without the servo's sag, the angle that the pulley reached predicts the joints within 1.5 %.
-    assert joints.mean() == pytest.approx(float(spine.joint_angle(data.joint("spine_pulley").qpos[0])), rel=0.015)
+    assert joints.mean() == pytest.approx(
+        float(spine.joint_angle(data.joint("spine_pulley").qpos[0], ROBOT)), rel=0.015
+    )
     # Left is +x: the hip's end moves there, and the hip yaws to the right against the torso.
     end = data.site("spine_end")
     with jax.enable_x64(True):
-        pose = np.asarray(spine.transform(joints.mean()))
+        pose = np.asarray(spine.transform(joints.mean(), ROBOT))
     np.testing.assert_allclose(end.xpos, pose[:3, 3], atol=1e-5)
     assert np.sign(end.xpos[0]) == np.sign(servo)
     # One tendon pulls, on the side it bends to; the other is slack by less than 0.05 mm.
@@ -194,7 +200,7 @@ def test_spine_tendons_are_just_taut_over_the_whole_range():
     data = mujoco.MjData(model)
     for theta in (0.0, 0.03, 0.06, 0.1):
         with jax.enable_x64(True):
-            servo = float(spine.servo_angle(theta))
+            servo = float(spine.servo_angle(theta, ROBOT))
         for i in range(1, 5):
             data.joint(f"spine_joint_{i}").qpos = theta
         data.joint("spine_pulley").qpos = servo

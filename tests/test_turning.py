@@ -12,8 +12,12 @@ from nermo_mjx.control.parameters import STEERING, Gait, Stance, Turning
 from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.spine import joint_angle, transform
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import GAIT_PATTERNS
 from nermo_mjx.robot.quantity import replace_quantities
+
+#: The published robot.
+ROBOT = Geometry()
 
 rates = st.floats(-1, 1, width=32, allow_subnormal=False)
 
@@ -89,13 +93,13 @@ def test_the_turning_curve_has_finite_derivatives(rate, exponent):
 
 def test_the_smallest_leg_based_radius_is_the_published_one():
     """turning.simulation.min_radius_no_slip_theory_trt.lb: 0.151 m, given to three digits."""
-    radius = turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(0.0))
+    radius = turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(0.0), ROBOT)
     assert radius == pytest.approx(0.151, abs=5e-4)
 
 
 def test_the_smallest_mix_based_radius_is_smaller_and_within_a_tenth_of_the_published_one():
     """min_radius_no_slip_theory_trt.mb is 0.134 m. The feet's diagonal gives 0.145 m; see `foot_diagonals`."""
-    left, right = (turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(t)) for t in (0.1, -0.1))
+    left, right = (turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(t), ROBOT) for t in (0.1, -0.1))
     assert left == pytest.approx(float(right), rel=1e-4)
     assert left == pytest.approx(0.134, rel=0.1)
     assert left < 0.151
@@ -125,7 +129,7 @@ def test_the_spine_based_radii_are_those_of_a_bent_line():
 
 def test_the_spine_lengths_add_up_to_the_robot():
     """l_sp1 + l_sp2 is the distance from shoulder to hip axis, 0.0615 + 0.0604 (Table A.5)."""
-    assert sum(turning.spine_lengths()) == pytest.approx(0.0615 + 0.0604, abs=1e-4)
+    assert sum(turning.spine_lengths(ROBOT)) == pytest.approx(0.0615 + 0.0604, abs=1e-4)
 
 
 # -- the theory inverted: the turn rate that a path needs -----------------------------------------------------------
@@ -166,7 +170,10 @@ def bent_robots_curvature(theta_v):
 
     Seen from the torso front feet go straight back, rear feet along the bent hip, all at the same speed.
     """
-    feet, pose = np.asarray(feet_positions(theta_v, neutral_feet(Stance()))), np.asarray(transform(theta_v))
+    feet, pose = (
+        np.asarray(feet_positions(theta_v, neutral_feet(Stance()), ROBOT)),
+        np.asarray(transform(theta_v, ROBOT)),
+    )
     back = [np.array([0.0, 1.0]), pose[:2, 1]]
     curvatures = []
     for pair in ((0, 3), (1, 2)):
@@ -180,7 +187,7 @@ def test_a_bent_robot_with_equal_strides_turns_as_two_feet_let_it():
     """0.44 m at 0.1047 rad a joint, not the 0.28 m of (5.43); against the least slip of two feet, within 3 %."""
     full = jnp.float32(1.0)
     for servo in (0.2, 0.4):
-        expected = bent_robots_curvature(float(joint_angle(servo)))
+        expected = bent_robots_curvature(float(joint_angle(servo, ROBOT)))
         found = float(turning.path_curvature(steered("spine", **{"spine.max_servo_angle": servo}), full))
         assert found == pytest.approx(expected, rel=0.03)
     assert 1 / found == pytest.approx(0.441, rel=0.02)
@@ -190,7 +197,7 @@ def test_the_expected_curvature_of_the_legs_is_that_of_least_slip_and_the_spines
     """Oracle for the legs: the rigid motion of two feet of a diagonal that slip least, by least squares."""
     share = 0.3
     rate = jnp.float32(share**0.2)
-    feet = np.asarray(feet_positions(0.0, neutral_feet(Stance())))[[0, 3], :2]
+    feet = np.asarray(feet_positions(0.0, neutral_feet(Stance()), ROBOT))[[0, 3], :2]
     # The left foot steps 1 - share, the right 1; on the ground they slide by what the body's motion does not take up.
     rows = np.array([[[1, 0, -y], [0, 1, x]] for x, y in feet], float).reshape(4, 3)
     motion, *_ = np.linalg.lstsq(rows, -np.array([0.0, 1 - share, 0.0, 1.0]), rcond=None)

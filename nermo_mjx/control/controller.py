@@ -38,6 +38,7 @@ from nermo_mjx.control.tail import HeldTail, TailLike, named_tail
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.kinematics.body import rear_foot_rise
 from nermo_mjx.kinematics.spine import joint_angle
+from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import Sensors, ServoAngles
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import ROUTINGS
@@ -135,7 +136,7 @@ class Controller:
 
     def servo_angles(self, params: ControlParameters, state: ControllerState) -> ServoAngles:
         """Servo angles for the commanded feet, spine, head and tail."""
-        servos = leg_servos(state.foot, state.spine, self.routing)
+        servos = leg_servos(state.foot, state.spine, self.routing, geometry_of(params))
         head = state.head_angles
         servos = dataclasses.replace(servos, neck=head.neck, head=head.tilt, tail=state.tail_angle)
         if state.spine_vertical is not None:

@@ -23,6 +23,7 @@ from nermo_mjx.control.parameters import FOOT_POINTS, ControlParameters
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.stepping import Stepping
 from nermo_mjx.kinematics.leg import four_reaches
+from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import ServoAngles
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError
@@ -111,7 +112,7 @@ class FreeStepping(Stepping):
         own, half = _points(params), FOOT_POINTS // 2
         inner = jnp.where(limbs.stance[:, None, None], own[:, 1:half], own[:, half + 1 :])
         path = super()._feet(params, points, limbs) + jnp.sum(bumps(limbs.progress)[..., None] * inner, axis=-2)
-        return within(*four_reaches(self.routing), path)
+        return within(*four_reaches(geometry_of(params), self.routing), path)
 
 
 def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:

@@ -20,8 +20,11 @@ from nermo_mjx.control.power import signed_power
 from nermo_mjx.kinematics.balance import balance_angle
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
+from nermo_mjx.robot.assembly import RobotConfig
+from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.robot import mass_model_of
 from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
 
 #: Auxiliary modes of the lateral servo; several may be on together, and their sum is clipped.
@@ -68,6 +71,7 @@ class SpineModes:
         modes: "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple of names); a
             tuple of `LATERAL_MODES` once it is made.
         masses: two-mass model of the assembled robot, for the mode "balance". Kept as plain numbers.
+        robot: whose model it is, to find that of other geometries; by default it is the same for all.
 
     Raises:
         ParameterError: an unknown mode, or a balance without masses.
@@ -75,6 +79,7 @@ class SpineModes:
 
     modes: str | tuple[str, ...] = ()
     masses: MassModel | None = None
+    robot: RobotConfig | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "modes", mode_names(self.modes, LATERAL_MODES))
@@ -92,8 +97,11 @@ class SpineModes:
             auxiliary += stride_extension(params.spine, phase)
         if "balance" in self.modes:
             assert self.masses is not None
-            masses = jax.tree.map(jnp.asarray, self.masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
-            auxiliary += balance(params.spine, masses, feet, stance)
+            masses, geometry = self.masses, geometry_of(params)
+            if self.robot is not None and getattr(params, "geometry", None) is not None:
+                masses = mass_model_of(self.robot, geometry)
+            masses = jax.tree.map(jnp.asarray, masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
+            auxiliary += balance(params.spine, masses, feet, stance, geometry)
         if "harmonics" in self.modes:
             auxiliary += harmonics(params.spine, phase)
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
@@ -133,7 +141,9 @@ def harmonics(spine: Spine, phase: Scalars) -> Scalars:
     return jnp.sum(spine.harmonics * waves.reshape(*waves.shape[:-2], -1), axis=-1)
 
 
-def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"]) -> Scalar:
+def balance(
+    spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"], geometry: Geometry
+) -> Scalar:
     """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
 
     Zero while all four feet are on the ground, where there is nothing to balance.
@@ -143,8 +153,9 @@ def balance(spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: 
         masses: two-mass model of the assembled robot.
         feet: commanded feet (y, z) in their leg's frame [m].
         stance: planned contact.
+        geometry: of the robot.
     """
-    return servo_angle(balance_angle(masses, feet, stance, spine.balance_lift))
+    return servo_angle(balance_angle(masses, feet, stance, geometry, spine.balance_lift), geometry)
 
 
 def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
@@ -167,7 +178,9 @@ def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) ->
     return left_over * wanted
 
 
-def compensation(spine: Spine, servo: Scalar, lifted: Planar | None = None) -> Float[Array, "4 2"]:
+def compensation(
+    spine: Spine, servo: Scalar, geometry: Geometry, lifted: Planar | None = None
+) -> Float[Array, "4 2"]:
     """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
 
     Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise.
@@ -175,9 +188,10 @@ def compensation(spine: Spine, servo: Scalar, lifted: Planar | None = None) -> F
     Args:
         spine: `offset_compensation`.
         servo: lateral servo angle [rad].
+        geometry: of the robot.
         lifted: how much higher the vertical joints of Nermo 4.1 put both rear feet [m].
     """
-    rise = hip_height_offset(joint_angle(servo))
+    rise = hip_height_offset(joint_angle(servo, geometry), geometry)
     rise = spine.offset_compensation * (rise if lifted is None else rise + lifted)
     lowered = jnp.concatenate([jnp.zeros_like(rise), -rise], axis=-1)
     return jnp.stack([jnp.zeros_like(lowered), lowered], axis=-1)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_PATTERNS, LIMBS, REAR_LEG
 from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
@@ -266,7 +268,11 @@ class Tracking:
 
 @parameter_tree
 class ControlParameters:
-    """All parameters of the controller; every leaf may carry leading batch axes."""
+    """All parameters of the controller; every leaf may carry leading batch axes.
+
+    Its kinematics is that of `geometry`, which the body has under the same names: a named value goes to both. None is
+    the published one, in constants.
+    """
 
     gait: Gait = flat(Gait)
     stance: Stance = group(Stance)
@@ -279,6 +285,19 @@ class ControlParameters:
     head: Head = group(Head)
     tail: Tail = group(Tail)
     tracking: Tracking = group(Tracking)
+    geometry: Geometry | None = None
+
+
+def with_geometry(params: Any) -> Any:
+    """A controller's parameters with a geometry of their own, so that it can be named: also where they are inside
+    another's."""
+    if isinstance(params, ControlParameters):
+        return dataclasses.replace(params, geometry=params.geometry or Geometry())
+    if not dataclasses.is_dataclass(params) or isinstance(params, type):
+        return params
+    own = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
+    changed = {name: new for name, value in own.items() if (new := with_geometry(value)) is not value}
+    return dataclasses.replace(params, **changed) if changed else params
 
 
 #: Weights (leg, spine) of the three published turning strategies.

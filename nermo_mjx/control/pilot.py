@@ -16,6 +16,7 @@ from nermo_mjx.control.course import Course, locate
 from nermo_mjx.control.parameters import ControlParameters, Pilot
 from nermo_mjx.control.path import PATHS, PathPoint, straight
 from nermo_mjx.kinematics.spine import joint_angle, yaw
+from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
@@ -161,12 +162,12 @@ class Follow:
     def init(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> Beside:
         """See `PilotLike`."""
         point = self.locate(params, sensors.position, memory.point.progress)
-        return Beside(point, guidance.start(point.error, heading(point, sensors), walk.speed))
+        return Beside(point, guidance.start(point.error, heading(point, sensors, geometry_of(params)), walk.speed))
 
     def update(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> tuple[Beside, Drive]:
         """See `PilotLike`."""
         point = self.locate(params, sensors.position, memory.point.progress)
-        seen = jnp.stack([point.error, heading(point, sensors)])
+        seen = jnp.stack([point.error, heading(point, sensors, geometry_of(params))])
         estimate = guidance.observe(
             params.pilot, memory.guidance, seen, walk.phase, walk.speed,
             params.pilot.grip * walk.yaw_rate - walk.speed * point.curvature,
@@ -185,7 +186,7 @@ class Follow:
         return limited(params.gait.speed, turn_rate)
 
 
-def heading(point: PathPoint, sensors: Sensors) -> Scalar:
+def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:
     """Heading of the robot from the tangent of its path [rad], positive left, in (-pi, pi].
 
     A bent spine turns torso and hip to opposite sides of it, so it is the torso's less half of the bend.
@@ -193,12 +194,13 @@ def heading(point: PathPoint, sensors: Sensors) -> Scalar:
     Args:
         point: of the path, beside the robot.
         sensors: orientation and the spine's servo angle count.
+        geometry: of the robot.
     """
     w, x, y, z = sensors.orientation
     ahead = jnp.stack([2.0 * (w * z - x * y), 2.0 * (x * x + z * z) - 1.0])
     across = point.tangent[0] * ahead[1] - point.tangent[1] * ahead[0]
     along = jnp.sum(point.tangent * ahead)
-    bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")]))
+    bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")], geometry))
     return jnp.arctan2(across, along) - 0.5 * bend
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.leg import four_legs, inverse
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import Sensors, ServoAngles
 from nermo_mjx.shapes import Array, Scalar
 
@@ -92,7 +93,9 @@ class CompletesValues(Protocol):
         """Named values, and what follows from them."""
 
 
-def leg_servos(feet: Float[Array, "4 2"], spine: Any = 0.0, routing: str = "type3") -> ServoAngles:
+def leg_servos(
+    feet: Float[Array, "4 2"], spine: Any = 0.0, routing: str = "type3", geometry: Geometry | None = None
+) -> ServoAngles:
     """Servo angles for feet (y, z) in their legs' frames [m] and the spine's servo [rad]; neck and tail are straight.
 
     >>> leg_servos(jnp.asarray([[0.0, -0.045], [0.0, -0.045], [0.0, -0.05], [0.0, -0.05]])).hip.shape
@@ -102,8 +105,10 @@ def leg_servos(feet: Float[Array, "4 2"], spine: Any = 0.0, routing: str = "type
         feet: y is backward, z up from the hip's axis; what a leg cannot reach is brought to its workspace's edge.
         spine: positive turns left.
         routing: knee tendon routing of the robot.
+        geometry: of the robot, by default the published one. A controller whose parameters have a group `geometry:
+            Geometry` is given that of its world.
     """
-    servo = inverse(four_legs(), feet, routing).servo
+    servo = inverse(four_legs(geometry or Geometry()), feet, routing).servo
     spine = jnp.asarray(spine, servo.dtype)
     rest = jnp.zeros_like(spine)
     return ServoAngles(hip=servo[..., 0], knee=servo[..., 1], spine=spine, neck=rest, tail=rest)

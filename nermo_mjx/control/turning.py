@@ -19,7 +19,8 @@ from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.kinematics.spine import joint_angle, transform, yaw
-from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
+from nermo_mjx.robot.geometry import Geometry, dh_table, geometry_of
+from nermo_mjx.robot.parameters import LIMBS, SPINE
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Planar, Scalar, Scalars
 
 #: Turn rate below which the turning curve is a straight line (see `signed_power`).
@@ -110,23 +111,23 @@ def spine_radius(
     return bend + to_joint / jnp.tan(turn), bend + to_joint / jnp.sin(turn)
 
 
-def foot_diagonals(stance: Stance, theta_v: Scalars) -> Planar:
+def foot_diagonals(stance: Stance, theta_v: Scalars, geometry: Geometry) -> Planar:
     """d_diag(theta_v): horizontal distance between the neutral feet of the pairs FL-RR and FR-RL [m].
 
     Measured between the feet, which gives the published 0.151 m of leg-based turning; between the axes of shoulder and
     hip (`body.diagonals`) it would be 0.147 m. Neither gives the published 0.134 m of mix-based turning at 0.1 rad:
     the feet give 0.145 m, the axes 0.139 m.
     """
-    feet = feet_positions(theta_v, neutral_feet(stance))[..., :2]
+    feet = feet_positions(theta_v, neutral_feet(stance), geometry)[..., :2]
     return jnp.linalg.norm(feet[..., :2, :] - feet[..., 3:1:-1, :], axis=-1)
 
 
-def smallest_radius(stride: Scalars, stance: Stance, theta_v: Scalars) -> Scalars:
+def smallest_radius(stride: Scalars, stance: Stance, theta_v: Scalars, geometry: Geometry) -> Scalars:
     """Radius of theory at full lock, leg-based at theta_v = 0 and mix-based otherwise (5.40-5.42) [m].
 
     The mix-based robot turns about the pair that the bent spine has brought together, the shorter diagonal.
     """
-    return leg_radius(stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v), axis=-1))
+    return leg_radius(stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v, geometry), axis=-1))
 
 
 def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
@@ -139,7 +140,7 @@ def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
     theta L / d_diag^2 a metre, L being the distance of the two feet along the body: 0.44 m at 0.4 rad of servo instead
     of 0.28. Both parts add. What the simulated robot turns over this is the pilot's `grip`.
     """
-    return _path_curvature(params, _turn_of_two_feet(params.stance), turn_rate)
+    return _path_curvature(params, _turn_of_two_feet(params), turn_rate)
 
 
 def walked(
@@ -160,7 +161,7 @@ def walked(
         stance: planned contact. The legs on the ground count, and on a side that has none there those in the air.
         turn_rate: held now, for the spine.
     """
-    feet = _turn_of_two_feet(params.stance)
+    feet = _turn_of_two_feet(params)
     strides = jnp.abs(points[:, 2, 0] - points[:, 0, 0])
     weight = jnp.where(stance, 1.0, 1e-3)
     left, right = (
@@ -178,7 +179,7 @@ def turn_rate_for(params: ControlParameters, curvature: Scalars) -> Scalars:
 
     The curvature rises with the turn rate and is odd, so its size is found in [0, 1] and given the sign.
     """
-    feet = _turn_of_two_feet(params.stance)
+    feet = _turn_of_two_feet(params)
     full = _path_curvature(params, feet, jnp.ones_like(curvature))
     wanted = jnp.clip(jnp.abs(curvature), 0.0, full)
     # Legs or spine alone would need more than both together; where only one of them turns, that is the root.
@@ -203,8 +204,8 @@ class _TwoFeet(NamedTuple):
     along: Scalars
 
 
-def _turn_of_two_feet(stance: Stance) -> _TwoFeet:
-    feet = feet_positions(0.0, neutral_feet(stance))[..., :2]
+def _turn_of_two_feet(params: ControlParameters) -> _TwoFeet:
+    feet = feet_positions(0.0, neutral_feet(params.stance), geometry_of(params))[..., :2]
     apart = jnp.abs(feet[..., 0, :] - feet[..., 3, :])
     turn = apart / jnp.sum(apart**2, axis=-1, keepdims=True)
     return _TwoFeet(turn[..., 0], turn[..., 1])
@@ -218,7 +219,9 @@ def _path_curvature(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalar
 
 def _spine_part(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalars) -> Scalars:
     """The spine's part of `path_curvature` [1/m]."""
-    return feet.along * yaw(joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate)))
+    return feet.along * yaw(
+        joint_angle(params.spine.max_servo_angle * spine_share(params.turning, turn_rate), geometry_of(params))
+    )
 
 
 def _turn_rate_of_legs(params: ControlParameters, feet: _TwoFeet, curvature: Scalars) -> Scalars:
@@ -233,9 +236,10 @@ def _turn_rate_of_legs(params: ControlParameters, feet: _TwoFeet, curvature: Sca
     return jnp.where(curve > 0.0, power / jnp.maximum(turning.leg, 1e-9), 0.0)
 
 
-def spine_lengths() -> tuple[float, float]:
+def spine_lengths(geometry: Geometry) -> tuple[float, float]:
     """(l_sp1, l_sp2): shoulder axis to the first lateral joint, and from there to the hip axis, along y [m]."""
-    base, link = SPINE.dh[SPINE.lateral_joints[0] - 1], SPINE.dh[SPINE.lateral_joints[0]]
+    first = SPINE.lateral_joints[0]
+    base, link = dh_table(geometry)[first - 1 : first + 1]
     joint = base[1] + link[1] * math.cos(base[2])
-    hip = float(np.asarray(transform(0.0))[1, 3]) + BODY.hip[1]
-    return joint - BODY.shoulder[1], hip - joint
+    hip = float(np.asarray(transform(0.0, geometry))[1, 3]) + float(geometry.hip.y)
+    return joint - float(geometry.shoulder.y), hip - joint

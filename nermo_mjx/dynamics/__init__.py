@@ -2,7 +2,8 @@
 
 `step` and `forward` take the place of `mjx.step` and `mjx.forward`, `checkpointed_scan` that of `jax.lax.scan` where a
 long run is differentiated in reverse mode, `check_gradient` compares a gradient with differences, and `MassConstants`
-are what MuJoCo derives from masses. Nothing here knows of the robot. docs/howto/step.md starts from any model.
+and `PlaceConstants` are what MuJoCo derives from masses, and from masses and places. Nothing here knows of the robot.
+docs/howto/step.md starts from any model.
 
 Names are imported on first use: `precision`, for one, can do without MJX.
 """
@@ -17,16 +18,18 @@ if TYPE_CHECKING:
     from nermo_mjx.dynamics.checkpointing import checkpointed_scan
     from nermo_mjx.dynamics.differentiable import forward, step
     from nermo_mjx.dynamics.mass_constants import MassConstants
+    from nermo_mjx.dynamics.place_constants import PlaceConstants
 
 _HOMES = {
     "nermo_mjx.dynamics.checking": ("GradientCheck", "check_gradient"),
     "nermo_mjx.dynamics.checkpointing": ("checkpointed_scan",),
     "nermo_mjx.dynamics.differentiable": ("forward", "step"),
     "nermo_mjx.dynamics.mass_constants": ("MassConstants",),
+    "nermo_mjx.dynamics.place_constants": ("PlaceConstants",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = ["GradientCheck", "MassConstants", "check_gradient", "checkpointed_scan", "forward", "step"]
+__all__ = ["GradientCheck", "MassConstants", "PlaceConstants", "check_gradient", "checkpointed_scan", "forward", "step"]
 
 
 def __getattr__(name: str) -> Any:

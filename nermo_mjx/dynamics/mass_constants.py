@@ -1,11 +1,14 @@
-"""Constants that MuJoCo derives from masses in `mj_setConst`, as a differentiable function of the masses.
+"""Constants that MuJoCo derives from masses and places in `mj_setConst`, as differentiable functions of them.
 
 MJX reads them, in the regularisation of its constraints among others, but cannot make them. All follow from the inertia
-matrix in the reference pose, which is linear in masses and inertias: its coefficients are taken from MuJoCo's Jacobians
-once, so that a batch, or a gradient, needs no second kinematics.
+matrix in the reference pose. It is linear in masses and inertias: where nothing else varies, its coefficients are taken
+from MuJoCo's Jacobians once, so that a batch, or a gradient, needs no second kinematics (`MassConstants`). Where places
+vary, `place_constants` finds the Jacobians anew.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import mujoco
@@ -18,6 +21,61 @@ from nermo_mjx.shapes import Array
 _GROUPED = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL): 1}
 
 
+class Jacobians(NamedTuple):
+    """Of everything that the constants follow from, in the reference pose, by velocities.
+
+    Attributes:
+        linear, angular: of the bodies' centres of mass, and of the bodies' turning, in the world.
+        principal: the same turning, about the bodies' principal axes.
+        tendon, moment: of tendons and actuators.
+    """
+
+    linear: Float[Array | np.ndarray, "nbody 3 nv"]
+    angular: Float[Array | np.ndarray, "nbody 3 nv"]
+    principal: Float[Array | np.ndarray, "nbody 3 nv"]
+    tendon: Float[Array | np.ndarray, "ntendon nv"]
+    moment: Float[Array | np.ndarray, "nu nv"]
+
+
+class Constants:
+    """Maps masses, inertias and Jacobians of a model to the constants."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        below = np.eye(model.nbody)
+        for body in range(model.nbody - 1, 0, -1):
+            below[model.body_parentid[body]] += below[body]
+        self._below = below
+        self._moves = model.body_weldid != 0
+        self._group = _groups(model)
+        self._armature, self._tendon_armature = model.dof_armature.copy(), model.tendon_armature.copy()
+
+    def __call__(
+        self, body_mass: Float[Array, " nbody"], body_inertia: Float[Array, "nbody 3"], jacobians: Jacobians
+    ) -> dict[str, Float[Array, ...]]:
+        """The fields of `DERIVED_FIELDS`, shaped as in `mujoco.MjModel`; masses [kg], principal moments [kg m^2]."""
+        linear, angular, principal, tendon, moment = (jnp.asarray(each, float) for each in jacobians)
+        inertia = (
+            jnp.einsum("b,bki,bkj->ij", body_mass, linear, linear)
+            + jnp.einsum("bk,bki,bkj->ij", body_inertia, principal, principal)
+            + jnp.diag(jnp.asarray(self._armature, float))
+            + jnp.einsum("t,ti,tj->ij", jnp.asarray(self._tendon_armature, float), tendon, tendon)
+        )
+        inverse = jnp.linalg.inv(inertia)
+
+        def weight(jacobian: Array) -> Array:
+            return jnp.einsum("...i,ij,...j->...", jacobian, inverse, jacobian)
+
+        body = jnp.stack([weight(part).mean(axis=-1) for part in (linear, angular)], axis=-1)
+        return {
+            "body_subtreemass": jnp.asarray(self._below, float) @ body_mass,
+            "body_invweight0": jnp.where(self._moves[:, None], body, 0.0),
+            "dof_invweight0": jnp.asarray(self._group, float) @ jnp.diag(inverse),
+            "dof_M0": jnp.diag(inertia),
+            "tendon_invweight0": weight(tendon),
+            "actuator_acc0": jnp.sqrt(jnp.sum((moment @ inverse) ** 2, axis=-1)),
+        }
+
+
 class MassConstants:
     """Maps the masses and inertias of a model's bodies to the constants; the rest of the model stays."""
 
@@ -28,27 +86,17 @@ class MassConstants:
         jacobians = np.zeros((model.nbody, 2, 3, model.nv))
         for body in range(model.nbody):
             mujoco.mj_jacBodyCom(model, data, jacobians[body, 0], jacobians[body, 1], body)
-        self._jacobian = jacobians
         # Rotations about the principal axes of each body.
-        self._principal = np.einsum("bij,bik->bjk", data.ximat.reshape(-1, 3, 3), jacobians[:, 1])
+        principal = np.einsum("bij,bik->bjk", data.ximat.reshape(-1, 3, 3), jacobians[:, 1])
         tendon = np.zeros((model.ntendon, model.nv))
         if model.ntendon:
             mujoco.mju_sparse2dense(tendon, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
-        self._tendon = tendon
         moment = np.zeros((model.nu, model.nv))
         if model.nu:
             mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr,
                                     data.moment_colind)  # fmt: skip
-        self._moment = moment
-        self._armature = np.diag(model.dof_armature) + np.einsum(
-            "t,ti,tj->ij", model.tendon_armature, self._tendon, self._tendon
-        )
-        below = np.eye(model.nbody)
-        for body in range(model.nbody - 1, 0, -1):
-            below[model.body_parentid[body]] += below[body]
-        self._below = below
-        self._moves = model.body_weldid != 0
-        self._group = _groups(model)
+        self._jacobians = Jacobians(jacobians[:, 0], jacobians[:, 1], principal, tendon, moment)
+        self._constants = Constants(model)
 
     def __call__(
         self, body_mass: Float[Array, " nbody"], body_inertia: Float[Array, "nbody 3"]
@@ -59,28 +107,7 @@ class MassConstants:
             body_mass: [kg].
             body_inertia: principal moments [kg m^2].
         """
-        linear, angular = (jnp.asarray(self._jacobian[:, i], float) for i in range(2))
-        principal = jnp.asarray(self._principal, float)
-        inertia = (
-            jnp.einsum("b,bki,bkj->ij", body_mass, linear, linear)
-            + jnp.einsum("bk,bki,bkj->ij", body_inertia, principal, principal)
-            + jnp.asarray(self._armature, float)
-        )
-        inverse = jnp.linalg.inv(inertia)
-
-        def weight(jacobian: Array) -> Array:
-            return jnp.einsum("...i,ij,...j->...", jacobian, inverse, jacobian)
-
-        body = jnp.stack([weight(part).mean(axis=-1) for part in (linear, angular)], axis=-1)
-        acceleration = jnp.asarray(self._moment, float) @ inverse
-        return {
-            "body_subtreemass": jnp.asarray(self._below, float) @ body_mass,
-            "body_invweight0": jnp.where(self._moves[:, None], body, 0.0),
-            "dof_invweight0": jnp.asarray(self._group, float) @ jnp.diag(inverse),
-            "dof_M0": jnp.diag(inertia),
-            "tendon_invweight0": weight(jnp.asarray(self._tendon, float)),
-            "actuator_acc0": jnp.sqrt(jnp.sum(acceleration**2, axis=-1)),
-        }
+        return self._constants(body_mass, body_inertia, self._jacobians)
 
 
 def _groups(model: mujoco.MjModel) -> Float[np.ndarray, "nv nv"]:

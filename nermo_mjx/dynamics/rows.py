@@ -96,6 +96,20 @@ def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
     )  # fmt: skip
 
 
+def tendon_jacobian(data: mjx.Data) -> Float[Array, "ntendon nv"]:
+    """How the tendons' lengths change with each velocity."""
+    inner: Any = data._impl
+    found: Array = inner.ten_J
+    return found
+
+
+def actuator_moment(data: mjx.Data) -> Float[Array, "nu nv"]:
+    """How the actuators' lengths change with each velocity."""
+    inner: Any = data._impl
+    found: Array = inner.actuator_moment
+    return found
+
+
 def inertias(data: mjx.Data) -> Float[Array, "nbody 10"]:
     """The spatial inertia of each body about the centre of mass of its tree."""
     inner: Any = data._impl

@@ -20,6 +20,7 @@ from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
 from nermo_mjx.robot.equipment import VISUAL_GROUP
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVO_RANGE
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
 
@@ -28,7 +29,7 @@ NAME: Final = "body"
 TORQUE: Final = 0.125
 #: Time allowed for a loaded joint to come to rest [s].
 _REST: Final = 4.0
-SETTABLE: Final = frozenset(name for name, _ in quantities(ModelParameters))
+SETTABLE: Final = frozenset(name for name, _ in quantities(ModelParameters) if not name.startswith("geometry."))
 ABOUT: Final = {
     "mass": Column("kg", "of the whole robot"),
     "servos": Column("1", "servos, with that of the articulated tail"),
@@ -93,7 +94,7 @@ def _dimensions() -> dict[str, float]:
         "height": float(high[2] - ground),
         "width": float(high[0] - low[0]),
         "scapula_pelvis": float(axes[1] - axes[0]),
-        "spine_joint_limit": float(joint_angle(np.asarray(SERVO_RANGE["spine"][1]))),
+        "spine_joint_limit": float(joint_angle(np.asarray(SERVO_RANGE["spine"][1]), Geometry())),
     }
 
 

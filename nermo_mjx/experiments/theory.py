@@ -18,11 +18,14 @@ from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.balance import diagonal_distance
 from nermo_mjx.kinematics.body import centre_of_mass, feet_positions, stride_gain
 from nermo_mjx.kinematics.spine import joint_angle, transform
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import SPINE
 
 #: Moments of a stance over which `equal_stride_radius` averages.
 _MOMENTS: Final = 41
+#: The theory is that of the published robot.
+_ROBOT: Final = Geometry()
 #: The feet of each diagonal, front first, by their places in `LIMBS`.
 _DIAGONALS: Final = ((0, 3), (1, 2))
 
@@ -34,14 +37,14 @@ def speed(values: Mapping[str, np.ndarray]) -> np.ndarray:
         values: parameters by name, (n,) each: frequency, gait_factor, stride, stance.max_stride, spine.amplitude and
             tracking.clock_ratio.
     """
-    gain = np.asarray(stride_gain(joint_angle(values["spine.amplitude"])), float)
+    gain = np.asarray(stride_gain(joint_angle(values["spine.amplitude"], _ROBOT), _ROBOT), float)
     stride = values["stride"] * values["stance.max_stride"] + gain
     return values["frequency"] * values["gait_factor"] * stride / values["tracking.clock_ratio"]
 
 
 def stride_gain_of(servo: float) -> float:
     """What the spine adds to a stride without slip, swung by this servo angle [rad] to both sides (5.33) [m]."""
-    return float(stride_gain(joint_angle(jnp.asarray(servo))))
+    return float(stride_gain(joint_angle(jnp.asarray(servo), _ROBOT), _ROBOT))
 
 
 def standing_pitch() -> float:
@@ -49,7 +52,7 @@ def standing_pitch() -> float:
 
     The front feet's level is below that of the rear feet, so that the robot stands with its nose up by a degree.
     """
-    front, _, rear, _ = np.asarray(feet_positions(0.0, neutral_feet(ControlParameters().stance)), float)
+    front, _, rear, _ = np.asarray(feet_positions(0.0, neutral_feet(ControlParameters().stance), _ROBOT), float)
     return float(np.arctan2(front[2] - rear[2], rear[1] - front[1]))
 
 
@@ -67,9 +70,9 @@ def smallest_radius(steering: str, stride: float = 0.06) -> float:
     legs, spine = STEERING[steering]
     theta_v = spine * SPINE.max_joint_angle
     if not legs:
-        return float(turning.spine_radius(jnp.asarray(theta_v), *map(jnp.asarray, turning.spine_lengths()))[0])
+        return float(turning.spine_radius(jnp.asarray(theta_v), *map(jnp.asarray, turning.spine_lengths(_ROBOT)))[0])
     stance = ControlParameters().stance
-    return float(turning.smallest_radius(jnp.asarray(stride), stance, jnp.asarray(theta_v)))
+    return float(turning.smallest_radius(jnp.asarray(stride), stance, jnp.asarray(theta_v), _ROBOT))
 
 
 @functools.cache
@@ -85,12 +88,12 @@ def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
         servo: angle of the spine servo, not 0 [rad].
         stride: l_s [m]; it hardly matters.
     """
-    theta_v = joint_angle(jnp.asarray(servo))
-    back = np.stack([[0.0, 1.0], np.asarray(transform(theta_v), float)[:2, 1]])
+    theta_v = joint_angle(jnp.asarray(servo), _ROBOT)
+    back = np.stack([[0.0, 1.0], np.asarray(transform(theta_v, _ROBOT), float)[:2, 1]])
     neutral = np.asarray(neutral_feet(ControlParameters().stance), float)
     motions = []
     for moment in np.linspace(-0.5, 0.5, _MOMENTS) * stride:
-        feet = np.asarray(feet_positions(theta_v, neutral + np.array([moment, 0.0])), float)[:, :2]
+        feet = np.asarray(feet_positions(theta_v, neutral + np.array([moment, 0.0]), _ROBOT), float)[:, :2]
         for pair in _DIAGONALS:
             # Rows: speed of a foot on the ground, along x and y, for the body's speeds along x and y and its turn.
             rows = np.array([[[1.0, 0.0, -y], [0.0, 1.0, x]] for x, y in feet[list(pair)]]).reshape(4, 3)
@@ -110,8 +113,8 @@ def stability(masses: MassModel, feet: np.ndarray, limb: int, theta_v: float = 0
         limb: the lifted one, its place in `LIMBS`.
         theta_v: angle of each spine joint [rad].
     """
-    ground = np.asarray(feet_positions(theta_v, feet))[..., :2]
-    com = np.asarray(centre_of_mass(masses, theta_v))[:2]
+    ground = np.asarray(feet_positions(theta_v, feet, _ROBOT))[..., :2]
+    com = np.asarray(centre_of_mass(masses, theta_v, _ROBOT))[:2]
     # The other diagonal carries, and the foot diagonally opposite to the lifted one.
     front, rear = (1, 2) if limb in (0, 3) else (0, 3)
     third = ground[3 - limb]

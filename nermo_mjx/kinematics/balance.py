@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 
 from nermo_mjx.kinematics.body import centre_of_mass, feet_positions
 from nermo_mjx.kinematics.root import bracketed_root
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import SPINE
 from nermo_mjx.shapes import Array, Scalars, TruthPerLimb
@@ -43,6 +44,7 @@ def balance_angle(
     masses: MassModel,
     feet: ArrayLike,
     stance: ArrayLike,
+    geometry: Geometry,
     lift: ArrayLike = 0.0,
     limit: ArrayLike = SPINE.max_joint_angle,
 ) -> Scalars:
@@ -56,6 +58,7 @@ def balance_angle(
         masses: the robot's two-mass model.
         feet: (y, z) of each foot from its own axis [m], shape (..., 4, 2); rear feet turn with the hip's frame.
         stance: which feet carry, shape (..., 4), bool or a number above 0.5.
+        geometry: of the robot.
         lift: d_lift, how far inside the triangle the centre of mass shall lie [m]: 0 on the diagonal (dynamic), 0.009
             as published (static).
         limit: largest angle [rad].
@@ -65,12 +68,12 @@ def balance_angle(
     front, rear, third = (foot[..., None].astype(feet.dtype) for foot in (front, rear, third))
 
     def line(theta_v: ArrayLike) -> tuple[Array, Array, Array]:
-        ground = feet_positions(theta_v, feet)[..., :2]
+        ground = feet_positions(theta_v, feet, geometry)[..., :2]
         return ground, jnp.sum(front * ground, axis=-2), jnp.sum(rear * ground, axis=-2)
 
     def distance(theta_v: ArrayLike) -> Array:
         _, front_foot, rear_foot = line(theta_v)
-        return diagonal_distance(centre_of_mass(masses, theta_v)[..., :2], front_foot, rear_foot)
+        return diagonal_distance(centre_of_mass(masses, theta_v, geometry)[..., :2], front_foot, rear_foot)
 
     ground, front_foot, rear_foot = line(0.0)
     has_third = jnp.any(third > 0, axis=(-2, -1))

@@ -14,77 +14,76 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from nermo_mjx.kinematics import spine
+from nermo_mjx.robot.geometry import Geometry, Hip, Shoulder
 from nermo_mjx.robot.mass_model import MassModel
-from nermo_mjx.robot.parameters import BODY
 from nermo_mjx.shapes import Array, Planar, Scalars, Spatial
 
 _MIRROR = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
-_SHOULDERS = _MIRROR * BODY.shoulder
-_HIPS = _MIRROR * BODY.hip
 
 
-def shoulders() -> Float[Array, "2 3"]:
+def shoulders(geometry: Geometry) -> Float[Array, "*batch 2 3"]:
     """Left and right shoulder axis; they do not move with the spine (Table A.5, with its erratum)."""
-    return _constant(_SHOULDERS)
+    return _both_sides(geometry.shoulder)
 
 
-def hips(theta_v: ArrayLike, vertical: ArrayLike | None = None) -> Float[Array, "*batch 2 3"]:
+def hips(theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None) -> Float[Array, "*batch 2 3"]:
     """Left and right hip axis."""
-    return from_hip_frame(theta_v, _HIPS, vertical)
+    return from_hip_frame(theta_v, _both_sides(geometry.hip), geometry, vertical)
 
 
 def from_hip_frame(
-    theta_v: ArrayLike, points: ArrayLike, vertical: ArrayLike | None = None
+    theta_v: ArrayLike, points: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
 ) -> Float[Array, "*batch n 3"]:
     """Points (..., n, 3) of the hip's frame, from the spine end, seen from the spine base."""
     all_four = None if vertical is None else jnp.repeat(jnp.asarray(vertical)[..., None], 4, axis=-1)
-    pose = spine.transform(theta_v, all_four)
+    pose = spine.transform(theta_v, geometry, all_four)
     points = jnp.asarray(points, pose.dtype)
     turned = jnp.sum(pose[..., None, :3, :3] * points[..., None, :], axis=-1)
     return turned + pose[..., None, :3, 3]
 
 
 def feet_positions(
-    theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike | None = None
+    theta_v: ArrayLike, feet: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
 ) -> Float[Array, "*batch 4 3"]:
     """The feet, given as (y, z) from their own axis, shape (..., 4, 2); rear feet turn with the hip's frame."""
     feet = jnp.asarray(feet)
     placed = jnp.stack([jnp.zeros_like(feet[..., 0]), feet[..., 0], feet[..., 1]], axis=-1)
-    rear = from_hip_frame(theta_v, _constant(_HIPS) + placed[..., 2:, :], vertical)
-    front = jnp.broadcast_to(shoulders() + placed[..., :2, :], rear.shape)
+    rear = from_hip_frame(theta_v, _both_sides(geometry.hip) + placed[..., 2:, :], geometry, vertical)
+    front = jnp.broadcast_to(shoulders(geometry) + placed[..., :2, :], rear.shape)
     return jnp.concatenate([front, rear], axis=-2)
 
 
-def hip_height_offset(theta_v: ArrayLike) -> Planar:
+def hip_height_offset(theta_v: ArrayLike, geometry: Geometry) -> Planar:
     """How much higher each hip is than with a straight spine (5.31).
 
     The published code's function returns the hip's rise, which is subtracted from the height of the rear foot: a foot
     that is lowered by it keeps the hip level. "Added", as its docstring says, doubles the roll (erratum 16).
     """
-    return hips(theta_v)[..., 2] - hips(0.0)[..., 2]
+    return hips(theta_v, geometry)[..., 2] - hips(0.0, geometry)[..., 2]
 
 
-def rear_foot_rise(theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike) -> Planar:
+def rear_foot_rise(theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike, geometry: Geometry) -> Planar:
     """How much higher the vertical joints put each rear foot: they lift the hip, and turn the legs with it.
 
     Args:
         theta_v: of each lateral joint [rad].
         feet: (y, z) of the four feet from their own axis, shape (..., 4, 2) [m].
         vertical: of each vertical joint [rad].
+        geometry: of the robot.
     """
-    bent, straight = feet_positions(theta_v, feet, vertical), feet_positions(theta_v, feet)
+    bent, straight = (feet_positions(theta_v, feet, geometry, bend) for bend in (vertical, None))
     return bent[..., 2:, 2] - straight[..., 2:, 2]
 
 
-def diagonals(theta_v: ArrayLike) -> Planar:
+def diagonals(theta_v: ArrayLike, geometry: Geometry) -> Planar:
     """Distance from shoulder to opposite hip, front left to rear right and front right to rear left (5.32).
 
     Monotonic over the usable range: bending left extends the first and compresses the second.
     """
-    return jnp.linalg.norm(hips(theta_v)[..., ::-1, :] - shoulders(), axis=-1)
+    return jnp.linalg.norm(hips(theta_v, geometry)[..., ::-1, :] - shoulders(geometry), axis=-1)
 
 
-def stride_gain(theta_v: ArrayLike) -> Scalars:
+def stride_gain(theta_v: ArrayLike, geometry: Geometry) -> Scalars:
     """What swinging the spine between -theta_v and theta_v adds to a stride [m] (5.33): 0.015 m at 0.1 rad a joint.
 
     Seen from the heading, which bisects the bend, torso and hip yaw by half the bend, in opposite senses. While a
@@ -93,13 +92,13 @@ def stride_gain(theta_v: ArrayLike) -> Scalars:
     two. Negative where theta_v compresses the standing pair. The gain is monotonic, so that the maximum of (5.33) lies
     at the limit of theta_v (erratum 7).
     """
-    hip = hips(theta_v)
+    hip = hips(theta_v, geometry)
     across, along = jnp.moveaxis((hip[..., 0, :] - hip[..., 1, :])[..., :2] / 2, -1, 0)
     bend = jnp.arctan2(-along, across)
-    return (BODY.shoulder[0] + jnp.hypot(across, along)) * jnp.sin(bend / 2)
+    return (_constant(geometry.shoulder.x) + jnp.hypot(across, along)) * jnp.sin(bend / 2)
 
 
-def sagittal_stride_gain(vertical: ArrayLike, feet: ArrayLike) -> Planar:
+def sagittal_stride_gain(vertical: ArrayLike, feet: ArrayLike, geometry: Geometry) -> Planar:
     """What swinging the vertical joints between -vertical and vertical adds to a cycle of a bound [m].
 
     While the hind feet stand, the spine extends and carries the torso forward by the way that they go backward seen
@@ -108,17 +107,26 @@ def sagittal_stride_gain(vertical: ArrayLike, feet: ArrayLike) -> Planar:
     Args:
         vertical: of each vertical joint [rad].
         feet: neutral (y, z) of the four feet from their own axis, shape (4, 2) [m].
+        geometry: of the robot.
     """
-    ends = [feet_positions(0.0, feet, sign * jnp.asarray(vertical))[..., 2:, 1] for sign in (1.0, -1.0)]
+    ends = [feet_positions(0.0, feet, geometry, sign * jnp.asarray(vertical))[..., 2:, 1] for sign in (1.0, -1.0)]
     return ends[0] - ends[1]
 
 
-def centre_of_mass(masses: MassModel, theta_v: ArrayLike, vertical: ArrayLike | None = None) -> Spatial:
+def centre_of_mass(
+    masses: MassModel, theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
+) -> Spatial:
     """Centre of mass of front and rear, joined by a massless spine (5.34). Leaves of `masses` may be batched."""
     masses = jax.tree.map(_constant, masses)
     front_mass, rear_mass = masses.front_mass[..., None], masses.rear_mass[..., None]
-    rear = from_hip_frame(theta_v, masses.rear_com[..., None, :], vertical)[..., 0, :]
+    rear = from_hip_frame(theta_v, masses.rear_com[..., None, :], geometry, vertical)[..., 0, :]
     return (front_mass * masses.front_com + rear_mass * rear) / (front_mass + rear_mass)
+
+
+def _both_sides(axis: Shoulder | Hip) -> Float[Array, "*batch 2 3"]:
+    """An axis on the left, and its mirror image."""
+    left = jnp.stack(jnp.broadcast_arrays(*(_constant(each) for each in (axis.x, axis.y, axis.z))), axis=-1)
+    return _constant(_MIRROR) * left[..., None, :]
 
 
 def _constant(value: ArrayLike) -> Array:

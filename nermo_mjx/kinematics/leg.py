@@ -16,7 +16,7 @@ derivatives are finite for every finite input: outside the workspace the result 
 from __future__ import annotations
 
 import dataclasses
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +26,10 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.kinematics.root import bracketed_root
 from nermo_mjx.kinematics.tendon import arm_range, knee_range
+from nermo_mjx.robot.geometry import Geometry, leg_geometry
 from nermo_mjx.robot.interface import SERVOS, servo_range
 from nermo_mjx.robot.leg_plane import check_routing, pull, shank
-from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, LegGeometry
+from nermo_mjx.robot.parameters import LegGeometry
 from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
 #: How far outside its range a foot or tendon may be and still count as reached: rounding in float32 [m].
@@ -92,10 +93,22 @@ def leg_of(geometry: LegGeometry) -> Leg:
     return Leg(**{field.name: np.asarray(getattr(geometry, field.name), float) for field in dataclasses.fields(Leg)})
 
 
-def four_legs() -> Leg:
-    """The robot's legs in limb order FL, FR, RL, RR: leaves of shape (4,), `guide` of shape (4, 2)."""
-    front, rear = leg_of(FRONT_LEG), leg_of(REAR_LEG)
-    return jax.tree.map(lambda *leaves: np.stack(leaves), front, front, rear, rear)
+def four_legs(geometry: Geometry) -> Leg:
+    """A robot's legs in limb order FL, FR, RL, RR: leaves of shape (..., 4), `guide` of shape (4, 2).
+
+    Leaves of the geometry may have leading batch axes; what it does not vary has shape (4,).
+    """
+    traced = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(geometry))
+    xp: Any = jnp if traced else np
+
+    def stacked(front: Any, rear: Any, axis: int) -> Any:
+        return xp.stack(xp.broadcast_arrays(*(xp.asarray(each, float) for each in (front, front, rear, rear))), axis)
+
+    front, rear = (leg_geometry(geometry, pair, xp) for pair in ("front", "rear"))
+    return Leg(**{
+        field.name: stacked(getattr(front, field.name), getattr(rear, field.name), -2 if field.name == "guide" else -1)
+        for field in dataclasses.fields(Leg)
+    })  # fmt: skip
 
 
 def points(leg: Leg, q1: ArrayLike, knee_angle: ArrayLike, ankle: ArrayLike = 0.0) -> LegPoints:
@@ -173,12 +186,12 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
     return LegSolution(servo, knee_angle, reached, held & (miss < REACH_TOLERANCE))
 
 
-def four_reaches(routing: str) -> tuple[PerLimb, PerLimb]:
+def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
     """Least and greatest distance of the foot from O [m] at which it is in the workspace of each of the `four_legs`.
 
     With type 3, where the knee angle follows the knee servo alone, the servo's range counts, too.
     """
-    leg = _arrays(four_legs())
+    leg = _arrays(four_legs(geometry))
     low, high = arm_range(leg)
     if routing == "type3":
         ends = [[servo_range(servo)[end] for servo in SERVOS[4:8]] for end in (0, 1)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Final
+from typing import Any, Final
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,106 +16,132 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from nermo_mjx.kinematics.root import bracketed_root
-from nermo_mjx.robot.parameters import SPINE, SpineGeometry
+from nermo_mjx.robot.geometry import SEGMENT_ROWS, Geometry
+from nermo_mjx.robot.parameters import SPINE
 from nermo_mjx.shapes import Array, Scalars
 
 #: Angles saturate here, so that the sine of any float is finite [rad].
 _LARGEST_ANGLE: Final = 1e6
+#: The published length of a segment [m], at which the links of the table are folded.
+_SEGMENT: Final = 2 * SPINE.dh[SEGMENT_ROWS[0]][1]
 
 
-def transform(
-    theta_v: ArrayLike, vertical: ArrayLike | None = None, spine: SpineGeometry = SPINE
-) -> Float[Array, "*batch 4 4"]:
+def transform(theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None) -> Float[Array, "*batch 4 4"]:
     """Homogeneous transform from spine base to spine end (the hip's frame), Table 5.3 and (5.23).
 
     Args:
         theta_v: angle of each of the four lateral joints [rad], any shape; positive bends to the left.
+        geometry: `spine.segment`, of a shape that broadcasts with the angles.
         vertical: angles [rad] of the vertical joints (Nermo 4.1), shape (..., 4), added to those fused into Nermo-Lite;
             positive lifts the hip.
-        spine: the spine's numbers (static).
     """
     if isinstance(theta_v, float) and vertical is None:
-        return jnp.asarray(_fixed_transform(theta_v, spine), jnp.result_type(float))
+        return _stretched(*_fixed_transform(theta_v), geometry, jnp.result_type(float))
     theta_v = _floating(theta_v)
     dtype = theta_v.dtype
-    angles = dict.fromkeys(spine.lateral_joints, -theta_v)
+    angles = dict.fromkeys(SPINE.lateral_joints, -theta_v)
     if vertical is not None:
         vertical = _floating(vertical)
         dtype = jnp.promote_types(dtype, vertical.dtype)
-        angles |= {row: vertical[..., i] for i, row in enumerate(spine.vertical_joints)}
+        angles |= {row: vertical[..., i] for i, row in enumerate(SPINE.vertical_joints)}
 
-    # Constant links between moving joints are folded in numpy, in double precision.
     pose: Array | None = None
-    fixed = np.eye(4)
-    for row, link in enumerate(spine.dh):
-        fixed = fixed @ _link(*link)
-        if row in angles:
-            moved = _matmul(jnp.asarray(fixed, dtype), _about_z(angles[row].astype(dtype)))
-            pose = moved if pose is None else _matmul(pose, moved)
-            fixed = np.eye(4)
+    for row, link, more in _links(tuple(sorted(angles))):
+        fixed = _stretched(link, more, geometry, dtype)
+        moved = fixed if row is None else _matmul(fixed, _about_z(angles[row].astype(dtype)))
+        pose = moved if pose is None else _matmul(pose, moved)
     assert pose is not None
-    return _matmul(pose, jnp.asarray(fixed, dtype))
+    return pose
 
 
-def yaw(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
+def _stretched(pose: np.ndarray, more: np.ndarray, geometry: Geometry, dtype: Any) -> Array:
+    """A pose that is linear in the length of a segment: as published, and what a metre more of it adds."""
+    longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT, dtype)
+    return jnp.asarray(pose, dtype) + longer[..., None, None] * jnp.asarray(more, dtype)
+
+
+@functools.cache
+def _links(moving: tuple[int, ...]) -> list[tuple[int | None, np.ndarray, np.ndarray]]:
+    """Constant links up to each moving row, and behind the last one: `_stretched` knows what the two matrices are.
+
+    They are folded in numpy, in double precision.
+    """
+    links: list[tuple[int | None, np.ndarray, np.ndarray]] = []
+    fixed, more = np.eye(4), np.zeros((4, 4))
+    for row, link in enumerate(SPINE.dh):
+        fixed, more = _extended(fixed, more, row, _link(*link))
+        if row in moving:
+            links.append((row, fixed, more))
+            fixed, more = np.eye(4), np.zeros((4, 4))
+    return [*links, (None, fixed, more)]
+
+
+def _extended(fixed: np.ndarray, more: np.ndarray, row: int, link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A pose and its slope by the segment's length, one row of the table further on."""
+    slope = np.zeros((4, 4))
+    slope[0, 3] = 0.5 * (row in SEGMENT_ROWS)
+    return fixed @ link, more @ link + fixed @ slope
+
+
+def yaw(theta_v: ArrayLike) -> Scalars:
     """How far the torso is turned against the hip, seen from above [rad]; positive to the left.
 
     The lateral joints' axes are tilted by up to 25 degrees, so that four joints turn it by 3.81 theta_v, and not by the
     4 theta_v of the text (erratum 17). Linear: at 0.1 rad a joint 0.2 % too large.
     """
-    return _yaw_per_joint_angle(spine) * _floating(theta_v)
+    return _yaw_per_joint_angle() * _floating(theta_v)
 
 
 @functools.cache
-def _yaw_per_joint_angle(spine: SpineGeometry) -> float:
+def _yaw_per_joint_angle() -> float:
     """Sum of the vertical parts of the lateral joints' axes, in the straight spine."""
     pose, total = np.eye(4), 0.0
-    for row, link in enumerate(spine.dh):
+    for row, link in enumerate(SPINE.dh):
         pose = pose @ _link(*link)
-        total += float(pose[2, 2]) * (row in spine.lateral_joints)
+        total += float(pose[2, 2]) * (row in SPINE.lateral_joints)
     return total
 
 
-def max_joint_angle(spine: SpineGeometry = SPINE) -> float:
+def max_joint_angle() -> float:
     """Largest theta_v that the servo can ask for [rad]: there the inner tendon segment has no length left."""
-    return 2 * math.atan(spine.segment_length / (2 * spine.segment_offset))
+    return 2 * math.atan(SPINE.segment_length / (2 * SPINE.segment_offset))
 
 
-def joint_angle(servo: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
+def joint_angle(servo: ArrayLike, geometry: Geometry) -> Scalars:
     """Angle theta_v [rad] of each lateral joint at a spine servo angle [rad], (5.26)-(5.29).
 
     The published form, theta_v = 2 alpha_v - pi + arccos(1 - l^2 / (2 R^2)) with l = l_v + r_sp q / 4, holds for the
     side whose tendon lengthens. It is used for positive angles and made odd, so that left and right mirror each other
-    (the two antagonists differ by 1 % at 0.4 rad). Saturates at `max_joint_angle`.
+    (the two antagonists differ by 1 % at 0.4 rad). Saturates at `max_joint_angle`. Of the geometry, r_sp counts.
     """
     servo = _floating(servo)
-    radius, straight = _chord(spine)
+    radius, straight = _chord()
     size, sign = _magnitude(servo)
-    size = jnp.minimum(size, _servo_magnitude(max_joint_angle(spine), spine))
-    segment = spine.segment_length + spine.pulley_radius * size / 4
+    size = jnp.minimum(size, _servo_magnitude(jnp.asarray(max_joint_angle(), size.dtype), geometry))
+    segment = SPINE.segment_length + jnp.asarray(geometry.spine.pulley_radius, size.dtype) * size / 4
     return sign * (2 * jnp.arcsin(segment / (2 * radius)) - straight)
 
 
-def servo_angle(theta_v: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
+def servo_angle(theta_v: ArrayLike, geometry: Geometry) -> Scalars:
     """Spine servo angle [rad] that bends each lateral joint by theta_v [rad]: closed form of (5.30), see `joint_angle`.
 
     l = 2 R sin((theta_v + pi - 2 alpha_v) / 2) and q_sp = 4 (l - l_v) / r_sp. Saturates at `max_joint_angle`.
     """
     theta_v = _floating(theta_v)
     size, sign = _magnitude(theta_v)
-    return sign * _servo_magnitude(jnp.minimum(size, max_joint_angle(spine)), spine)
+    return sign * _servo_magnitude(jnp.minimum(size, max_joint_angle()), geometry)
 
 
-def angle_for_displacement(displacement: ArrayLike, spine: SpineGeometry = SPINE) -> Scalars:
+def angle_for_displacement(displacement: ArrayLike, geometry: Geometry) -> Scalars:
     """Joint angle theta_v [rad] that moves the spine end sideways by `displacement` [m], positive to the left.
 
     Inverts x of `transform`, which rises with theta_v over the whole range; saturates at `max_joint_angle`.
     """
     displacement = _floating(displacement)
-    limit = jnp.asarray(max_joint_angle(spine), displacement.dtype)
+    limit = jnp.asarray(max_joint_angle(), displacement.dtype)
 
     def sideways(angle: Array) -> Array:
-        return transform(angle, spine=spine)[..., 0, 3]
+        return transform(angle, geometry)[..., 0, 3]
 
     wanted = jnp.clip(displacement, sideways(-limit), sideways(limit))
     return bracketed_root(lambda angle: sideways(angle) - wanted, -limit, limit, slope_floor=1e-4)
@@ -126,16 +152,16 @@ def _floating(value: ArrayLike) -> Array:
     return value.astype(jnp.result_type(float, value.dtype))
 
 
-def _chord(spine: SpineGeometry) -> tuple[float, float]:
+def _chord() -> tuple[float, float]:
     """R [m], from a joint to where its tendon segment ends, and the angle pi - 2 alpha_v that a straight one spans."""
-    radius = math.hypot(spine.segment_length / 2, spine.segment_offset)
-    return radius, math.pi - 2 * math.atan(2 * spine.segment_offset / spine.segment_length)
+    radius = math.hypot(SPINE.segment_length / 2, SPINE.segment_offset)
+    return radius, math.pi - 2 * math.atan(2 * SPINE.segment_offset / SPINE.segment_length)
 
 
-def _servo_magnitude(theta_v: ArrayLike, spine: SpineGeometry) -> Array:
-    radius, straight = _chord(spine)
+def _servo_magnitude(theta_v: Array, geometry: Geometry) -> Array:
+    radius, straight = _chord()
     segment = 2 * radius * jnp.sin((theta_v + straight) / 2)
-    return 4 * (segment - spine.segment_length) / spine.pulley_radius
+    return 4 * (segment - SPINE.segment_length) / jnp.asarray(geometry.spine.pulley_radius, segment.dtype)
 
 
 def _magnitude(value: Array) -> tuple[Array, Array]:
@@ -156,14 +182,15 @@ def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
 
 
 @functools.cache
-def _fixed_transform(theta_v: float, spine: SpineGeometry) -> np.ndarray:
-    """`transform` of a constant: nothing to trace, or to compile for a few numbers."""
-    pose = np.eye(4)
-    for row, link in enumerate(spine.dh):
-        pose = pose @ _link(*link)
-        if row in spine.lateral_joints:
-            pose = pose @ _link(0.0, 0.0, -theta_v, 0.0)
-    return pose
+def _fixed_transform(theta_v: float) -> tuple[np.ndarray, np.ndarray]:
+    """`transform` of a constant, and its slope by the segment's length: next to nothing to trace, or to compile."""
+    pose, more = np.eye(4), np.zeros((4, 4))
+    for row, link in enumerate(SPINE.dh):
+        pose, more = _extended(pose, more, row, _link(*link))
+        if row in SPINE.lateral_joints:
+            turned = _link(0.0, 0.0, -theta_v, 0.0)
+            pose, more = pose @ turned, more @ turned
+    return pose, more
 
 
 def _matmul(left: Array, right: Array) -> Array:

@@ -23,6 +23,7 @@ from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.rewards import Moment, Term, chosen_terms
 from nermo_mjx.learn.task import EpisodeParameters, Outcome, Task
 from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState
 from nermo_mjx.rollout.metrics import MetricState
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
@@ -184,6 +185,7 @@ class EpisodeLoop:
             command=jnp.stack(command) if command else jnp.zeros(0),
             path=self._path(params, state, sensors),
             action=state.action,
+            geometry=geometry_of(params.loop.control.control),
         )
         key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
         observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)

@@ -17,6 +17,7 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.pilot import heading
 from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.rollout.metrics import LOADED
 from nermo_mjx.shapes import Array, Scalar
@@ -109,12 +110,14 @@ class Told(NamedTuple):
         command: commanded values, (c,).
         path: point of the path beside the torso, where there is a path.
         action: the last one.
+        geometry: of the robot, as its controller knows it.
     """
 
     phase: Scalar | None
     command: Vector
     path: PathPoint | None
     action: Vector
+    geometry: Geometry
 
 
 @dataclasses.dataclass(frozen=True)
@@ -204,7 +207,7 @@ class Observer:
             turn = 2.0 * jnp.pi * told.phase
             parts["phase"] = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
         if told.path is not None:
-            parts["path"] = jnp.stack([told.path.error / 0.1, heading(told.path, sensors)])
+            parts["path"] = jnp.stack([told.path.error / 0.1, heading(told.path, sensors, told.geometry)])
         chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
 

@@ -29,6 +29,7 @@ from nermo_mjx.learn.networks import Actor, Statistics
 from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
+from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.quantity import flat, parameter_tree, quantities, replace_quantities
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
@@ -212,6 +213,7 @@ class Policy:
             command=jnp.stack(orders) if orders else jnp.zeros(0),
             path=self.path(params, state, sensors.position) if observer.path else None,
             action=state.action,
+            geometry=geometry_of(params.control),
         )
         # The same noise in every world: runs from one start are equal.
         key = jax.random.fold_in(jax.random.key(0), state.tick) if observer.noisy else None

@@ -19,6 +19,7 @@ from nermo_mjx.learn.acting import Acted, Acting, ActionKind, Residual
 from nermo_mjx.learn.observing import OBSERVED, Sensing
 from nermo_mjx.learn.rewards import Term
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, identified
+from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
 from nermo_mjx.robot.terrains import terrain_values
@@ -221,7 +222,8 @@ class Episodes:
         window = Window(begin=0.0, end=1e6, distance=1e6)
         terrain = world.model.terrain if self.robot.terrain.has_shape else None
         loop = LoopParameters(control, world.start, window, world.model.servo.speed, terrain)
-        first = StartPose(self.robot, self.controller).qpos(control, world.start, terrain)
+        geometry = world.model.geometry if names_geometry(values) else None
+        first = StartPose(self.robot, self.controller).qpos(control, world.start, terrain, geometry)
         number = jax.random.randint(seed, (), 0, 1 << 24)
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))
         return parameters, jax.tree.map(_real, world.model), first

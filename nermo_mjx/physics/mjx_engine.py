@@ -25,7 +25,7 @@ from nermo_mjx.dynamics.solver import ROUNDS
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.reading import read_entries, with_sensors
-from nermo_mjx.physics.variation import DERIVED_FIELDS, vary
+from nermo_mjx.physics.variation import DERIVED_FIELDS, moves_constants, vary
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array, Count, Dofs, Truth
@@ -256,9 +256,9 @@ def _constants(
     batch = Batch(robot.physical, len(qpos))
     models = vary(batch, robot.physical, fields)
     derived = {}
-    if "body_mass" in fields and models is None:
+    if moves_constants(fields) and models is None:
         derived = {name: batch.expand(name).copy() for name in DERIVED_FIELDS}
-    elif "body_mass" in fields and models is not None:
+    elif moves_constants(fields) and models is not None:
         derived = {name: np.stack([getattr(model, name) for model in models]) for name in DERIVED_FIELDS}
     sensordata = batch.bind("sensordata")
     batch.bind("qpos")[...] = qpos

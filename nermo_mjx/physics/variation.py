@@ -6,7 +6,7 @@ import copy
 import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import jax
 import jax.numpy as jnp
@@ -16,8 +16,10 @@ from jaxtyping import Float
 from mujoco.batch import Batch
 
 from nermo_mjx.dynamics.mass_constants import MassConstants
+from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint
+from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front, mass_values
 from nermo_mjx.robot.quantity import replace_quantities
@@ -25,6 +27,9 @@ from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array
+
+if TYPE_CHECKING:
+    from nermo_mjx.dynamics.place_constants import PlaceConstants
 
 #: Model fields that each group of body parameters reaches.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
@@ -35,8 +40,14 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "mass": ("body_mass", "body_inertia"),
     "ground": ("opt.gravity",),
     "terrain": ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "hfield_data"),
-}
-#: Constants that MuJoCo derives from masses (`mj_setConst`) and that MJX's step reads.
+    "geometry": ("body_pos", "body_ipos", "body_iquat", "body_inertia", "site_pos", "geom_pos", "geom_size",
+                 "geom_rbound", "tendon_range"),
+}  # fmt: skip
+#: What a model has that is built with its geometry.
+_BUILT: Final = frozenset(("body_pos", "body_ipos", "body_iquat", "site_pos", "tendon_range"))
+#: Of these follow the constants below.
+_MASSES_AND_PLACES: Final = frozenset(("body_mass", "body_inertia", "body_pos", "body_ipos", "body_iquat", "site_pos"))
+#: Constants that MuJoCo derives from masses and places (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
     "body_subtreemass",
     "body_invweight0",
@@ -52,7 +63,7 @@ class Variation:
 
     def __init__(self, robot: Robot) -> None:
         model = robot.physical
-        self.model = model
+        self.model, self._robot = model, robot
         names = [model.joint(i).name for i in range(model.njnt)]
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
@@ -74,11 +85,12 @@ class Variation:
         self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
         self._front = np.array([i > 0 and is_front(model.body(i).name) for i in range(model.nbody)])
 
-    def fields(self, parameters: ModelParameters) -> dict[str, Float[Array, ...]]:
+    def fields(self, parameters: ModelParameters, lengths: tuple[str, ...] = ()) -> dict[str, Float[Array, ...]]:
         """Model fields of one world, named and shaped as in `mujoco.MjModel`; pure JAX, differentiable.
 
         Args:
             parameters: leaves of shape ().
+            lengths: names of the parameters of its geometry that may differ from the published ones.
         """
         p, model = parameters, self.model
         # Each array with its type: JAX remembers which one it gave an array of NumPy's, also under another precision.
@@ -113,16 +125,18 @@ class Variation:
         mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
         scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
-        return {
+        placed = self._geometry(lengths)(p.geometry) if lengths else {}
+        inertia = placed.pop("body_inertia", jnp.asarray(model.body_inertia, float))
+        return placed | {
             "actuator_gainprm": gain, "actuator_biasprm": bias, "actuator_forcerange": force, "pair_friction": friction,
             "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
-            "body_mass": mass * scale, "body_inertia": jnp.asarray(model.body_inertia, float) * scale[:, None],
+            "body_mass": mass * scale, "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
-            **self._shaped(p.terrain),
+            **self._shaped(p.terrain, placed),
         }  # fmt: skip
 
-    def _shaped(self, shape: TerrainShape) -> dict[str, Float[Array, ...]]:
-        """Fields of the geoms that a terrain's shape moves; none in another scene."""
+    def _shaped(self, shape: TerrainShape, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
+        """Fields of the geoms that a terrain's shape moves, beside those of the robot; none in another scene."""
         model, geoms = self.model, self._terrain
         if not len(geoms):
             return {}
@@ -139,8 +153,19 @@ class Variation:
             moved |= {"geom_size": size, "geom_rbound": bound}
             heights = {}
         return heights | {
-            name: jnp.asarray(getattr(model, name), float).at[geoms].set(value) for name, value in moved.items()
+            name: placed.get(name, jnp.asarray(getattr(model, name), float)).at[geoms].set(value)
+            for name, value in moved.items()
         }
+
+    @functools.cached_property
+    def _geometries(self) -> dict[tuple[str, ...], GeometryFields]:
+        return {}
+
+    def _geometry(self, lengths: tuple[str, ...]) -> GeometryFields:
+        """Made once for each combination of names."""
+        if lengths not in self._geometries:
+            self._geometries[lengths] = GeometryFields(self._robot, lengths)
+        return self._geometries[lengths]
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
         """The fields that the named parameters reach, (worlds, ...) each; the others keep the model's values.
@@ -152,25 +177,29 @@ class Variation:
             worlds: size of the batch.
             named: names such as `contact.friction`; those that are not body parameters are passed over.
         """
+        named = tuple(named)
         reached = _reached(named)
         if not reached:
             return {}
         leaves = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf, float), (worlds,)), parameters)
         start_jax()
         with jax.enable_x64(True):
-            fields = self._batched(leaves)
+            fields = self._batched(leaves, _lengths(named))
         return {name: np.asarray(fields[name], float) for name in reached if name in fields}
 
     def differentiable(self, parameters: ModelParameters, named: Iterable[str]) -> dict[str, Float[Array, ...]]:
-        """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses.
+        """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses and places.
 
         Args:
             parameters: leaves of shape ().
             named: as for `batch`.
         """
-        reached = _reached(named)
-        fields = {name: value for name, value in self.fields(parameters).items() if name in reached}
-        if "body_mass" in fields:
+        named = tuple(named)
+        reached, lengths = _reached(named), _lengths(named)
+        fields = {name: value for name, value in self.fields(parameters, lengths).items() if name in reached}
+        if lengths:
+            fields |= self._place_constants(fields)
+        elif "body_mass" in fields:
             fields |= self._mass_constants(fields["body_mass"], fields["body_inertia"])
         return fields
 
@@ -179,22 +208,46 @@ class Variation:
         return MassConstants(self.model)
 
     @functools.cached_property
-    def _batched(self) -> Callable[[ModelParameters], dict[str, Array]]:
-        return jax.jit(jax.vmap(self.fields))
+    def _place_constants(self) -> PlaceConstants:
+        from nermo_mjx.dynamics.place_constants import PlaceConstants  # MJX takes a second to start
+
+        return PlaceConstants(self.model)
+
+    @functools.cached_property
+    def _batched(self) -> Callable[[ModelParameters, tuple[str, ...]], dict[str, Array]]:
+        def fields(parameters: ModelParameters, lengths: tuple[str, ...]) -> dict[str, Array]:
+            return jax.vmap(functools.partial(self.fields, lengths=lengths))(parameters)
+
+        return jax.jit(fields, static_argnums=1)
 
 
 def _reached(named: Iterable[str]) -> list[str]:
     """Model fields that the named parameters reach."""
     groups = {name.split(".")[0] for name in named} & set(FIELDS)
-    return [name for group in sorted(groups) for name in FIELDS[group]]
+    return list(dict.fromkeys(name for group in sorted(groups) for name in FIELDS[group]))
+
+
+def _lengths(named: Iterable[str]) -> tuple[str, ...]:
+    """Those of the named parameters that belong to the geometry."""
+    return tuple(sorted(name for name in named if names_geometry([name])))
+
+
+def moves_constants(fields: Iterable[str]) -> bool:
+    """Whether one of some model fields is one that `DERIVED_FIELDS` follow."""
+    return not _MASSES_AND_PLACES.isdisjoint(fields)
 
 
 def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     """A copy of the robot's whole model with the named body parameters, for rendering or for any `mj_` function."""
-    model, variation = copy.copy(robot.model), Variation(robot)
+    variation = Variation(robot)
     standing = mass_values(robot.config.robot) | terrain_values(str(robot.config.scene))
     parameters = replace_quantities(ModelParameters(), standing | dict(values))
+    lengths = _lengths(values)
+    # Built with its geometry, so that its meshes have it, too.
+    model = robot.with_geometry(parameters.geometry) if lengths else copy.copy(robot.model)
     for name, field in variation.batch(parameters, 1, values).items():
+        if name in _BUILT:
+            continue
         if name.startswith("geom_"):
             # Geoms have other ids than in the model that engines step; all else has the same.
             names = geom_names(str(robot.config.scene))
@@ -228,7 +281,7 @@ def vary(
     models: list[mujoco.MjModel] | None = None,
     worlds: np.ndarray | None = None,
 ) -> list[mujoco.MjModel] | None:
-    """Give worlds of a batch of MuJoCo's C engine their own fields, and the constants that follow from masses.
+    """Give worlds of a batch of MuJoCo's C engine their own fields, and the constants that follow from them.
 
     Args:
         batch: of n worlds.
@@ -244,7 +297,7 @@ def vary(
     if "hfield_data" not in fields:
         for name, values in fields.items():
             batch.expand(name)[chosen] = values
-        if "body_mass" in fields:
+        if moves_constants(fields):
             batch.set_const()
         return None
     models = [copy.copy(model) for _ in range(batch.nsim)] if models is None else models
@@ -256,7 +309,7 @@ def vary(
                 set_heights(own, model, values[row])
             else:
                 operator.attrgetter(name)(own)[...] = values[row]
-        if "body_mass" in fields:
+        if moves_constants(fields):
             mujoco.mj_setConst(own, data)
     batch.set_models(models)
     return models

@@ -99,16 +99,17 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     else:
         ground = parameters.ground
         spec.option.gravity = gravity_vector(ground.gravity, ground.slope, ground.direction)
+    geometry = parameters.geometry
     robot = config.robot
     spec.modelname = f"{robot}_{scene_name(scene)}"
-    _attach(spec, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING))
-    _attach(spec, spec.frame("torso_spine_mount"), "spine", robot)
-    _attach(spec, spec.frame("torso_neck_mount"), "head", robot, plain=("head", "neck", "head_tilt", "eyes", *EYES))
-    _attach(spec, spec.frame("spine_end"), "hip", robot)
+    _attach(spec, geometry, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING))
+    _attach(spec, geometry, spec.frame("torso_spine_mount"), "spine", robot)
+    _attach(spec, geometry, spec.frame("torso_neck_mount"), "head", robot, plain=("head", "neck", "head_tilt", "eyes", *EYES))
+    _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"
-        _attach_leg(spec, spec.frame(f"{trunk}_{limb}_mount"), limb, config.routing)
-    _attach(spec, spec.frame("hip_tail_mount"), "tail", robot)
+        _attach_leg(spec, geometry, spec.frame(f"{trunk}_{limb}_mount"), limb, config.routing)
+    _attach(spec, geometry, spec.frame("hip_tail_mount"), "tail", robot)
     if config.tail == "rigid":
         _stiffen_tail(spec)
     _pose(spec, config.routing)
@@ -122,21 +123,22 @@ def assemble_leg(limb: str, routing: str = "type3", parameters: ModelParameters 
     """One leg on a test stand: its hip axis is fixed at the world's origin, without gravity or ground."""
     if limb not in LIMBS:
         raise ParameterError(f"limb is {limb!r}: allowed is one of {', '.join(LIMBS)}.")
-    config = RobotConfig(routing=routing)
+    config, parameters = RobotConfig(routing=routing), parameters or ModelParameters()
+    geometry = parameters.geometry
     spec = _stand(f"{limb}_leg_stand")
-    _attach_leg(spec, spec.worldbody, limb, routing)
+    _attach_leg(spec, geometry, spec.worldbody, limb, routing)
     _pose(spec, routing)
-    _finish(spec, config, parameters or ModelParameters())
+    _finish(spec, config, parameters)
     return spec
 
 
 def assemble_spine(parameters: ModelParameters | None = None, robot: str = "nermo_lite") -> mujoco.MjSpec:
     """The spine on a test stand: its base is fixed at the world's origin, without gravity; the hip hangs free."""
-    config = RobotConfig(robot)
-    spec = _stand("spine_stand")
-    _attach(spec, spec.worldbody, "spine", robot)
-    _attach(spec, spec.frame("spine_end"), "hip", robot)
-    _finish(spec, config, parameters or default_parameters(robot))
+    config, parameters = RobotConfig(robot), parameters or default_parameters(robot)
+    spec, geometry = _stand("spine_stand"), parameters.geometry
+    _attach(spec, geometry, spec.worldbody, "spine", robot)
+    _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
+    _finish(spec, config, parameters)
     return spec
 
 
@@ -152,10 +154,12 @@ def _stand(name: str) -> mujoco.MjSpec:
     return spec
 
 
-def _attach(spec: mujoco.MjSpec, place: Any, name: str, robot: str, plain: tuple[str, ...] = ()) -> None:
+def _attach(
+    spec: mujoco.MjSpec, geometry: Geometry, place: Any, name: str, robot: str, plain: tuple[str, ...] = ()
+) -> None:
     """Attach the robot's part `name` with its name as prefix; the elements in `plain` keep their names."""
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
-    spec.attach(load_part(name, Geometry(), robot), prefix=f"{name}_", frame=frame)
+    spec.attach(load_part(name, geometry, robot), prefix=f"{name}_", frame=frame)
     for kind in (spec.body, spec.joint, spec.site, spec.frame, spec.camera):
         for short in plain:
             element = kind(f"{name}_{short}")
@@ -163,9 +167,9 @@ def _attach(spec: mujoco.MjSpec, place: Any, name: str, robot: str, plain: tuple
                 element.name = short
 
 
-def _attach_leg(spec: mujoco.MjSpec, place: Any, limb: str, routing: str) -> None:
+def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, routing: str) -> None:
     pair, side = limb.split("_")
-    leg = load_part(f"{pair}_leg", Geometry())
+    leg = load_part(f"{pair}_leg", geometry)
     for tendon in list(leg.tendons):
         if tendon.name != routing:
             leg.delete(tendon)
@@ -193,7 +197,8 @@ def _stiffen_tail(spec: mujoco.MjSpec) -> None:
 
 def _pose(spec: mujoco.MjSpec, routing: str) -> None:
     """Make the published stance the model's zero pose, so that MuJoCo's reference inertias are those of the standing
-    robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad."""
+    robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad. It is the same whatever the
+    geometry, so that all that stands in the model is linear in it."""
     for pair, leg in LEGS.items():
         hip, knee, pulley = (round(angle, 4) for angle in standing(leg, routing))
         for joint in spec.joints:
@@ -218,7 +223,7 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     # A world that diverges must stay diverged, to be flagged, not start anew. One robot is one island: to look for
     # others in every step finds the same forces, bit for bit, 4 % later.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
-    set_masses(spec, config.robot, parameters, Geometry())
+    set_masses(spec, config.robot, parameters)
     set_joints(spec, parameters)
     set_tendons(spec)
     add_servos(spec, config.routing, parameters)

@@ -44,13 +44,14 @@ TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (1
 BUMPER: Final = "_bumper"
 
 
-def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters, geometry: Geometry) -> None:
+def set_masses(spec: mujoco.MjSpec, robot: str, parameters: ModelParameters) -> None:
     """Give every moving body the mass, centre of mass and inertia of its part; geoms weigh nothing."""
     for geom in spec.geoms:
         if geom.group == VISUAL_GROUP:
             geom.mass = 0.0
     front, rear = ROBOT_MASSES[robot]
     share = {True: float(parameters.mass.front / front), False: float(parameters.mass.rear / rear)}
+    geometry = parameters.geometry
     for body in spec.bodies[1:]:
         part = part_of(body.name, robot, geometry)
         body.explicitinertial = True

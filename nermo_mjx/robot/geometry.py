@@ -9,10 +9,25 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 
-from nermo_mjx.robot.parameters import BODY, FOOT_RADIUS, FRONT_LEG, LEGS, REAR_LEG, SPINE, TAIL, LegGeometry
-from nermo_mjx.robot.quantity import group, parameter_tree, quantity
+import numpy as np
+
+from nermo_mjx.robot.parameters import (
+    BODY,
+    FOOT_RADIUS,
+    FRONT_LEG,
+    LEGS,
+    PULLEY_RIM,
+    REAR_LEG,
+    SERVO_DEPTH,
+    SERVO_INSIDE,
+    SPINE,
+    TAIL,
+    LegGeometry,
+)
+from nermo_mjx.robot.quantity import ParameterError, group, parameter_tree, quantity
 
 #: Rows of the DH table that lead from one lateral joint to the next: each has half of a segment.
 SEGMENT_ROWS: Final = range(SPINE.lateral_joints[0] + 1, SPINE.lateral_joints[-1] + 1)
@@ -46,7 +61,7 @@ class RearLeg:
 class Shoulder:
     """Axis of the left shoulder from the spine base; the right one mirrors x."""
 
-    x: Any = quantity(BODY.shoulder[0], unit="m", low=0.026, high=0.06, doc="to the left")
+    x: Any = quantity(BODY.shoulder[0], unit="m", low=0.03, high=0.06, doc="to the left")
     y: Any = quantity(BODY.shoulder[1], unit="m", low=-0.085, high=-0.04, doc="backward")
     z: Any = quantity(BODY.shoulder[2], unit="m", low=-0.045, high=-0.02, doc="up")
 
@@ -55,7 +70,7 @@ class Shoulder:
 class Hip:
     """Axis of the left hip from the spine end; the right one mirrors x."""
 
-    x: Any = quantity(BODY.hip[0], unit="m", low=0.026, high=0.06, doc="to the left")
+    x: Any = quantity(BODY.hip[0], unit="m", low=0.03, high=0.06, doc="to the left")
     y: Any = quantity(BODY.hip[1], unit="m", low=-0.005, high=0.025, doc="backward")
     z: Any = quantity(BODY.hip[2], unit="m", low=-0.022, high=0.002, doc="up")
 
@@ -103,6 +118,49 @@ class Geometry:
     foot: Foot = group(Foot)
     spine: SpineLengths = group(SpineLengths)
     tail: TailLength = group(TailLength)
+
+
+def geometry_of(params: Any) -> Geometry:
+    """The geometry that parameters have, of a controller or another; the published one if they have none."""
+    geometry: Geometry = getattr(params, "geometry", None) or Geometry()
+    return geometry
+
+
+def names_geometry(names: Iterable[str]) -> bool:
+    """Whether one of some parameters is a length or a place."""
+    return any(name.startswith("geometry.") for name in names)
+
+
+def check_geometry(geometry: Geometry) -> None:
+    """Refuse what cannot be built because parts overlap; `control.build.check_workspace` asks what the legs reach.
+
+    Args:
+        geometry: not traced; leaves of shapes that broadcast.
+
+    Raises:
+        ParameterError: with the first world's numbers for which it holds.
+    """
+    for pair, leg in (("front", geometry.front_leg), ("rear", geometry.rear_leg)):
+        tied, length = _first(leg.attachment, leg.lower, lambda tied, length: tied > length)
+        if tied:
+            raise ParameterError(
+                f"geometry.{pair}_leg.attachment is {tied:g} m: the tendon would be tied beyond the ankle; allowed is "
+                f"at most geometry.{pair}_leg.lower, {length:g} m."
+            )
+    inside = SERVO_INSIDE + SERVO_DEPTH + PULLEY_RIM
+    beside, radius = _first(geometry.hip.x, geometry.spine.pulley_radius, lambda x, radius: x < inside + radius)
+    if beside:
+        raise ParameterError(
+            f"geometry.hip.x is {beside:g} m: the hips' servos would overlap the spine's pulley, whose radius is "
+            f"{radius:g} m; allowed is at least {inside + radius:g} m."
+        )
+
+
+def _first(one: Any, other: Any, wrong: Callable[[Any, Any], Any]) -> tuple[float, float]:
+    """The first pair of numbers that is wrong; zeros if none is."""
+    one, other = (np.ravel(each) for each in np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float)))
+    (found,) = np.nonzero(wrong(one, other))
+    return (float(one[found[0]]), float(other[found[0]])) if len(found) else (0.0, 0.0)
 
 
 def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:

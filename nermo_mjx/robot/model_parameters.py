@@ -1,4 +1,4 @@
-"""Parameters of the robot's body that a sweep may vary within one batch: servos, contact, stiffness, damping, mass.
+"""Parameters of the robot's body that a sweep may vary within one batch: servos, contact, springs, masses, lengths.
 
 Defaults are those of the published robot. The thesis is silent on contact, servo gain and damping, and the damping of
 knees, ankles and spine: the contact is that of the author's model, the others were identified from the published
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 from nermo_mjx.robot.terrains import TerrainShape
 
@@ -107,3 +108,4 @@ class ModelParameters:
     mass: Mass = group(Mass)
     ground: Ground = group(Ground)
     terrain: TerrainShape = group(TerrainShape)
+    geometry: Geometry = group(Geometry)

@@ -70,6 +70,11 @@ REAR_LEG: Final = LegGeometry(
     neutral_foot=(0.000, -0.050),
 )  # fmt: skip
 LEGS: Final = {"front": FRONT_LEG, "rear": REAR_LEG}
+#: A leg servo's output is inside the plane of its leg by the first, its case ends behind that by the second [m].
+SERVO_INSIDE: Final = 0.0038
+SERVO_DEPTH: Final = 0.0190
+#: How much farther out a pulley's rim is than the middle of its tendon [m].
+PULLEY_RIM: Final = 0.0008
 #: Radius of the sphere with which a foot touches the ground [m].
 FOOT_RADIUS: Final = 0.002
 

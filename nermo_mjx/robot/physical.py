@@ -7,7 +7,7 @@ into the model.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, Final
 
 import mujoco
@@ -30,6 +30,11 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
     """
     geoms = {model.geom(i).name for i in _geoms(model)}
     sites = {model.site(i).name for i in _sites(model)} | set(READ)
+    return reduced_model(spec, geoms, sites)
+
+
+def reduced_model(spec: mujoco.MjSpec, geoms: Collection[str], sites: Collection[str]) -> mujoco.MjModel:
+    """The compiled model of a specification, which is not changed, with these geoms and sites and no looks."""
     lean = spec.copy()
     for geom in list(lean.geoms):
         if geom.name not in geoms:

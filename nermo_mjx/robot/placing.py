@@ -17,7 +17,7 @@ from nermo_mjx.robot.files import load_file
 from nermo_mjx.robot.geometry import Geometry, dh_table, leg_geometry
 from nermo_mjx.robot.leg_plane import tendon_limit
 from nermo_mjx.robot.mirror import turn
-from nermo_mjx.robot.parameters import BODY, EYE, LEGS, ROUTINGS, SPINE, TAIL
+from nermo_mjx.robot.parameters import BODY, EYE, LEGS, ROUTINGS, SERVO_INSIDE, SPINE, TAIL
 from nermo_mjx.robot.tail import add_tail
 
 #: From the shoulder's or hip's axis to the end of the capsule about its servos, left, back and up [m].
@@ -75,8 +75,11 @@ def _limbs(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     place = geometry.shoulder if pair == "front" else geometry.hip
     axis, height = np.array([place.x, place.y, place.z], float), LEGS[pair].pulley_height
     for side, mirrored in (("left", (1.0, 1.0, 1.0)), ("right", (-1.0, 1.0, 1.0))):
-        for name, up in ((f"{pair}_{side}_mount", 0.0), (f"{side}_hip_servo", 0.0), (f"{side}_knee_servo", height)):
-            spec.frame(name).pos = mirrored * (axis + np.array((0.0, 0.0, up)))
+        for name, inside, up in (
+            (f"{pair}_{side}_mount", 0.0, 0.0), (f"{side}_hip_servo", SERVO_INSIDE, 0.0),
+            (f"{side}_knee_servo", SERVO_INSIDE, height),
+        ):  # fmt: skip
+            spec.frame(name).pos = mirrored * (axis + np.array((-inside, 0.0, up)))
     end = axis + _SERVOS["torso" if pair == "front" else "hip"]
     spec.geom("bumper").fromto = np.concatenate([end * [-1.0, 1.0, 1.0], end])
 

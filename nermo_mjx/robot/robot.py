@@ -15,13 +15,17 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.robot.assembly import RobotConfig, assemble
+from nermo_mjx.robot.assembly import RobotConfig, assemble, default_parameters
+from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot.meshes.catalogue import redraw
+from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS
-from nermo_mjx.robot.physical import physical_model
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.physical import physical_model, reduced_model
+from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, scene_geoms, scene_name
 from nermo_mjx.robot.terrain import Terrain
 from nermo_mjx.shapes import Array
@@ -92,21 +96,7 @@ class _Compiled:
 
     @functools.cached_property
     def mass_model(self) -> MassModel:
-        data = mujoco.MjData(self.model)
-        mujoco.mj_forward(self.model, data)
-        front = np.array([is_front(self.model.body(i).name) for i in range(1, self.model.nbody)])
-        mass, com = self.model.body_mass[1:], data.xipos[1:]
-        base, end = data.body("torso"), data.site("spine_end")
-
-        def share(chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
-            total = float(mass[chosen].sum())
-            centre = rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
-            centre.flags.writeable = False
-            return total, centre
-
-        front_mass, front_com = share(front, base.xpos, base.xmat)
-        rear_mass, rear_com = share(~front, end.xpos, end.xmat)
-        return MassModel(front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com)
+        return _mass_model(self.model)
 
     @functools.cached_property
     def fingerprint(self) -> str:
@@ -140,6 +130,27 @@ class Robot:
     def physical(self) -> mujoco.MjModel:
         """`model` without what is only drawn or marked, for engines; the ids of geoms and sites differ."""
         return copy.copy(self._compiled.physical)
+
+    def with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
+        """The whole model of this robot with other lengths and places, all else the same.
+
+        Args:
+            geometry: leaves of shape ().
+        """
+        spec = self._with(geometry)
+        redraw(spec, geometry)
+        return spec.compile()
+
+    def physical_with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
+        """The same of `physical`."""
+        known = self._compiled.physical
+        geoms, sites = ([one(i).name for i in range(n)] for one, n in
+                        ((known.geom, known.ngeom), (known.site, known.nsite)))  # fmt: skip
+        return reduced_model(self._with(geometry), geoms, sites)
+
+    def _with(self, geometry: Geometry) -> mujoco.MjSpec:
+        parameters = dataclasses.replace(default_parameters(self.config.robot), geometry=geometry)
+        return assemble(self.config, replace_quantities(parameters, gravity_values(self.gravity)))
 
     @property
     def joints(self) -> JointIndex:
@@ -229,6 +240,57 @@ def _compile(config: RobotConfig) -> _Compiled:
         raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None
     terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground), str(config.scene))
     return _Compiled(spec, model, _joint_index(model), terrain)
+
+
+def _mass_model(model: mujoco.MjModel) -> MassModel:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    front = np.array([is_front(model.body(i).name) for i in range(1, model.nbody)])
+    mass, com = model.body_mass[1:], data.xipos[1:]
+    base, end = data.body("torso"), data.site("spine_end")
+
+    def share(chosen: np.ndarray, origin: np.ndarray, rotation: np.ndarray) -> tuple[float, np.ndarray]:
+        total = float(mass[chosen].sum())
+        centre = rotation.reshape(3, 3).T @ (mass[chosen] @ com[chosen] / total - origin)
+        centre.flags.writeable = False
+        return total, centre
+
+    front_mass, front_com = share(front, base.xpos, base.xmat)
+    rear_mass, rear_com = share(~front, end.xpos, end.xmat)
+    return MassModel(front_mass=front_mass, rear_mass=rear_mass, front_com=front_com, rear_com=rear_com)
+
+
+def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
+    """`Robot.mass_model` of a robot with other lengths and places, in JAX.
+
+    Centres of mass of the standing robot are linear in them.
+
+    Args:
+        config: of the robot.
+        geometry: leaves of shape ().
+    """
+    published, slopes = _mass_slopes(config)
+    front, rear = (jnp.asarray(com, float) for com in (published.front_com, published.rear_com))
+    start = {name: about.default for name, about in quantities(Geometry)}
+    for name, value in values_of(geometry):
+        more = jnp.asarray(value, float) - jnp.asarray(start[name], float)
+        front, rear = (com + more * jnp.asarray(slope, float) for com, slope in zip((front, rear), slopes[name],
+                                                                                  strict=True))  # fmt: skip
+    return dataclasses.replace(published, front_com=front, rear_com=rear)
+
+
+@functools.lru_cache(maxsize=8)
+def _mass_slopes(config: RobotConfig) -> tuple[MassModel, dict[str, tuple[np.ndarray, np.ndarray]]]:
+    """The published mass model, and how its centres move with each parameter of the geometry."""
+    robot, slopes = Robot(config, _compile(config)), {}
+    for name, about in quantities(Geometry):
+        low, high = (
+            _mass_model(robot.physical_with_geometry(replace_quantities(Geometry(), {name: np.asarray(end)})))
+            for end in (about.low, about.high)
+        )
+        span = about.high - about.low
+        slopes[name] = (high.front_com - low.front_com) / span, (high.rear_com - low.rear_com) / span
+    return robot.mass_model, slopes
 
 
 def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
 from nermo_mjx.physics.variation import Variation
+from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.length import Run
@@ -138,8 +139,10 @@ class Rollout:
         params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)
         loop, ticks = self._loop_parameters(params, self.seconds(values, policy))
-        own = self.start.qpos(params.control, params.start, loop.terrain) if qpos is None else qpos
-        first = jnp.asarray(own, float)
+        if qpos is None:
+            geometry = params.model.geometry if names_geometry(values) else None
+            qpos = self.start.qpos(params.control, params.start, loop.terrain, geometry)
+        first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))
 

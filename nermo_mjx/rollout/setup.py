@@ -14,11 +14,12 @@ from jaxtyping import Float
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.fusion import SAGITTAL_MODES, SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
-from nermo_mjx.control.parameters import ControlParameters, choice, published_values
+from nermo_mjx.control.parameters import ControlParameters, choice, published_values, with_geometry
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters
@@ -156,7 +157,8 @@ class Setup:
         own = self._without_robot
         assert isinstance(own, Controller)
         assert isinstance(own.spine, SpineModes)
-        modes = SpineModes((*own.spine.modes, "balance"), self.load().mass_model)
+        robot = self.load()
+        modes = SpineModes((*own.spine.modes, "balance"), robot.mass_model, robot.config)
         return dataclasses.replace(own, spine=modes)
 
     @functools.cached_property
@@ -212,7 +214,8 @@ class Setup:
                     f"{field.name} is {getattr(self, field.name)!r} beside a custom controller: it goes with the "
                     "published controller; leave it out."
                 )
-        taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(ControlParameters)}
+        shared = ControlParameters(geometry=Geometry())
+        taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(shared)}
         for name, _ in quantities(controller.parameters):
             if name in taken:
                 raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
@@ -266,6 +269,8 @@ class Setup:
                     f"policy is {there}: expected the structure of the controller's parameters, {here}."
                 )
             world = dataclasses.replace(world, control=policy)
+        if names_geometry(values):
+            world = dataclasses.replace(world, control=with_geometry(world.control))
         return replace_quantities(world, self._completed(values))
 
     def _completed(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -300,6 +305,7 @@ class Setup:
         for name, about in _bounded_by_step(dict(quantities(ModelParameters)), self.timestep).items():
             group, field = name.split(".")
             about.check(name, getattr(getattr(world.model, group), field))
+        check_geometry(world.model.geometry)
         check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
         controller = self._without_robot
         if jointly and isinstance(controller, ChecksParameters):

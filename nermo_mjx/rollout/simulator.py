@@ -17,6 +17,7 @@ import numpy as np
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.robot import Sensors
+from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.lanes import Lanes
@@ -129,13 +130,16 @@ class Simulator:
 
     def prepare(self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None) -> Batch:
         """What `run` hands to the engine; the arguments are the same."""
-        params, worlds = _batched(self.parameters(values, policy), self.setup.world({}), values)
+        # Of the same structure: parameters have a geometry where one is named.
+        single = self.setup.world({name: 0.0 for name in values if names_geometry([name])})
+        params, worlds = _batched(self.parameters(values, policy), single, values)
         window = _window(run or Run(), params, self.controller, worlds)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         terrain = params.model.terrain if self.robot.terrain.has_shape else None
+        geometry = params.model.geometry if names_geometry(values) else None
         return Batch(
             params=_single(LoopParameters(params.control, params.start, window, params.model.servo.speed, terrain)),
-            qpos=self.start.batch(params.control, params.start, terrain),
+            qpos=self.start.batch(params.control, params.start, terrain, geometry),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,

@@ -15,7 +15,8 @@ from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.kinematics import spine
 from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
-from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.robot import Robot
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.parameters import Start
@@ -39,32 +40,35 @@ class StartPose:
     robot: Robot
     controller: ControllerLike
 
-    def qpos(self, control: Any, start: Start, terrain: TerrainShape | None = None) -> Float[Array, " nq"]:
+    def qpos(
+        self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None
+    ) -> Float[Array, " nq"]:
         """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y.
 
         Args:
             control: the controller's parameters.
             start: where, and in which phase.
             terrain: shape of the ground, see `Terrain.height`.
+            geometry: of the body, by default the published one.
         """
+        geometry = geometry or Geometry()
         servo = self.controller.initial_servo(control, start.phase)
-        legs = four_legs()
+        legs = four_legs(geometry)
         eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
         pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
-        bend = spine.joint_angle(servo.spine)
-        lifted = spine.joint_angle(servo.spine_vertical) if self.robot.joints.spine_vertical else None
-        axis_height = jnp.concatenate([shoulders()[:, 2], hips(bend)[:, 2]])
-        sole = self.robot.model.geom(f"{LIMBS[0]}_sole").size[0]
+        bend = spine.joint_angle(servo.spine, geometry)
+        lifted = spine.joint_angle(servo.spine_vertical, geometry) if self.robot.joints.spine_vertical else None
+        axis_height = jnp.concatenate([shoulders(geometry)[:, 2], hips(bend, geometry)[:, 2]])
         # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
         yaw = start.yaw + 0.5 * 4 * bend
         # Each foot has its own ground; the body is as high as the one that needs it highest.
-        x, y, z = jnp.moveaxis(feet_positions(bend, pose.foot, lifted), -1, 0)
+        x, y, z = jnp.moveaxis(feet_positions(bend, pose.foot, geometry, lifted), -1, 0)
         cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
         place = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
         beneath = self.robot.terrain.height(*place, terrain)
         # The vertical spine turns the legs by up to half a radian, the lateral one by a few hundredths.
         below = axis_height + pose.foot[:, 1] if lifted is None else z
-        height = jnp.max(sole - DEPTH - below + beneath)
+        height = jnp.max(geometry.foot.radius - DEPTH - below + beneath)
 
         joints, half = self.robot.joints, yaw / 2
         zero = jnp.zeros_like(half)
@@ -78,9 +82,11 @@ class StartPose:
         pulley = np.array(joints.spine_vertical_pulley)
         return qpos.at[np.array(joints.spine_vertical)].set(lifted).at[pulley].set(servo.spine_vertical)
 
-    def batch(self, control: Any, start: Start, terrain: TerrainShape | None = None) -> np.ndarray:
+    def batch(
+        self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None
+    ) -> np.ndarray:
         """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
-        return np.asarray(self._batched(control, start, terrain), float)
+        return np.asarray(self._batched(control, start, terrain, geometry), float)
 
     @functools.cached_property
     def _batched(self) -> Lanes:

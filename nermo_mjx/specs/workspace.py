@@ -49,4 +49,4 @@ def check_workspace(
 
 
 def _of_legs(name: str) -> bool:
-    return name == "stride" or name.startswith("stance.")
+    return name == "stride" or name.startswith(("stance.", "geometry.front_leg.", "geometry.rear_leg."))

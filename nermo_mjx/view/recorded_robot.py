@@ -5,10 +5,12 @@ from __future__ import annotations
 import dataclasses
 
 import mujoco
+import numpy as np
 
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.robot.terrains import terrain_values
 
 
@@ -26,8 +28,15 @@ def robot_of(recording: Recording) -> Robot:
     return robot
 
 
+def recorded_geometry(recording: Recording) -> Geometry:
+    """Lengths and places of the recorded robot; those of a recording without them are the published ones."""
+    given, known = recording.metadata.get("parameters") or {}, {name for name, _ in quantities(Geometry)}
+    own = {name.removeprefix("geometry."): value for name, value in given.items() if value is not None}
+    return replace_quantities(Geometry(), {name: np.asarray(own[name], float) for name in known & own.keys()})
+
+
 def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
-    """The robot's whole model with the masses, springs, dampers, servos and contacts of the run.
+    """The robot's whole model with the masses, springs, dampers, servos, contacts and geometry of the run.
 
     Returns:
         `robot.model` itself if the recording's parameters change nothing about the body.

@@ -35,16 +35,20 @@ from nermo_mjx.physics import Engine, Trace, Variation, make_engine
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, load_robot
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
 from nermo_mjx.rollout.result import History
 from nermo_mjx.rollout.simulator import BLOCK
 
 NAME: Final = "balance"
 SCENE: Final = "balance_stand"
-#: Parameters of the controller that apply here; those of the body come from `ModelParameters`.
+#: Parameters of the controller that apply here; those of the body come from `ModelParameters`. The protocol is written
+#: for the published geometry.
 SPINE_NAMES: Final = ("spine.max_servo_angle", "spine.balance_lift", "spine.offset_compensation")
 #: Parameters that may be set for all worlds.
-SETTABLE: Final = frozenset(SPINE_NAMES) | {name for name, _ in quantities(ModelParameters)}
+SETTABLE: Final = frozenset(SPINE_NAMES) | {
+    name for name, _ in quantities(ModelParameters) if not name.startswith("geometry.")
+}
 #: The published offset compensation (5.31) is on; the text of the balance test does not say. Without it the bent robot
 #: rests on either side of its diagonal, and the speed of the bend decides on which: see `BalanceLoop.servos`.
 OFFSET_COMPENSATION: Final = 1.0
@@ -144,8 +148,8 @@ def _measured_bodies(values: Mapping[str, float], bodies: Mapping[str, np.ndarra
 
 def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[float]:
     """Margin of each world by (5.34, 5.35), in the commanded posture [m]."""
-    feet = np.asarray(forward(four_legs(), STANCE, ROUTING).foot)
-    bends = np.asarray(joint_angle(jax.vmap(loop.spine_servo)(params)))
+    feet = np.asarray(forward(four_legs(Geometry()), STANCE, ROUTING).foot)
+    bends = np.asarray(joint_angle(jax.vmap(loop.spine_servo)(params), Geometry()))
     limbs = np.argmax(np.asarray(params.lifted), axis=1)
     return [stability(loop.robot.mass_model, feet, limbs[i], float(bends[i])) for i in range(worlds)]
 

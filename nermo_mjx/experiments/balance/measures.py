@@ -19,6 +19,7 @@ from nermo_mjx.kinematics.balance import diagonal_distance
 from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS
+from nermo_mjx.robot.geometry import Geometry
 
 #: For each lifted limb, the front and the rear foot of the diagonal over which it may tip. The third standing foot is
 #: the one opposite, 3 - limb: it carries the load if the centre of mass is inside the diagonal.
@@ -61,10 +62,11 @@ def tip_angle() -> float:
     kinematics of the level stance: 0.20 rad in front, 0.15 rad behind. The smaller one judges all cases.
     """
     feet, raised = (
-        np.asarray(forward(four_legs(), STANCE + [[0.0, q2] for q2 in change], ROUTING).foot, float)
+        np.asarray(forward(four_legs(Geometry()), STANCE + [[0.0, q2] for q2 in change], ROUTING).foot, float)
         for change in (np.zeros(4), COMPRESSION)
     )
-    ground = np.concatenate([shoulders(), hips(0.0)])[:, :2] + np.column_stack([np.zeros(4), feet[:, 0]])
+    axes = np.concatenate([shoulders(Geometry()), hips(0.0, Geometry())])
+    ground = axes[:, :2] + np.column_stack([np.zeros(4), feet[:, 0]])
     lever = [
         abs(float(diagonal_distance(ground[limb], ground[front], ground[rear])))
         for limb, (front, rear) in enumerate(DIAGONAL)

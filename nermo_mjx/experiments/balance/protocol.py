@@ -20,6 +20,7 @@ from nermo_mjx.control import fusion
 from nermo_mjx.control.parameters import Spine
 from nermo_mjx.kinematics.leg import forward, four_legs, inverse
 from nermo_mjx.robot import Robot, ServoAngles
+from nermo_mjx.robot.geometry import Geometry
 
 #: Neutral stance of the balance test (q1, q2) of each limb [rad]: `balance_stance` of the reference parameters.
 STANCE: Final = np.array([[0.42, 0.60], [0.42, 0.60], [-0.15, -0.66], [-0.15, -0.66]])
@@ -124,8 +125,8 @@ class BalanceLoop:
 
     def spine_servo(self, params: BalanceParameters) -> Float[Array, ""]:
         """Servo angle that balances the robot on the three other feet [rad] (5.35, 5.45); 0 without SBC."""
-        feet = forward(four_legs(), STANCE, ROUTING).foot
-        angle = fusion.balance(params.spine, self.robot.mass_model, feet, jnp.asarray(params.lifted) < 0.5)
+        feet = forward(four_legs(Geometry()), STANCE, ROUTING).foot
+        angle = fusion.balance(params.spine, self.robot.mass_model, feet, jnp.asarray(params.lifted) < 0.5, Geometry())
         return jnp.asarray(params.sbc) * fusion.fuse(params.spine, jnp.zeros(()), angle)
 
     def servos(self, params: BalanceParameters, time: ArrayLike) -> ServoAngles:
@@ -136,8 +137,8 @@ class BalanceLoop:
         """
         spine = during(time, "shift") * self.spine_servo(params)
         lifted = jnp.asarray(params.lifted)[:, None]
-        legs = four_legs()
-        shift = (1.0 - lifted) * fusion.compensation(params.spine, spine)
+        legs = four_legs(Geometry())
+        shift = (1.0 - lifted) * fusion.compensation(params.spine, spine, Geometry())
         level = inverse(legs, forward(legs, STANCE, ROUTING).foot + shift, ROUTING).servo
         # Exactly the stance if there is nothing to compensate: a round trip through the foot would lose some digits.
         stance = jnp.where(shift[:, 1:] == 0.0, jnp.asarray(STANCE, level.dtype), level)

@@ -12,6 +12,7 @@ from nermo_mjx.experiments.balance.protocol import ROUTING, STANCE
 from nermo_mjx.kinematics.body import hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.rollout.start import TAUT
 
 #: Repeats differ by up to this much, up and down: position of the body [m], its attitude and the leg servos [rad].
@@ -38,8 +39,8 @@ def nudge(seed: int, case: int, repeat: int) -> Nudge:
 
 def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
     """Positions (nq,): heading -y, the four soles of the neutral stance level with the ground, then perturbed."""
-    legs = four_legs()
-    axes = np.concatenate([shoulders(), hips(0.0)]).astype(float)
+    legs = four_legs(Geometry())
+    axes = np.concatenate([shoulders(Geometry()), hips(0.0, Geometry())]).astype(float)
     neutral = _soles(axes, np.asarray(forward(legs, STANCE, ROUTING).foot, float))
     # Front and rear legs differ in length, so that the torso pitches by a fraction of a degree when all four stand.
     pitch = math.atan2(neutral[0, 2] - neutral[2, 2], neutral[2, 1] - neutral[0, 1])

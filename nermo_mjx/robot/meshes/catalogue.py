@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import mujoco
+
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.creases import creased
 from nermo_mjx.robot.meshes.head import head_shapes
 from nermo_mjx.robot.meshes.hip import hip_shapes
@@ -15,6 +18,24 @@ from nermo_mjx.robot.meshes.torso import torso_shapes
 
 def mesh_texts() -> dict[str, str]:
     """The text of every file in `mjcf/meshes`, by the file's name."""
-    shapes = torso_shapes() | head_shapes() | spine_shapes() | hip_shapes() | leg_shapes() | tail_shapes()
-    shapes["servo"] = servo()
+    robot = Geometry()
+    shapes = torso_shapes(robot) | head_shapes() | spine_shapes(robot) | hip_shapes(robot) | leg_shapes(robot)
+    shapes |= tail_shapes() | {"servo": servo()}
     return {f"{name}.obj": to_obj(creased(shape)) for name, shape in sorted(shapes.items())}
+
+
+def redraw(spec: mujoco.MjSpec, geometry: Geometry) -> None:
+    """Give an assembled robot the meshes of its geometry, in place of those of the files.
+
+    Args:
+        spec: of the robot.
+        geometry: with which it was assembled.
+    """
+    shapes = torso_shapes(geometry) | hip_shapes(geometry) | leg_shapes(geometry)
+    shapes |= {f"spine_{name.removeprefix('spine_')}": shape for name, shape in spine_shapes(geometry).items()}
+    for mesh in spec.meshes:
+        # Both sides have one file, and right is mirrored by its scale.
+        shape = shapes.get(mesh.name.replace("_left_", "_").replace("_right_", "_"))
+        if shape is not None:
+            drawn = creased(shape)
+            mesh.uservert, mesh.userface = drawn.vertices.ravel(), drawn.faces.ravel()

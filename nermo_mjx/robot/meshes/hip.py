@@ -7,19 +7,21 @@ from __future__ import annotations
 
 from typing import Final
 
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.numbers import MM, SERVO_WIDTH
 from nermo_mjx.robot.meshes.servo import BEFORE, BEHIND
 from nermo_mjx.robot.meshes.shapes import Shape, beam, block, join
-from nermo_mjx.robot.parameters import BODY, REAR_LEG
+from nermo_mjx.robot.parameters import REAR_LEG
 
 #: The bar toward the spine, and the rump: y, middle z, half-width, half-height [mm].
 NECK: Final = ((0.5, 0.6, 4.0, 3.4), (3.0, -2.2, 5.0, 2.4), (7.0, -4.2, 7.0, 1.8), (11.0, -4.4, 8.0, 1.6))
 RUMP: Final = ((20.0, -9.4, 11.0, 6.6), (25.0, -8.6, 10.0, 6.0), (29.5, -7.0, 7.0, 4.6), (32.0, -5.8, 3.6, 2.6))
 
 
-def hip_shapes() -> dict[str, Shape]:
+def hip_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of the hip, by file name."""
-    x, y, z = (MM * value for value in BODY.hip)
+    place = geometry.hip
+    x, y, z = (MM * float(value) for value in (place.x, place.y, place.z))
     upper = z + MM * REAR_LEG.pulley_height
     w, low, high = SERVO_WIDTH / 2, y - BEFORE, y + BEHIND
     side, inner = x - 5.0, x - 23.4

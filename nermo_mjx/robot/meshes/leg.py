@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from nermo_mjx.robot.geometry import Geometry, leg_geometry
 from nermo_mjx.robot.meshes.numbers import MM, TENDON
 from nermo_mjx.robot.meshes.shapes import (
     Shape,
@@ -23,7 +24,7 @@ from nermo_mjx.robot.meshes.shapes import (
     tube,
     turned_part,
 )
-from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, LegGeometry
+from nermo_mjx.robot.parameters import FRONT_LEG, LEGS, PULLEY_RIM, LegGeometry
 
 #: How much stouter than the front legs the rear legs are.
 STOUT: Final = {"front": 1.0, "rear": 1.12}
@@ -34,13 +35,13 @@ TONGUE: Final = 1.35
 PULLEY_WIDTH: Final = 1.5
 
 
-def leg_shapes() -> dict[str, Shape]:
+def leg_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of both pairs of legs, by file name."""
     shapes = {"leg_paw": paw()}
     shapes["leg_pulley"] = grooved_pulley(MM * FRONT_LEG.pulley_radius, PULLEY_WIDTH)
     shapes["leg_pulley_holes"] = pulley_holes(MM * FRONT_LEG.pulley_radius, PULLEY_WIDTH)
-    for pair, leg in (("front", FRONT_LEG), ("rear", REAR_LEG)):
-        stout = STOUT[pair]
+    for pair in LEGS:
+        leg, stout = leg_geometry(geometry, pair), STOUT[pair]
         shapes[f"{pair}_upper"] = upper(leg, stout)
         shapes[f"{pair}_lower"] = lower(leg, stout)
         shapes[f"{pair}_foot"] = foot(leg, stout)
@@ -50,7 +51,7 @@ def leg_shapes() -> dict[str, Shape]:
 
 def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON) -> Shape:
     """A pulley about the x axis; a tendon of radius `tendon` lies in its groove, its middle at `radius` [mm]."""
-    rim, floor, w = radius + 0.8, radius - tendon - 0.1, half_width
+    rim, floor, w = radius + MM * PULLEY_RIM, radius - tendon - 0.1, half_width
     profile = [
         (-w, rim), (-0.55, floor), (0.55, floor), (w - 0.1, rim), (w, radius - 1.0), (w - 0.4, radius - 1.4),
         (w - 0.4, 2.4), (w + 0.4, 2.0),

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from nermo_mjx.robot.parameters import SPINE
+from nermo_mjx.robot.geometry import Geometry, dh_table
 
 #: Millimetres in a metre: meshes are in millimetres, the robot's numbers in metres.
 MM: Final = 1000.0
@@ -17,10 +17,10 @@ TENDON: Final = 0.5
 SERVO_WIDTH: Final = 11.0
 
 
-def dh_pose(first: int, last: int) -> Float[np.ndarray, "4 4"]:
+def dh_pose(first: int, last: int, geometry: Geometry) -> Float[np.ndarray, "4 4"]:
     """Pose of DH row `last` seen from row `first` of the straight spine; lengths in mm."""
     pose = np.eye(4)
-    for alpha, a, theta, d in SPINE.dh[first + 1 : last + 1]:
+    for alpha, a, theta, d in dh_table(geometry)[first + 1 : last + 1]:
         ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
         pose = pose @ np.array(
             [

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from nermo_mjx.robot.meshes.numbers import SERVO_WIDTH
+from nermo_mjx.robot.meshes.numbers import MM, SERVO_WIDTH
 from nermo_mjx.robot.meshes.shapes import Shape, block, join, turned_part
+from nermo_mjx.robot.parameters import SERVO_DEPTH
 
 #: Depth along the axis, and reach before and behind it [mm]; the case of a Power HD-DSM44, about.
-DEPTH: Final = 19.0
+DEPTH: Final = MM * SERVO_DEPTH
 BEFORE: Final = 6.0
 BEHIND: Final = 13.0
 

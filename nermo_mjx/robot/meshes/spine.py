@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.leg import grooved_pulley, pulley_holes
 from nermo_mjx.robot.meshes.numbers import MM, dh_pose
 from nermo_mjx.robot.meshes.shapes import Shape, block, join, loft, rotation, rounded_rectangle, turned_part
@@ -26,19 +27,21 @@ WAIST: Final = 3.3
 PULLEY_WIDTH: Final = 1.2
 
 
-def spine_shapes() -> dict[str, Shape]:
+def spine_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of the spine, by file name."""
     joints = SPINE.lateral_joints
     shapes = {
-        f"vertebra_{i}": vertebra(dh_pose(here, there)) for i, (here, there) in enumerate(itertools.pairwise(joints), 1)
+        f"vertebra_{i}": vertebra(dh_pose(here, there, geometry))
+        for i, (here, there) in enumerate(itertools.pairwise(joints), 1)
     }
-    shapes["spine_front"] = front_stub()
+    shapes["spine_front"] = front_stub(geometry)
     shapes["spine_rear"] = rear_stub()
     shapes["spine_flexure"] = flexure()
     shapes["spine_segment"] = segment()
+    radius = MM * float(geometry.spine.pulley_radius)
     upright = rotation("y", -np.pi / 2)
-    shapes["spine_pulley"] = grooved_pulley(MM * SPINE.pulley_radius, PULLEY_WIDTH).transformed(upright)
-    shapes["spine_pulley_holes"] = pulley_holes(MM * SPINE.pulley_radius, PULLEY_WIDTH).transformed(upright)
+    shapes["spine_pulley"] = grooved_pulley(radius, PULLEY_WIDTH).transformed(upright)
+    shapes["spine_pulley_holes"] = pulley_holes(radius, PULLEY_WIDTH).transformed(upright)
     return shapes
 
 
@@ -59,9 +62,9 @@ def vertebra(after: Float[np.ndarray, "4 4"]) -> Shape:
     )
 
 
-def front_stub() -> Shape:
+def front_stub(geometry: Geometry) -> Shape:
     """From the torso's frame to the first joint, in the torso's frame."""
-    joint = dh_pose(-1, SPINE.lateral_joints[0])
+    joint = dh_pose(-1, SPINE.lateral_joints[0], geometry)
     disc = end_disc().transformed(joint[:3, :3], joint[:3, 3])
     start = np.eye(4)
     start[:3, :3], start[:3, 3] = rotation("z", np.pi / 2), (0.0, -4.0, -0.4)

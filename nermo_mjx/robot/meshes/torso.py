@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.numbers import MM, SERVO_WIDTH
 from nermo_mjx.robot.meshes.servo import BEFORE, BEHIND
 from nermo_mjx.robot.meshes.shapes import Shape, beam, block, join, loft, rounded_rectangle, tube, turned_part
@@ -35,10 +36,10 @@ RIBS: Final = (
 )
 
 
-def torso_shapes() -> dict[str, Shape]:
+def torso_shapes(geometry: Geometry) -> dict[str, Shape]:
     """Meshes of the torso, by file name."""
     return {
-        "torso_frame": frame(),
+        "torso_frame": frame(geometry),
         "torso_ribs": join(*(rib(*numbers) for numbers in RIBS)),
         "torso_board": board(),
         "torso_chips": chips(),
@@ -62,10 +63,10 @@ def rib(y: float, width: float, bottom: float, forward: float) -> Shape:
     return tube(path, (1.6, 0.7), 4, up=(0.0, 1.0, 0.0), closed=True)
 
 
-def frame() -> Shape:
+def frame(geometry: Geometry) -> Shape:
     """Back beam with its crests, breastbone, and the bracket that holds four servos and the neck's."""
     crests = [crest(y) for y in (*(numbers[0] for numbers in RIBS), -47.0, -55.0)]
-    return join(beam(BEAM, 1.0), *crests, beam(BREASTBONE, 0.5), *shoulders())
+    return join(beam(BEAM, 1.0), *crests, beam(BREASTBONE, 0.5), *shoulders(geometry))
 
 
 def crest(y: float) -> Shape:
@@ -77,9 +78,10 @@ def crest(y: float) -> Shape:
     return loft(rings)
 
 
-def shoulders() -> list[Shape]:
+def shoulders(geometry: Geometry) -> list[Shape]:
     """The bracket between and around the stacked servos of both front legs."""
-    x, y, z = (MM * value for value in BODY.shoulder)
+    place = geometry.shoulder
+    x, y, z = (MM * float(value) for value in (place.x, place.y, place.z))
     upper = z + MM * FRONT_LEG.pulley_height
     w, low, high = SERVO_WIDTH / 2, y - BEFORE, y + BEHIND
     side = x - 5.0

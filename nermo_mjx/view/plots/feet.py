@@ -12,7 +12,9 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, GRID, INK, horizontal_grid
 from nermo_mjx.robot import LIMBS, Robot
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.view.plots.walk import Walk, name_of
+from nermo_mjx.view.recorded_robot import recorded_geometry, recorded_model
 
 
 def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
@@ -20,8 +22,9 @@ def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
     if walk.recording.ctrl.shape[1] < 2 * len(LIMBS):
         return None
     part, what = walk.shown
-    measured = in_leg_frame(robot, walk.recording.qpos[part])
-    commanded = commanded_feet(walk.recording.ctrl[part], robot.config.routing)
+    measured = in_leg_frame(recorded_model(walk.recording, robot), walk.recording.qpos[part])
+    geometry = recorded_geometry(walk.recording)
+    commanded = commanded_feet(walk.recording.ctrl[part], robot.config.routing, geometry)
     page = Page(f"Foot paths in the leg's frame{walk.title}", (7.4, 4.9), 2, 2, sharex=True, sharey="row")
     for i, (ax, limb) in enumerate(zip(page.axes.ravel(), LIMBS, strict=True)):
         ax.plot(-1e3 * commanded[:, i, 0], 1e3 * commanded[:, i, 1], color=INK, lw=1.0, ls=(0, (4, 2)), zorder=3)
@@ -69,13 +72,14 @@ def over_ground(walk: Walk) -> Figure | None:
     return page.finish([], note)
 
 
-def in_leg_frame(robot: Robot, qpos: np.ndarray) -> np.ndarray:
+def in_leg_frame(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
     """Feet (T, 4, 2) as (y, z) from the hip or shoulder axis, in the frame of the torso or the hip that bears it [m].
 
     Args:
+        model: of the recorded robot.
         qpos: (T, nq).
     """
-    model, data = robot.model, mujoco.MjData(robot.model)
+    data = mujoco.MjData(model)
     axes = [model.site(f"{limb}_axis").id for limb in LIMBS]
     feet = [model.site(f"{limb}_foot").id for limb in LIMBS]
     bodies = model.site_bodyid[axes]
@@ -92,7 +96,7 @@ def in_leg_frame(robot: Robot, qpos: np.ndarray) -> np.ndarray:
     return found
 
 
-def commanded_feet(ctrl: np.ndarray, routing: str) -> np.ndarray:
+def commanded_feet(ctrl: np.ndarray, routing: str, geometry: Geometry) -> np.ndarray:
     """Feet (T, 4, 2) as (y, z) from the axis [m] of commanded servo angles (T, nu), where nothing gives way."""
     servo = np.stack([ctrl[:, : len(LIMBS)], ctrl[:, len(LIMBS) : 2 * len(LIMBS)]], axis=-1)
-    return np.asarray(forward(four_legs(), servo, routing).foot)
+    return np.asarray(forward(four_legs(geometry), servo, routing).foot)
