@@ -10,6 +10,7 @@ from collections.abc import Generator, Iterator
 from typing import Any
 
 import chromium
+import jax
 import numpy as np
 import pytest
 import tiers
@@ -167,3 +168,20 @@ def walks(simulator):
         return simulator(engine, spine="stride_extension").run(WALKS, WALK_RUN, record=True)
 
     return run
+
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+@pytest.fixture
+def compilations():
+    """Names of the programs XLA has compiled since the fixture began, cache hits included."""
+    seen: list[str] = []
+
+    def listen(event: str, duration: float, **about: str) -> None:
+        if event == COMPILED:
+            seen.append(about.get("fun_name", "program"))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield seen
+    jax.monitoring.unregister_event_duration_listener(listen)

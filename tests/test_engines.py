@@ -19,22 +19,6 @@ from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Run
 
-COMPILED = "/jax/core/compile/backend_compile_duration"
-
-
-@pytest.fixture
-def compilations():
-    """Names of the programs XLA has compiled since the fixture began, cache hits included."""
-    seen: list[str] = []
-
-    def listen(event: str, duration: float, **about: str) -> None:
-        if event == COMPILED:
-            seen.append(about.get("fun_name", "program"))
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield seen
-    jax.monitoring.unregister_event_duration_listener(listen)
-
 
 def test_c_engine_equals_one_mj_step_at_a_time(simulator):
     """A batch of the C engine is bit for bit what `mj_step` gives for the same servo targets, world by world."""

@@ -15,9 +15,13 @@ from nermo_mjx import SERVOS, Run, Setup, load_robot, servo_table
 from nermo_mjx.control import ControlParameters, CounterRoll, CounterYaw, Gaze, Pace, sway
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot import ParameterError, Sensors
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes import head as shapes
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.sweep import SpecError, Sweep
+
+#: The published robot.
+ROBOT = Geometry()
 
 pytestmark = pytest.mark.compiles
 
@@ -74,14 +78,15 @@ def test_the_course_goes_along_with_a_steady_turn_and_leaves_sway_out() -> None:
     headings = 2.5 + 0.2 * times + 0.14 * np.sin(omega * times)
     # The spine bends as the torso sways by another 0.05 rad, which the body's heading does not have.
     servo = 0.3 * np.sin(3.0 * times)
-    torso = headings + 0.5 * np.asarray(yaw(joint_angle(servo)))
+    torso = headings + 0.5 * np.asarray(yaw(joint_angle(servo, ROBOT)))
     still = sensors_at(Rotation.identity())
 
     def tick(course: sway.Course, seen: tuple[jax.Array, jax.Array]) -> tuple[sway.Course, jax.Array]:
         half, none = 0.5 * seen[0], jnp.zeros(())
         turned = jnp.stack([jnp.cos(half), none, none, jnp.sin(half)])
         bent = still.servo_angle.at[SERVOS.index("spine")].set(seen[1])
-        after = sway.observe(course, dataclasses.replace(still, orientation=turned, servo_angle=bent), bandwidth, dt)
+        sensors = dataclasses.replace(still, orientation=turned, servo_angle=bent)
+        after = sway.observe(course, sensors, bandwidth, dt, ROBOT)
         return after, after.heading
 
     begun = sway.Course(jnp.asarray(2.5), jnp.asarray(0.2))
@@ -98,7 +103,7 @@ def test_a_gradient_goes_through_the_gaze() -> None:
 
     def neck(gain: jax.Array, sensors: Sensors) -> jax.Array:
         params = replace_quantities(ControlParameters(), {"head.gain": gain})
-        return sum(Gaze().update(params, sway.begin(sensors), sensors, PACE, 0.01)[1])
+        return sum(Gaze().update(params, sway.begin(sensors, ROBOT), sensors, PACE, 0.01)[1])
 
     for torso in (Rotation.identity(), TILTED[0]):
         slopes = jax.grad(neck, argnums=(0, 1))(jnp.asarray(1.0), sensors_at(torso))

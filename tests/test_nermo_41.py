@@ -16,7 +16,11 @@ from nermo_mjx.control.sagittal import SagittalModes
 from nermo_mjx.kinematics import body, spine
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import assemble_spine
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import replace_quantities
+
+#: The published robot.
+ROBOT = Geometry()
 
 LIMBS = ("front_left", "front_right", "rear_left", "rear_right")
 BOUND = {"gait": "bound", "robot": "nermo_41"}
@@ -62,10 +66,10 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
         data.qpos[list(joints.spine)], data.qpos[list(joints.spine_vertical)] = theta, vertical
         mujoco.mj_kinematics(model, data)
         with jax.enable_x64(True):
-            pose = np.asarray(spine.transform(np.array(theta), np.full(4, vertical)))
-            hips = np.asarray(body.hips(np.array(theta), np.array(vertical)))
+            pose = np.asarray(spine.transform(np.array(theta), ROBOT, np.full(4, vertical)))
+            hips = np.asarray(body.hips(np.array(theta), ROBOT, np.array(vertical)))
             points = np.array([[0.0, 0.0], [0.0, 0.0], [0.003, -0.05], [-0.01, -0.045]])
-            feet = np.asarray(body.feet_positions(np.array(theta), points, np.array(vertical)))[2:]
+            feet = np.asarray(body.feet_positions(np.array(theta), points, ROBOT, np.array(vertical)))[2:]
         end = data.site("spine_end")
         np.testing.assert_allclose(seen_from_torso(data, end.xpos), pose[:3, 3], atol=1e-6)
         turn = data.body("torso").xmat.reshape(3, 3).T @ end.xmat.reshape(3, 3)
@@ -88,7 +92,7 @@ def test_each_servo_bends_its_own_plane_by_the_published_law():
         mujoco.mj_step(model, data, 700)
         for servo, names in zip((lateral, vertical), planes, strict=True):
             bent = np.array([data.joint(name).qpos[0] for name in names])
-            expected = float(spine.joint_angle(np.array(servo)))
+            expected = float(spine.joint_angle(np.array(servo), ROBOT))
             np.testing.assert_allclose(bent, expected, atol=0.04 * abs(expected) + 5e-4)
             assert np.ptp(bent) < 1e-3
 

@@ -194,8 +194,11 @@ class Controller:
     def _compensation(
         self, params: ControlParameters, spine: Scalar, vertical: Scalar | None, path: Float[Array, "4 2"]
     ) -> Float[Array, "4 2"]:
-        lifted = None if vertical is None else rear_foot_rise(joint_angle(spine), path, joint_angle(vertical))
-        return fusion.compensation(params.spine, spine, lifted)
+        geometry, lifted = geometry_of(params), None
+        if vertical is not None:
+            bends = joint_angle(spine, geometry), joint_angle(vertical, geometry)
+            lifted = rear_foot_rise(bends[0], path, bends[1], geometry)
+        return fusion.compensation(params.spine, spine, geometry, lifted)
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)

@@ -178,9 +178,7 @@ def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) ->
     return left_over * wanted
 
 
-def compensation(
-    spine: Spine, servo: Scalar, geometry: Geometry, lifted: Planar | None = None
-) -> Float[Array, "4 2"]:
+def compensation(spine: Spine, servo: Scalar, geometry: Geometry, lifted: Planar | None = None) -> Float[Array, "4 2"]:
     """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
 
     Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise.

@@ -21,6 +21,7 @@ from nermo_mjx.control import sway
 from nermo_mjx.control.parameters import ControlParameters, Head, choice
 from nermo_mjx.control.sway import Course, Pace
 from nermo_mjx.kinematics.attitude import turned_back
+from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.shapes import Array, Scalars
 
@@ -83,14 +84,14 @@ class Gaze:
 
     def init(self, params: ControlParameters, memory: Course, sensors: Sensors) -> Course:
         """See `HeadLike`."""
-        return sway.begin(sensors)
+        return sway.begin(sensors, geometry_of(params))
 
     def update(
         self, params: ControlParameters, memory: Course, sensors: Sensors, pace: Pace, dt: float
     ) -> tuple[Course, HeadAngles]:
         """See `HeadLike`."""
         head, held = params.head, _held(params.head, pace)
-        course = sway.observe(memory, sensors, head.bandwidth * pace.cycle_rate, dt)
+        course = sway.observe(memory, sensors, head.bandwidth * pace.cycle_rate, dt, geometry_of(params))
         seen = turned_back(sensors.orientation, _direction(course.heading + held.neck, held.tilt))
         seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
         level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)

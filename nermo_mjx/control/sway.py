@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.kinematics.spine import joint_angle, yaw
+from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.shapes import Array, Scalar, Scalars
 
@@ -48,19 +49,19 @@ class Course(NamedTuple):
     rate: Scalar
 
 
-def body_heading(sensors: Sensors) -> Scalar:
+def body_heading(sensors: Sensors, geometry: Geometry) -> Scalar:
     """Heading of the body [rad], in (-pi, pi]: a bent spine turns torso and hip to opposite sides of it."""
-    bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")]))
+    bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")], geometry))
     return attitude(sensors.orientation)[2] - 0.5 * bend
 
 
-def begin(sensors: Sensors) -> Course:
+def begin(sensors: Sensors, geometry: Geometry) -> Course:
     """The course of a robot that is put down."""
-    heading = body_heading(sensors)
+    heading = body_heading(sensors, geometry)
     return Course(heading, jnp.zeros_like(heading))
 
 
-def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float) -> Course:
+def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometry: Geometry) -> Course:
     """The course one tick later.
 
     Args:
@@ -68,9 +69,10 @@ def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float) -> Cour
         sensors: read now.
         bandwidth: b [rad/s]; what is faster is sway.
         dt: T, since the last tick [s].
+        geometry: of the robot.
     """
     expected = course.heading + dt * course.rate
-    surprise = wrapped(body_heading(sensors) - expected)
+    surprise = wrapped(body_heading(sensors, geometry) - expected)
     gain = dt * bandwidth
     return Course(expected + 2.0 * gain * surprise, course.rate + gain * bandwidth * surprise)
 

@@ -19,6 +19,7 @@ from nermo_mjx.control import sway
 from nermo_mjx.control.parameters import ControlParameters, choice
 from nermo_mjx.control.sway import Course, Pace
 from nermo_mjx.kinematics.attitude import attitude
+from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.shapes import Scalars
 
@@ -101,14 +102,14 @@ class CounterYaw:
 
     def init(self, params: ControlParameters, memory: Course, sensors: Sensors) -> Course:
         """See `TailLike`."""
-        return sway.begin(sensors)
+        return sway.begin(sensors, geometry_of(params))
 
     def update(
         self, params: ControlParameters, memory: Course, sensors: Sensors, pace: Pace, dt: float
     ) -> tuple[Course, Scalars]:
         """See `TailLike`."""
         tail = params.tail
-        course = sway.observe(memory, sensors, tail.bandwidth * pace.cycle_rate, dt)
+        course = sway.observe(memory, sensors, tail.bandwidth * pace.cycle_rate, dt, geometry_of(params))
         beside = sway.wrapped(attitude(sensors.orientation)[2] - course.heading)
         return course, tail.angle - tail.yaw_gain * beside
 

@@ -25,7 +25,6 @@ from nermo_mjx.shapes import Array
 
 #: Fields that are linear in the geometry.
 _LINEAR: Final[tuple[str, ...]] = ("body_pos", "body_ipos", "site_pos", "geom_pos", "geom_size")
-_ANTAGONISTS: Final = ("spine_left", "spine_right", "tail_left", "tail_right")
 
 
 class GeometryFields:
@@ -56,8 +55,9 @@ class GeometryFields:
         ))  # fmt: skip
         self._turn = base.turn
         self._bodies = np.flatnonzero(np.abs(self._inertia[1]).max(axis=(0, 2, 3)) > 1e-15)
-        self._tendons = [_Antagonist.of(self.model, name) for name in _ANTAGONISTS if name in base.tendons]
         self._legs = {limb: self.model.tendon(f"{limb}_tendon").id for limb in LIMBS}
+        others = set(range(self.model.ntendon)) - set(self._legs.values())
+        self._tendons = [_Antagonist.of(self.model, tendon) for tendon in sorted(others)]
 
     @property
     def fields(self) -> tuple[str, ...]:
@@ -163,13 +163,11 @@ class _Read:
         linear: fields, and places of sites and geoms in the world.
         inertia: tensors about the bodies' origins, in the bodies' frames (nbody, 3, 3).
         turn: principal axes in the bodies' frames (nbody, 3, 3).
-        tendons: their names.
     """
 
     linear: dict[str, np.ndarray]
     inertia: np.ndarray
     turn: np.ndarray
-    tendons: frozenset[str]
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> _Read:
@@ -184,7 +182,7 @@ class _Read:
         axes = turn.reshape(-1, 3, 3)
         about_com = np.einsum("bij,bj,bkj->bik", axes, model.body_inertia, axes)
         tensor = about_com + _of_point(model.body_mass, model.body_ipos, np)
-        return cls(linear, tensor, axes, frozenset(model.tendon(i).name for i in range(model.ntendon)))
+        return cls(linear, tensor, axes)
 
 
 def _of_point(mass: Any, place: Any, xp: Any) -> Any:
@@ -247,11 +245,10 @@ class _Antagonist:
     places: dict[str, np.ndarray]
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, name: str) -> _Antagonist:
+    def of(cls, model: mujoco.MjModel, tendon: int) -> _Antagonist:
         data = mujoco.MjData(model)
         data.qpos[:] = model.qpos0
         mujoco.mj_kinematics(model, data)
-        tendon = model.tendon(name).id
         span = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
         kinds, ids = model.wrap_type[span], model.wrap_objid[span]
         (at,) = np.flatnonzero(kinds == int(mujoco.mjtWrap.mjWRAP_CYLINDER))

@@ -104,7 +104,8 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     spec.modelname = f"{robot}_{scene_name(scene)}"
     _attach(spec, geometry, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING))
     _attach(spec, geometry, spec.frame("torso_spine_mount"), "spine", robot)
-    _attach(spec, geometry, spec.frame("torso_neck_mount"), "head", robot, plain=("head", "neck", "head_tilt", "eyes", *EYES))
+    eyes = ("head", "neck", "head_tilt", "eyes", *EYES)
+    _attach(spec, geometry, spec.frame("torso_neck_mount"), "head", robot, plain=eyes)
     _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"

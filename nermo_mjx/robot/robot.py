@@ -22,7 +22,6 @@ from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.meshes.catalogue import redraw
-from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.physical import physical_model, reduced_model
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
