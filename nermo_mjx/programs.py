@@ -1,9 +1,9 @@
-"""Programs of JAX whose tracing outlives the process: what was traced once is read from a file the next time.
+"""JAX programs whose tracing outlives the process: a program traced once is read from a file the next time.
 
-JAX's own cache keeps what XLA compiled, and has to be asked with the whole program: a walk and its derivative are
-traced for 10 to 25 s before they are found there. `Program` keeps the traced program, too (`jax.export`: StableHLO,
-a megabyte), under all that decides it. The file holds no machine code: XLA compiles it, or JAX's cache has it
-compiled. A process that traces a program also compiles it from the file's content, so that results are bit-identical.
+JAX's own cache stores compiled executables, keyed by the whole program: a walk and its derivative take 10 to 25 s to
+trace before they are found there. `Program` also stores the traced program (`jax.export`: StableHLO, a megabyte), keyed
+by everything that determines it. The file contains no machine code: XLA compiles it, or JAX's cache has it compiled.
+A process that traces a program also compiles it from the file's content, so that results are bit-identical.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from jax import export
 
 from nermo_mjx.runtime import cache_directory, compiler_options
 
-#: Largest size of all files together; the longest unused are removed.
+#: Largest total size of all files; the least recently used are removed.
 MOST_BYTES: Final = 256 * 1024**2
 _HEAD: Final = b"nermo-mjx program 1\n"
 _SUFFIX: Final = ".program"
-#: Settings of JAX that decide how a function is traced.
+#: JAX settings that affect tracing.
 _SETTINGS: Final = (
     "jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion",
     "jax_default_prng_impl", "jax_threefry_partitionable", "jax_debug_nans", "jax_debug_infs", "jax_enable_checks",
@@ -37,14 +37,14 @@ _VERSIONS: Final = ("jax", "jaxlib", "mujoco", "mujoco-mjx")
 
 
 class Program:
-    """A function as `jax.jit` would have it, for arguments and results of arrays in tuples, lists and dicts."""
+    """A function like `jax.jit`'s, for arguments and results made of arrays in tuples, lists and dicts."""
 
     def __init__(self, function: Callable[..., Any], identity: str | None) -> None:
         """
         Args:
             function: pure.
-            identity: all that decides what it computes, beside this package's sources, the versions of JAX and MuJoCo,
-                and the shapes of its arguments; None where that is not known, as of code of a user's: nothing is kept.
+            identity: all that determines what it computes, apart from this package's sources, the versions of JAX and
+                MuJoCo, and the shapes of its arguments; None if unknown, as for user code: nothing is stored.
         """
         self._jitted = jax.jit(function, compiler_options=compiler_options())
         self._identity = identity
@@ -60,7 +60,7 @@ class Program:
         return self._compiled[structure, shapes](*arguments)
 
     def _made(self, arguments: Any, shapes: str) -> Callable[..., Any]:
-        """The compiled program for such arguments, as kept or traced."""
+        """The compiled program for such arguments, from the cache or newly traced."""
         folder = _folder()
         if folder is None:
             return self._jitted
@@ -70,10 +70,14 @@ class Program:
             try:
                 kept = export.export(self._jitted)(*arguments)
                 _write(path, bytes(kept.serialize()))
-            except (ImportError, NotImplementedError, ValueError) as refused:  # what this JAX or platform cannot keep
+            except (
+                ImportError,
+                NotImplementedError,
+                ValueError,
+            ) as refused:  # what this JAX version or platform cannot export
                 logging.getLogger(__name__).info("%s is not kept: %s", path.name, refused)
                 return self._jitted
-        # Compiled here, once: what it gives is bound to its device, and `jit` would compile again for such arguments.
+        # Compiled here, once: its results are committed to its device, and `jit` would recompile for such arguments.
         program: Callable[..., Any] = (
             jax.jit(kept.call, compiler_options=compiler_options()).lower(*arguments).compile()
         )
@@ -81,7 +85,7 @@ class Program:
 
 
 def _folder() -> Path | None:
-    """Where programs are kept; None if the user wants no cache, or it cannot be written."""
+    """The cache directory; None if the user wants no cache, or it cannot be written."""
     if not _setting("jax_enable_compilation_cache") or os.environ.get("JAX_COMPILATION_CACHE_DIR") == "":
         return None
     folder = cache_directory() / "traced"
@@ -91,14 +95,14 @@ def _folder() -> Path | None:
 
 
 def _digest(*identity: Any) -> str:
-    """Names what is traced here: other code, another version, setting or platform gives another name."""
+    """A key for what is traced here: other code, another version, setting or platform gives another key."""
     settings = [(name, str(_setting(name))) for name in _SETTINGS]
     found = (_sources(), _versions(), settings, jax.default_backend(), jax.device_count(), *identity)
     return hashlib.sha256(repr(found).encode()).hexdigest()[:32]
 
 
 def _setting(name: str) -> Any:
-    """A setting of JAX as it is here and now; None if this JAX has none of that name."""
+    """The current value of a JAX setting; None if this JAX version has no such setting."""
     return getattr(jax.config, name, None)
 
 
@@ -109,7 +113,7 @@ def _versions() -> tuple[str, ...]:
 
 @functools.cache
 def _sources() -> str:
-    """Digest of all of this package's sources, as they are when the first program is asked for."""
+    """Digest of all of this package's sources, at the first request for a program."""
     package, total = Path(__file__).parent, hashlib.blake2b(digest_size=16)
     for path in sorted(package.rglob("*.py")):
         total.update(f"{path.relative_to(package).as_posix()}\0".encode())
@@ -118,12 +122,12 @@ def _sources() -> str:
 
 
 def _read(path: Path) -> export.Exported | None:
-    """The program of a file; None if there is none, or if it is not as it was written."""
+    """The program of a file; None if there is none, or if it is damaged."""
     with contextlib.suppress(OSError):
         content = path.read_bytes()
         head, content = content[: len(_HEAD) + 32], content[len(_HEAD) + 32 :]
         if head == _HEAD + hashlib.sha256(content).digest():
-            with contextlib.suppress(Exception):  # whatever JAX says about a file that it does not know
+            with contextlib.suppress(Exception):  # any error from JAX about an unknown file
                 found = export.deserialize(bytearray(content))
                 os.utime(path)
                 return found
@@ -145,7 +149,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _prune(folder: Path) -> None:
-    """Remove what was longest not used, until the rest fits."""
+    """Remove the least recently used files until the rest fits."""
     total = 0
     for _, size, path in sorted(_files(folder), reverse=True):
         total += size

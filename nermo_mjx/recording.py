@@ -1,4 +1,4 @@
-"""A recording: what one simulated run did over time, in one NPZ file that any NumPy can read."""
+"""A recording: the time history of one simulated run, in one NPZ file that any NumPy can read."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ class Recording:
 
 @contextlib.contextmanager
 def whole_file(path: Path, what: str) -> Iterator[IO[bytes]]:
-    """A file to write into that appears under its name when it is whole; its folder is made if it is missing.
+    """A file to write into that appears under its name when complete; its folder is created if missing.
 
     Args:
         path: of the file.

@@ -1,10 +1,10 @@
-"""What the process is asked for where a program of ours is first compiled or a picture drawn: threads, cache, GL.
+"""Process-wide settings, made when a program is first compiled or an image rendered: threads, cache, GL.
 
-Importing the package changes nothing in the process. Where a simulator is made, `start_jax` starts JAX as this package
-needs it, if the user has not started it before, and names a directory to keep compiled programs in, if the user has
-none; options of the compiler go with each program (`compiler_options`). GL is chosen in `require_gl`. What a user has
-set always wins: `PJRT_NPROC`, `XLA_FLAGS`, JAX's own settings, `MUJOCO_GL`; to keep all of
-this unchanged, call `jax.devices()` first.
+Importing the package changes nothing in the process. When a simulator is created, `start_jax` starts JAX as this
+package needs it, unless the user has started it before, and sets a cache directory for compiled programs, unless the
+user has one; compiler options are passed with each program (`compiler_options`). GL is chosen in `require_gl`. User
+settings always take precedence: `PJRT_NPROC`, `XLA_FLAGS`, JAX's own settings, `MUJOCO_GL`; to keep all of this
+unchanged, call `jax.devices()` first.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ GUARDED_BATCH: Final = 32
 MIN_COMPILE_SECONDS: Final = 0.5
 #: Largest size of the cache of compiled programs; the longest unused are removed. A program of a walk is 1 to 5 MB.
 MOST_CACHE_BYTES: Final = 2 * 1024**3
-#: How XLA compiles for a CPU: its older way to compile fused loops, by which a walk in MJX compiles in 16 s instead of
+#: XLA options for a CPU: its older emitter for fused loops, with which a walk in MJX compiles in 16 s instead of
 #: 31, and runs in 0.5 s instead of 1.2.
 COMPILER_OPTIONS: Final[Mapping[str, bool]] = {"xla_cpu_use_fusion_emitters": False}
 #: What XLA reads once, when JAX starts, and takes from no program: a loop that touches less than 4 MB becomes one
@@ -51,19 +51,19 @@ class BackendUnavailable(RuntimeError):
 
 
 class RenderingUnavailable(RuntimeError):
-    """Nothing on this machine can draw; the message says what to install."""
+    """This machine cannot render; the message says what to install."""
 
 
 # --- JAX
 
 
 def start_jax() -> None:
-    """Start JAX on its platform, a GPU where there is one, and settle where it keeps programs; once a process.
+    """Start JAX on its platform, a GPU if available, and set its cache directory; once per process.
 
     JAX's CPU runtime gets enough threads not to hang on a small machine, runs a program on the thread that calls it
     (for the loop of a few worlds, between two ticks of physics that keeps all cores busy, the change of threads takes
     longer than the loop), and compiles small loops as `EXTRA_OPTIONS` say. The environment is as before afterwards.
-    Nothing of this happens where JAX has started before.
+    None of this happens if JAX has started before.
 
     Raises:
         BackendUnavailable: `JAX_PLATFORMS` asks for a platform that this machine does not have, with the remedy.
@@ -99,7 +99,7 @@ def _find_devices(jax: Any) -> None:
 
 @contextlib.contextmanager
 def _starting(jax: Any, settings: dict[str, str]) -> Iterator[None]:
-    """What JAX and XLA read when they start, for as long as that takes."""
+    """The environment that JAX and XLA read on start-up, for the duration of the start."""
     flags, dispatch = os.environ.get("XLA_FLAGS", ""), "jax_cpu_enable_async_dispatch"
     if "xla_backend_extra_options" not in flags:
         settings = settings | {"XLA_FLAGS": f"{flags} {EXTRA_OPTIONS}".strip()}
@@ -144,7 +144,7 @@ def compiler_options() -> dict[str, bool]:
     wanted = {name: value for name, value in COMPILER_OPTIONS.items() if name not in os.environ.get("XLA_FLAGS", "")}
     try:
         jax.jit(lambda x: x, compiler_options=wanted).lower(0.0).compile()
-    except RuntimeError:  # an option that a later XLA has no more; it only costs time
+    except RuntimeError:  # an option that a later XLA no longer has; this only costs time
         return {}
     return wanted
 
@@ -237,7 +237,7 @@ def _processor_tag() -> str:
 
 
 def require_gl() -> None:
-    """Choose how to draw on a Linux machine without a display, and make sure, as far as can be told, that it works.
+    """Choose how to render on a Linux machine without a display, and check as far as possible that it works.
 
     EGL on a graphics card if there is one that starts, else OSMesa, else EGL in software; or what `MUJOCO_GL` says. To
     be called before `mujoco.Renderer` is made.
@@ -253,7 +253,7 @@ def require_gl() -> None:
     backend = _headless_backend()
     if backend is None:
         raise RenderingUnavailable(
-            "No library to draw with was found on this machine without a display: install one, "
+            "No rendering library was found on this machine without a display: install one, "
             "for instance with `apt-get install libosmesa6` (or libegl1 and libgl1)."
         )
     # MuJoCo reads MUJOCO_GL when this module is imported, and expects a display where it is not set.

@@ -312,7 +312,7 @@ def test_a_users_file_in_the_way_is_moved_aside_with_a_sentence(fakes, tmp_path)
     (tmp_path / "recordings" / "turning-trt-0.8-hz-with-spine.npz").write_text("another walk")
     run_experiment("turning", tmp_path, video=False, again=True, notify=said.append)
     assert said == [
-        "turning: Files were in the way that are not as this program wrote them: moved aside in "
+        "turning: Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to recordings/turning-trt-0.8-hz-with-spine.npz.aside-1 and 1 more."
     ]
     assert (tmp_path / "plots" / "turning-speed.png.aside-1").read_text() == "painted over"

@@ -241,7 +241,7 @@ def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp
     assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
     assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
     assert said == [
-        "Files were in the way that are not as this program wrote them: moved aside in "
+        "Files in the way were not as this program wrote them: moved aside in "
         f"{tmp_path}, to ensemble.csv.aside-1 and 1 more."
     ]
 

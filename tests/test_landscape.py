@@ -406,7 +406,7 @@ def test_a_report_that_a_user_has_written_on_is_moved_aside_with_a_sentence(tmp_
     measure(tmp_path, points=5, warn=said.append)
     assert (tmp_path / "report.md.aside-1").read_text() == "my thoughts"
     assert said == [
-        f"A file was in the way that is not as this program wrote it: moved aside in {tmp_path}, to report.md.aside-1."
+        f"A file in the way was not as this program wrote it: moved aside in {tmp_path}, to report.md.aside-1."
     ]
 
 

@@ -202,7 +202,7 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
     picture.write_text("painted over")
     result = plot(out)
     assert result.exit_code == 0
-    assert "plot: A file was in the way that is not as this program wrote it: moved aside" in result.stderr
+    assert "plot: A file in the way was not as this program wrote it: moved aside" in result.stderr
     assert picture.with_name(f"{picture.name}.aside-1").read_text() == "painted over"
     (out / "results" / "straight-line.parquet").write_text("damaged")
     result = plot(out)

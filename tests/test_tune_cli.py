@@ -175,7 +175,7 @@ def test_what_could_not_be_made_is_a_sentence_and_no_failure(
     monkeypatch.setattr(nermo_mjx.runtime, "_headless_backend", lambda: None)
     result = call("tune", spec, "--out", tmp_path / "out", "--video")
     assert result.exit_code == 0
-    assert "There is no video. No library to draw with was found" in result.stderr
+    assert "There is no video. No rendering library was found" in result.stderr
     assert "video" not in result.stdout
 
 

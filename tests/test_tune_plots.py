@@ -459,7 +459,7 @@ def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
     walker = FakeWalker()
     result = again(walker, {"plots": False, "video": True})
     (note,) = result.pictures.notes
-    assert note.startswith("There is no video. No library to draw with was found")
+    assert note.startswith("There is no video. No rendering library was found")
     assert "apt-get install libosmesa6" in note
     assert walker.batches == []
     assert json.loads((result.out / "best.json").read_text()) == result.best

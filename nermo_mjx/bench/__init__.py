@@ -1,4 +1,4 @@
-"""What this machine does: throughput, compile time and memory of each engine against plain physics, and more."""
+"""Benchmarks of this machine: throughput, compile time and memory of each engine against plain physics, and more."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def run_bench(
     keep: Callable[[dict[str, Any]], None] | None = None,
     known: Callable[[str, dict[str, Any]], bool] = lambda name, chosen: False,
 ) -> dict[str, Any]:
-    """Measure on this machine, each measurement in a process of its own.
+    """Measure on this machine, each measurement in its own process.
 
     So its peak of memory is its own, a measurement that fails or runs out of memory costs no other, and this process
     never holds the accelerator.

@@ -1,4 +1,4 @@
-"""What the tables of each measurement show: heading, key, format and scale of every column."""
+"""The columns of each measurement's table: heading, key, format and scale."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class ShownColumn(NamedTuple):
     scale: float = 1.0
 
     def cell(self, line: Mapping[str, Any]) -> str:
-        """What stands in a line's cell."""
+        """The text of a line's cell."""
         value = line.get(self.key)
         if value is None:
             return "-"
@@ -129,7 +129,7 @@ def rows(line: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def titled(line: Mapping[str, Any]) -> str | None:
-    """What must be said of a measurement above its rows; None if they say all."""
+    """A remark above the rows of a measurement; None if not needed."""
     if "error" in line:
         options = ", ".join(f"{key} {value}" for key, value in line.items() if key not in ("case", "error"))
         return f"{line['case']} ({options}) failed: {line['error']}"

@@ -1,4 +1,4 @@
-"""What a GPU would make of the programs, told by XLA's compiler on a machine that has none.
+"""Estimates for the programs on a GPU, from XLA's compiler on a machine without one.
 
 The program is compiled to machine code for the target and never run. Launches, loops and bytes are read from the
 optimized HLO, memory from the compiler's plan of it. The two bounds on throughput are estimates: of a device that
@@ -28,7 +28,7 @@ WAIT_S: Final = 15e-6
 
 
 def gpu_plan_case(target: str, program: str, worlds: int) -> dict[str, Any]:
-    """Compile a program for a GPU that need not be here, and read what it will do there.
+    """Compile a program for a GPU that need not be present, and analyse the result.
 
     Args:
         target: name from `TARGETS`.

@@ -1,4 +1,4 @@
-"""What a gradient costs: value and gradient of a walk against the walk alone, over the length of the walk."""
+"""The cost of a gradient: value and gradient of a walk against the walk alone, over the length of the walk."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
 
 
 def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
-    """Value and gradient in one mode against the value alone: same walk, same batch, in turns.
+    """Value and gradient in one mode against the value alone: same walk, same batch, alternating.
 
     Args:
         mode: `forward` or `reverse`.

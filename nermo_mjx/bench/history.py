@@ -50,7 +50,7 @@ class Measured:
 
 @dataclasses.dataclass(frozen=True)
 class History:
-    """What results.jsonl holds.
+    """The contents of results.jsonl.
 
     Attributes:
         machines: machine -> its measurements, in the order of the registry.
@@ -66,7 +66,7 @@ class History:
 
 
 def append(folder: Path, run: Mapping[str, Any]) -> None:
-    """Add a run of `run_bench` to FOLDER/results.jsonl, a line; what is there stays as it is, byte for byte."""
+    """Append a run of `run_bench` to FOLDER/results.jsonl as one line; existing lines are unchanged."""
     path = folder / RESULTS
     before = path.read_bytes() if path.exists() else b""
     if before and not before.endswith(b"\n"):  # cut off by whatever killed the process

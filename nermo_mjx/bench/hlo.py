@@ -1,4 +1,4 @@
-"""What a compiled GPU program does, read from its optimized HLO: launches, loops and bytes moved.
+"""Analysis of a compiled GPU program from its optimized HLO: launches, loops and bytes moved.
 
 After XLA's passes each instruction that computes is a kernel (a fusion is one), a call of a library or a copy, and each
 is launched by itself. A loop whose trip count is known is launched through; for each round of another one the device

@@ -1,4 +1,4 @@
-"""Where a physics step's time goes, stage by stage, in the middle of a walk.
+"""Time of a physics step, stage by stage, in the middle of a walk.
 
 `c` is measured by MuJoCo's own timers, one world on one core. `mjx` is measured stage by stage: each is a program of
 its own over all worlds, so that what XLA gains by joining stages is not in the figures. Their operations are counted
@@ -56,7 +56,7 @@ C_TIMERS: Final = {
 
 
 def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[str, Any]:
-    """What each stage of a physics step costs.
+    """The cost of each stage of a physics step.
 
     Args:
         engine: `c` (one world, whatever `worlds` is) or `mjx`.

@@ -143,7 +143,7 @@ CASES: Final[dict[str, Benchmark]] = {
         {"worlds": _WORLDS},
     ),
     "gpu-plan": Benchmark(
-        "what NVIDIA GPUs would make of the programs, told by XLA's compiler without one",
+        "estimates for the programs on NVIDIA GPUs, from XLA's compiler without one",
         "nermo_mjx.bench.gpu_plan:gpu_plan_case",
         {
             "target": Option(("h100",), ("h100", "a100", "l4", "t4")),

@@ -1,4 +1,4 @@
-"""How near `search` comes to the best of a dense sweep, with each of ten seeds, and how long it takes."""
+"""How close `search` comes to the best of a dense sweep, with each of ten seeds, and how long it takes."""
 
 from __future__ import annotations
 

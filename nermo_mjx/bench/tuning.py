@@ -1,4 +1,4 @@
-"""What tuning by gradient finds on a tenth of a dense sweep's simulated time, beside CMA-ES on the same budget."""
+"""Gradient tuning with a tenth of a dense sweep's simulated time, compared with CMA-ES on the same budget."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""One look for all figures: fonts, sizes, colours, units, the page around the axes, and the files."""
+"""A common look for all figures: fonts, sizes, colours, units, the page around the axes, and the files."""

@@ -10,10 +10,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BAND, light
 
-#: Points of a panel from which on dots would run into each other.
+#: Number of points in a panel above which dots would overlap.
 CROWD: Final = 5000
 _CELLS: Final = 44
-#: Not as dark as lines that are drawn over it.
+#: Lighter than lines drawn over it.
 _DENSITY: Final = LinearSegmentedColormap.from_list("density", [light(BAND), BAND, "#5aa5d6"])
 
 
@@ -23,7 +23,7 @@ def remark(count: int) -> str:
 
 
 def cloud(ax: Axes, x: ShownValues, y: ShownValues, *, size: float) -> None:
-    """Draw points as dots of a size [pt^2], or a crowd of them as hexagons, darker (logarithmically) where more lie."""
+    """Draw points as dots of a size [pt^2], or many of them as hexagons, darker (logarithmically) for more points."""
     if len(x.values) < CROWD:
         ax.scatter(x.values, y.values, s=size, color=BAND, lw=0, rasterized=len(x.values) > 2000, zorder=2)
         return

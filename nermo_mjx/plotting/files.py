@@ -16,7 +16,7 @@ from nermo_mjx.runs.files import clear_errors, make_writable, replace_file
 
 FORMATS: Final = ("png", "svg")
 _DPI: Final = 200
-#: Figures by name; a generator makes each when its turn comes, in the house's style.
+#: Figures by name; a generator makes each in turn, in the common style.
 Figures = Iterable[tuple[str, Figure]]
 
 
@@ -29,7 +29,7 @@ def write_figures(
     """Write figures as FOLDER/NAME.png and .svg, each as soon as it is made, and return the files in the order drawn.
 
     Args:
-        figures: a generator is run in the house's style, so that its figures have it.
+        figures: a generator is run in the common style.
         folder: where the files go; made if it is missing.
         write: how a file is written; by default atomically.
         formats: of `FORMATS`.

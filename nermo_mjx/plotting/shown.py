@@ -1,4 +1,4 @@
-"""Numbers as figures show them: with a name, a unit for people, and values in that unit."""
+"""Values as shown in figures: with a name, a display unit, and values in that unit."""
 
 from __future__ import annotations
 

@@ -20,9 +20,9 @@ from nermo_mjx.runs.files import DirectoryError, replace_file
 
 #: Bytes that must be free for a checkpoint to be started.
 ROOM: Final = 1 << 18
-#: Checkpoints that are kept; all but the latest are there for the case that it is damaged.
+#: Number of checkpoints to keep; all but the latest are backups in case it is damaged.
 KEPT: Final = 3
-#: Parts of a checkpoint by name, each a pytree of arrays, and what it says of itself.
+#: Parts of a checkpoint by name, each a pytree of arrays, and its metadata.
 Parts = Mapping[str, Any]
 About = Mapping[str, Any]
 
@@ -58,7 +58,7 @@ class Checkpoints:
             OSError: there is no room for it.
             DirectoryError: it cannot be written for another reason.
         """
-        # A full disk is found here, in one exception, and not by Orbax's threads one after the other.
+        # A full disk is detected here, in one exception, rather than by each of Orbax's threads.
         replace_file(self.folder / ".room", bytes(ROOM))
         (self.folder / ".room").unlink()
         about = {**about, "checksum": _checksum(parts)}
@@ -70,7 +70,7 @@ class Checkpoints:
                 self._manager.save(number, args=items, force=True)
             except OSError:
                 raise
-            except Exception as error:  # a failed write shows as whatever its thread stumbled over
+            except Exception as error:  # a failed write can raise any exception in its thread
                 raise DirectoryError(
                     f"cannot write a checkpoint in {self.folder}: {' '.join(str(error).split())}."
                 ) from error
@@ -78,7 +78,7 @@ class Checkpoints:
     def restore(
         self, like: Callable[[About], Parts], warn: Callable[[str], None] = lambda _: None
     ) -> tuple[dict[str, Any], About] | None:
-        """The newest whole checkpoint, None if there is none. Newer ones that are damaged are moved aside.
+        """The latest intact checkpoint, None if there is none. Newer ones that are damaged are moved aside.
 
         Args:
             like: parts of the same shapes, for what a checkpoint says of itself; it raises a `DirectoryError` where
@@ -105,7 +105,7 @@ class Checkpoints:
         return found
 
     def _check_readable(self, number: int) -> None:
-        """Tell a disk that does not answer from a damaged file, which Orbax does not."""
+        """Distinguish an unresponsive disk from a damaged file, which Orbax does not."""
         try:
             for path in (self.folder / str(number)).rglob("*"):
                 if path.is_file():
@@ -134,13 +134,13 @@ class Checkpoints:
             return None
         except OSError as error:
             raise self._unreadable(number, error) from error
-        except Exception:  # a damaged file shows as whatever its reader stumbles over
+        except Exception:  # a damaged file can raise any exception in its reader
             return None
         return (parts, about) if about["checksum"] == _checksum(parts) else None
 
 
 def _shape(leaf: Any) -> Any:
-    """What Orbax restores a leaf by: as an array of NumPy's where it is one, else as one of JAX's."""
+    """How Orbax restores a leaf: as a NumPy array if it is one, otherwise as a JAX array."""
     return leaf if isinstance(leaf, np.ndarray) else ocp.utils.to_shape_dtype_struct(leaf)
 
 
@@ -150,7 +150,7 @@ def _plain(found: Any, like: Any) -> Any:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Without what Orbax's threads print of a damaged or failed checkpoint: here that is expected, and dealt with."""
+    """Suppress what Orbax's threads print about a damaged or failed checkpoint, which is expected and handled here."""
     logger, hook = logging.getLogger("absl"), sys.unraisablehook
     level = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -163,7 +163,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _checksum(parts: Parts) -> str:
-    """A hash of every number; the file format alone would not notice each flipped bit."""
+    """A hash of all values; the file format alone would not detect every flipped bit."""
     total = hashlib.sha256()
     for leaf in (leaf for part in parts.values() for leaf in jax.tree.leaves(part)):
         array = np.asarray(leaf)
@@ -173,6 +173,6 @@ def _checksum(parts: Parts) -> str:
 
 
 def _seal(about: About) -> str:
-    """A hash of what a checkpoint says of itself, as JSON gives it back."""
+    """A hash of a checkpoint's metadata, as read back from JSON."""
     content = json.dumps({key: about[key] for key in about if key != "seal"}, sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

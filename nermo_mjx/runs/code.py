@@ -1,4 +1,4 @@
-"""Which code computes a result: a directory notes it, and does not mix the results of two without being told to."""
+"""Which code computes a result: a directory records it, and mixes results of different codes only on request."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import nermo_mjx
 from nermo_mjx.runs.provenance import version
 from nermo_mjx.version import __version__
 
-#: Rooms of the package that decide what a world does and what is measured of it.
+#: Rooms of the package that determine what a world does and what is measured.
 ROOMS: Final = ("robot", "kinematics", "control", "dynamics", "physics", "rollout")
 #: Sources among the files of a room, and of the robot's model.
 _SUFFIXES: Final = (".py", ".csv", ".xml", ".obj")
-#: What each field of a stamp is called in a sentence.
+#: Name of each field of a stamp in messages.
 _CALLED: Final = {
     "package": "nermo-mjx {}",
     "sources": "sources {}",
@@ -31,7 +31,7 @@ _CALLED: Final = {
 
 @dataclasses.dataclass(frozen=True)
 class CodeStamp:
-    """What made a row: two stamps are equal where the same numbers can be expected, on one kind of machine.
+    """What made a row: equal stamps mean that equal results can be expected, on one kind of machine.
 
     Attributes:
         package: version of nermo-mjx.
@@ -62,7 +62,7 @@ class CodeStamp:
         return ", ".join(form.format(self.fields()[name]) for name, form in _CALLED.items())
 
     def unlike(self, other: CodeStamp) -> str:
-        """How this stamp differs from another, as "engine c, not warp"; empty where it does not."""
+        """How this stamp differs from another, as "engine c, not warp"; empty if it does not."""
         own, theirs = self.fields(), other.fields()
         apart = [(form.format(own[name]), theirs[name]) for name, form in _CALLED.items() if own[name] != theirs[name]]
         return ", ".join(f"{ours}, not {other}" for ours, other in apart)
@@ -88,7 +88,7 @@ def stamp(model: str, engine: str, more: tuple[str, ...] = ()) -> CodeStamp:
 
 
 def known(fields: Any) -> CodeStamp | None:
-    """The stamp that a JSON file holds; None if it holds none that can be read."""
+    """The stamp in a JSON file; None if it has no readable one."""
     try:
         return CodeStamp(**{field.name: str(fields[field.name]) for field in dataclasses.fields(CodeStamp)})
     except (KeyError, TypeError):

@@ -1,9 +1,9 @@
-"""A directory of results, whatever its kind: who may write it, what it is for, and which code made what it holds.
+"""A results directory of any kind: who may write it, what it is for, and which code made its contents.
 
 DIR/.lock       held by the writing process
 DIR/run.json    kind; `codes`, which code made rows, by its short name; `sessions`, each with command, versions, machine
                 (`files`: path -> digest of what the program wrote, where a user's may be in the way, see `written`)
-DIR/*.aside-N   what did not fit, under a new name: nothing is deleted that a user may want back
+DIR/*.aside-N   files that did not match, renamed: nothing is deleted that a user may want back
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.runs.lock import hold
 
 RUN: Final = "run.json"
-#: Files by which directories of releases that noted no kind are known.
+#: Files that identify directories of releases that did not record the kind.
 _SIGNS: Final = {
     "sweep.yaml": "sweep",
     "tuning.yaml": "tuning",
@@ -96,7 +96,7 @@ class RunDirectory:
             replace_file(self.out / path, content)
 
     def move_aside(self, path: str | Path, folder: str | None = None) -> Path | None:
-        """Give a file or folder of the directory a name that says it is out of use; its new path, None if it is absent.
+        """Rename a file or folder of the directory to mark it as unused; returns its new path, None if it is absent.
 
         Args:
             folder: of the directory, for what readers of the folder it is in would take for one of theirs.
@@ -119,7 +119,7 @@ class RunDirectory:
         return target
 
     def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False) -> None:
-        """Note that this code is about to add rows, or refuse: the rows of one directory are made by one code.
+        """Record that this code is about to add rows, or refuse: the rows of one directory are made by one code.
 
         Of several processes that begin together, the first one's code counts. A sole holder of a directory
         without rows starts it afresh.
@@ -154,18 +154,18 @@ class RunDirectory:
                 codes[stamp.id] = stamp.fields()
 
     def note_files(self, files: Mapping[str, str]) -> None:
-        """Keep which files the program wrote (`written.Written`)."""
+        """Record which files the program wrote (`written.Written`)."""
         with self._record() as record:
             record["files"] = dict(files)
 
     def note_session(self, session: dict[str, Any]) -> None:
-        """Add what runs here, and where (`provenance.session`)."""
+        """Add this session (`provenance.session`)."""
         with self._record() as record:
             record.setdefault("sessions", []).append(session)
 
     @contextlib.contextmanager
     def _record(self) -> Iterator[dict[str, Any]]:
-        """The content of run.json, written again where it was changed; several processes take turns."""
+        """The content of run.json, written back if changed; processes take turns."""
         with clear_errors(self.out):
             held = hold(self.out, ".lock-run", wait=True)
             try:
@@ -194,7 +194,7 @@ def read_record(out: Path) -> dict[str, Any]:
 
 
 def kind_of(out: Path) -> str | None:
-    """What a directory is for; None if it is none of ours, or empty."""
+    """The kind of a directory; None if it is unknown or empty."""
     kind = read_record(out).get("kind")
     if isinstance(kind, str):
         return kind
@@ -202,19 +202,19 @@ def kind_of(out: Path) -> str | None:
 
 
 def codes_of(out: Path) -> dict[str, CodeStamp]:
-    """The codes that made what a directory holds, by their short names, in the order in which they came."""
+    """The codes that made a directory's contents, by their short names, in order."""
     found = {name: known(fields) for name, fields in read_record(out).get("codes", {}).items()}
     return {name: stamp for name, stamp in found.items() if stamp is not None}
 
 
 def engine_of(out: Path) -> str | None:
-    """The engine of the code that came last to a directory; None if it knows none."""
+    """The engine of the latest code in a directory; None if unknown."""
     codes = codes_of(out)
     return next(reversed(codes.values())).engine if codes else None
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what a killed process left half written in a folder, which has names that only `replace_file` gives."""
+    """Remove partial files of a killed process from a folder; only `replace_file` uses such names."""
     for leftover in folder.glob(f".*{TEMPORARY}"):
         leftover.unlink(missing_ok=True)
 

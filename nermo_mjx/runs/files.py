@@ -1,4 +1,4 @@
-"""Files of a result directory: written atomically; what cannot be written is said in a sentence."""
+"""Files of a result directory: written atomically, with one-sentence errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-#: How the name of a file ends that is being written.
+#: Suffix of a file that is being written.
 TEMPORARY: Final = ".nermo-tmp"
 
 
@@ -22,11 +22,11 @@ class DirectoryError(RuntimeError):
 
 
 class WrongDirectory(DirectoryError):
-    """A directory that cannot be what it is asked to be; to ask for another one helps, and to try again does not."""
+    """A directory that cannot be used as requested; choosing another one helps, trying again does not."""
 
 
 def make_writable(folder: Path) -> None:
-    """Make a folder, and see that files can be written into it.
+    """Create a folder, and check that files can be written into it.
 
     Raises:
         WrongDirectory: it is a file, or cannot be written.
@@ -43,13 +43,13 @@ def make_writable(folder: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Replace a file by new content, atomically and durably; its folder is made if it is missing.
+    """Replace a file by new content, atomically and durably; its folder is created if missing.
 
     Raises:
         OSError: it cannot be written; what was there is still there.
     """
     path.parent.mkdir(exist_ok=True)
-    # Two processes may write the same file, also of two machines where both have the same number.
+    # Two processes may write the same file, even on two machines with equal process ids.
     temporary = path.parent / f".{path.name}.{secrets.token_hex(8)}{TEMPORARY}"
     try:
         with open(temporary, "wb") as file:
@@ -64,7 +64,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def create_file(path: Path, content: bytes) -> None:
-    """Write a file unless it exists: of several processes that try, the first one's content stays.
+    """Write a file unless it exists: of several processes, the first one's content is kept.
 
     Raises:
         OSError: it cannot be written.
@@ -75,7 +75,7 @@ def create_file(path: Path, content: bytes) -> None:
         os.link(temporary, path)
     except FileExistsError:
         pass
-    except OSError:  # a file system without links; there the last one's content stays
+    except OSError:  # a file system without links; the last one's content is kept
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -83,7 +83,7 @@ def create_file(path: Path, content: bytes) -> None:
 
 
 def append_line(path: Path, line: str) -> None:
-    """Add a line to a text file that one process writes, durably; a last line that was cut off ends before it.
+    """Append a line durably to a text file written by one process; a truncated last line is terminated first.
 
     Raises:
         OSError: it cannot be written.
@@ -101,7 +101,7 @@ def append_line(path: Path, line: str) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder as durable as the files' content: a rename may be lost with the power otherwise."""
+    """Make renames in a folder durable: otherwise a power cut may undo them."""
     # Not every system opens folders, and not every file system syncs them; there a rename is as durable as it gets.
     with contextlib.suppress(OSError):
         held = os.open(folder, os.O_RDONLY)
@@ -113,7 +113,7 @@ def sync_folder(folder: Path) -> None:
 
 def parquet_bytes(table: pa.Table) -> bytes:
     """The table as a Parquet file whose pages carry checksums."""
-    import pyarrow as pa  # here and below: many who write files write no tables
+    import pyarrow as pa  # here and below: not all users of this module write tables
     import pyarrow.parquet as pq
 
     sink = pa.BufferOutputStream()
@@ -122,7 +122,7 @@ def parquet_bytes(table: pa.Table) -> bytes:
 
 
 def content_of(path: Path) -> bytes | None:
-    """What a file holds; None if there is none.
+    """The content of a file; None if it does not exist.
 
     Raises:
         DirectoryError: it cannot be read now. It may be intact, so it must not be recreated.

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM while a directory is being written: what is half done is finished first."""
+"""Ctrl-C and SIGTERM while a directory is being written: work in progress is finished first."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Interruption:
 
     @contextlib.contextmanager
     def shielded(self) -> Iterator[None]:
-        """What stands in here is finished before an interruption is raised."""
+        """The enclosed block is finished before an interruption is raised."""
         self._shielded = True
         try:
             yield
@@ -27,7 +27,7 @@ class Interruption:
             raise KeyboardInterrupt
 
     def check(self) -> None:
-        """Raise an interruption that was lost where nothing can be raised, as in a destructor; to be called often."""
+        """Raise an interruption that was lost where nothing can be raised, as in a destructor; call it often."""
         if self._pending and not self._shielded:
             raise KeyboardInterrupt
 

@@ -18,7 +18,7 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "numpy", "scipy", "pyarrow"
 
 
 def versions() -> dict[str, str]:
-    """Versions of this package, of Python, and of what decides the numbers."""
+    """Versions of this package, of Python, and of the packages that affect results."""
     return {"nermo-mjx": __version__, "python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 

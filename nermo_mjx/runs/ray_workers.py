@@ -23,11 +23,11 @@ from typing import Any, Final
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.workers import Computer, TaskFailed, Tell, WorkersLost
 
-#: What Ray reads when it is imported: it reports no usage.
+#: Environment that Ray reads on import: no usage reports.
 QUIET: Final = {"RAY_USAGE_STATS_ENABLED": "0"}
 #: A cluster that is started here listens on 127.0.0.1 alone. The switch is made for Windows and macOS; on Linux Ray
-#: replaces a given address of 127.0.0.1 by the machine's. Its workers are as nice as the command, and not 15 more, with
-#: which they starve where others compute.
+#: replaces a given address of 127.0.0.1 by the machine's. Its workers have the command's nice value rather than 15
+#: more, which would starve them on a busy machine.
 LOOPBACK: Final = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_worker_niceness": "0"}
 #: Seconds between two polls of the nodes, and without any node before giving up.
 LOOK, PATIENCE = 1.0, 300.0
@@ -47,7 +47,7 @@ class _Actor:
         os.environ.setdefault("PJRT_NPROC", str(max(cores, _THREADS)))
 
     def begin(self, computer: Computer, wanted: CodeStamp) -> str:
-        """Make the computer ready; how its code differs from the wanted one, empty if it does not."""
+        """Make the computer ready; how its code differs from the expected one, empty if it does not."""
         stamp = computer.stamp()
         if stamp == wanted:
             computer.warm()
@@ -103,7 +103,7 @@ class RayWorkers:
         import ray.util.scheduling_strategies
 
         self._ray = ray
-        # Ray prints the last log of each node that is lost, a page of it; `say` gets a sentence.
+        # Ray prints a page of log for each lost node; `say` receives a sentence.
         ray._private.worker._worker_logs_enabled = False
         # Ray lets SIGTERM end the process at once; a writer must finish what is half done first.
         main = threading.current_thread() is threading.main_thread()
@@ -129,7 +129,7 @@ class RayWorkers:
                 self._ray.init(self.address or "local", log_to_driver=False, logging_level=logging.ERROR, **more)
                 return
             except Exception as error:
-                # Ray gives its own start 30 s, which a machine that is busy with other things may need.
+                # Ray allows 30 s for its own start, which a busy machine may need.
                 if last or self.address is not None or "timed out during startup" not in str(error):
                     raise
                 self._say("Ray has not started within its 30 s, and is started once more.")
@@ -191,7 +191,7 @@ class RayWorkers:
                     else:
                         yield key, result
         finally:
-            for worker in self._computing():  # it ended early: what they are at is wanted no more
+            for worker in self._computing():  # ended early: their current tasks are no longer needed
                 self._drop(worker)
 
     def _computing(self) -> list[_Worker]:
@@ -286,7 +286,7 @@ def _check_address(address: str | None) -> None:
 
 
 def _cause(error: BaseException) -> BaseException:
-    """What a task raised, instead of Ray's account of it."""
+    """The exception raised by a task, instead of Ray's wrapper."""
     return getattr(error, "cause", None) or error
 
 

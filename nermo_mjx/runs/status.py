@@ -1,4 +1,4 @@
-"""How far a directory is: what each kind says about itself, and how to resume it. Nothing here writes."""
+"""Status of a directory: its progress, by kind, and how to resume it. Nothing here writes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nermo_mjx.runs.directory import read_record
 
 @dataclasses.dataclass(frozen=True)
 class Status:
-    """How far a directory is.
+    """Status of a directory.
 
     Attributes:
         unit: what its rows are, such as "runs".
@@ -39,7 +39,7 @@ class Status:
 
 
 def last_command(out: Path) -> str:
-    """The command of the last session that worked on a directory, with the place where it is now; empty if unknown."""
+    """The command of the last session in a directory, with its current path; empty if unknown."""
     sessions = read_record(out).get("sessions", [])
     words = shlex.split(sessions[-1].get("command", "")) if sessions else []
     if not words or not words[1:]:

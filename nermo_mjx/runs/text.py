@@ -1,4 +1,4 @@
-"""Texts that a run leaves: JSON for programs, Markdown for readers."""
+"""Text output of a run: JSON for programs, Markdown for readers."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
-#: In a cell without a value.
+#: Content of an empty cell.
 MISSING: Final = "–"
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON knows it: arrays as lists, what is not finite as null."""
+    """The value as plain JSON: arrays as lists, non-finite numbers as null."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -32,7 +32,7 @@ def to_json(content: Mapping[str, Any]) -> bytes:
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]], sides: str = "") -> str:
-    """A Markdown table; sides is a letter a column, l or r, by default all l."""
+    """A Markdown table; `sides` has one letter per column, l or r, by default all l."""
     rules = ["--:" if side == "r" else "---" for side in sides or "l" * len(headings)]
     texts = [headings, rules, *([cell.replace("|", "\\|") for cell in row] for row in rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in texts) + "\n"

@@ -1,4 +1,4 @@
-"""Where work that lasts is followed from outside: TensorBoard and MLflow, each an extra."""
+"""Experiment trackers for long runs: TensorBoard and MLflow, each an extra."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from nermo_mjx.runs.files import WrongDirectory, clear_errors, replace_file
 
 
 class NoTracker(WrongDirectory):
-    """A tracker that there is not, or whose package is not installed; the message says what to do."""
+    """An unknown tracker, or one whose package is not installed; the message says what to do."""
 
 
 class Tracker(Protocol):
-    """Takes numbers by name, at a step that grows; `close` is told whether the work went to its end."""
+    """Receives values by name, at increasing steps; `close` is told whether the work was completed."""
 
     def log(self, step: int, numbers: Mapping[str, float]) -> None: ...
 
@@ -49,7 +49,7 @@ class TensorBoard:
     def __init__(self, out: Path, part: str) -> None:
         from tensorboardX import SummaryWriter
 
-        # A file is named by the second: of two sessions in one, the later would replace the earlier one's.
+        # Files are named by the second: of two sessions within one, the later would overwrite the earlier.
         self._writer = SummaryWriter(str(out / "tensorboard" / part), filename_suffix=f".{time.time_ns()}")
 
     def log(self, step: int, numbers: Mapping[str, float]) -> None:
@@ -71,7 +71,7 @@ class MLflow:
         from mlflow.entities import Metric
         from mlflow.tracking import MlflowClient
 
-        # MLflow would rather have a database, which needs its larger package.
+        # MLflow prefers a database, which needs its larger package.
         os.environ.setdefault("MLFLOW_ALLOW_FILE_STORE", "true")
         self._metric = Metric
         where = os.environ.get("MLFLOW_TRACKING_URI") or (out / "mlruns").absolute().as_uri()
@@ -143,5 +143,5 @@ def _close(tracker: Tracker, kind: type[BaseException] | None, *_: object) -> No
 
 
 def finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    """The numbers that are finite: the others have no place on an axis."""
+    """The finite values: the others cannot be plotted."""
     return {name: float(value) for name, value in numbers.items() if math.isfinite(value)}

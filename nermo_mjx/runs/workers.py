@@ -1,6 +1,6 @@
-"""Who computes the tasks of a run: one seam, with this process on one side and a cluster on the other (`ray_workers`).
+"""What computes the tasks of a run: one interface for this process and for a cluster (`ray_workers`).
 
-The process that drives a run hands in tasks and gets results as they come, in any order; it alone writes.
+The process that drives a run submits tasks and receives results as they finish, in any order; only it writes.
 """
 
 from __future__ import annotations
@@ -11,22 +11,22 @@ from typing import Any, Protocol
 
 from nermo_mjx.runs.code import CodeStamp
 
-#: Told the progress of a task: its key, and the share done, 0 to 1.
+#: Callback for the progress of a task: its key, and the fraction done, 0 to 1.
 Tell = Callable[[int, float], None]
 
 
 class Computer(Protocol):
-    """What computes tasks, one after the other, warm after the first.
+    """Computes tasks, one after another, warm after the first.
 
-    It travels to other machines as it is before its first task; what makes it warm is made there.
+    It is sent to other machines in its state before the first task, and warmed up there.
     """
 
     def warm(self) -> None:
-        """Make ready what computes; an error says why it cannot here."""
+        """Warm up; an error says why it cannot compute here."""
         ...
 
     def stamp(self) -> CodeStamp:
-        """Of the code that computes where this is called."""
+        """Stamp of the code that computes on the calling machine."""
         ...
 
     def __call__(self, task: Any, /, progress: Callable[[float], None] | None = None) -> Any:
@@ -43,7 +43,7 @@ class Workers(Protocol):
         ...
 
     def begin(self, computer: Computer) -> CodeStamp:
-        """Make ready; the stamp of the code that computes.
+        """Warm up; returns the stamp of the code that computes.
 
         Raises:
             WorkersLost: there is no worker.
@@ -51,7 +51,7 @@ class Workers(Protocol):
         ...
 
     def results(self, tasks: Iterable[tuple[int, Any]], tell: Tell) -> Iterator[tuple[int, Any]]:
-        """Results by the keys of their tasks, in any order; tasks are asked for when someone is free.
+        """Results by the keys of their tasks, in any order; tasks are requested when a worker is free.
 
         Args:
             tasks: each with a key of its own.
@@ -78,7 +78,7 @@ class WorkersLost(RuntimeError):
 
 
 class LocalWorkers:
-    """This process computes, one task after the other."""
+    """This process computes, one task after another."""
 
     parts = 1
 

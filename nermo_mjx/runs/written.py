@@ -1,4 +1,4 @@
-"""Which files of a directory the program wrote itself: it replaces and removes these, and no others."""
+"""Which files of a directory the program wrote itself: it replaces and removes only these."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class Written:
-    """Writes files of a directory; what stands in the way and is not the program's own is moved aside.
+    """Writes files of a directory; files in the way that are not the program's own are moved aside.
 
     Use it in a `with` statement: what was written is noted in run.json, as `files`, path -> digest.
 
@@ -38,7 +38,7 @@ class Written:
         self.note()
 
     def note(self) -> None:
-        """Note now what was written: a process that is killed later knows its own files again."""
+        """Record now what was written, so that the files are recognized even if the process is killed later."""
         self.held.note_files(self.known)
 
     def write(self, path: Path, content: bytes) -> None:
@@ -53,7 +53,7 @@ class Written:
         self.known[self.name(path)] = digest(content)
 
     def make(self, path: Path, maker: Callable[[Path], T]) -> T:
-        """Have a file made by a function that writes it, and return what that returns.
+        """Call a function that writes a file, and return its result.
 
         Raises:
             DirectoryError: what stands in the way cannot be moved.
@@ -65,7 +65,7 @@ class Written:
         return made
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove files, by their paths in the directory, that are as the program wrote them; the others stay."""
+        """Remove files, by their paths in the directory, if they are unmodified; the others are kept."""
         for name in names:
             path, own = self.held.out / name, self.known.pop(name, None)
             if own is not None and self._digest_of(path) == own:
@@ -73,7 +73,7 @@ class Written:
                     path.unlink()
 
     def clear(self, path: Path) -> None:
-        """See that there is no file of this name: the program's own is removed, another one moved aside.
+        """Make way for a file of this name: the program's own file is removed, any other one moved aside.
 
         Raises:
             DirectoryError: it cannot be.
@@ -87,8 +87,8 @@ class Written:
         if not self.aside:
             return ""
         more = f" and {len(self.aside) - 1} more" if len(self.aside) > 1 else ""
-        what = "Files were in the way that are not as this program wrote them" if more else (
-            "A file was in the way that is not as this program wrote it"
+        what = "Files in the way were not as this program wrote them" if more else (
+            "A file in the way was not as this program wrote it"
         )  # fmt: skip
         return f"{what}: moved aside in {self.held.out}, to {self.aside[0]}{more}."
 
@@ -102,7 +102,7 @@ class Written:
             self.aside.append(self.name(moved))
 
     def _digest_of(self, path: Path) -> str | None:
-        """Digest of a file; None if there is none, or a folder's own word."""
+        """Digest of a file; None if it does not exist, a marker for a folder."""
         with clear_errors(self.held.out):
             if path.is_dir():
                 return "a folder"

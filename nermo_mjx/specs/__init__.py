@@ -1,1 +1,1 @@
-"""Spec files: YAML that knows its lines, declared fields, and what every file about a walk has in common."""
+"""Spec files: YAML with line numbers, declared fields, and what all files describing a walk have in common."""

@@ -23,7 +23,7 @@ KEPT_METRICS: Final = "metrics.py"
 
 
 def named_controller(doc: Document) -> str | None:
-    """What stands under `controller`; the path of a file counts from the folder of the document's."""
+    """The field `controller`; paths are relative to the document's folder."""
     given = doc.data.get("controller")
     if given is None:
         return None
@@ -36,7 +36,7 @@ def named_controller(doc: Document) -> str | None:
 
 
 def named_metrics(doc: Document) -> tuple[str, ...]:
-    """What stands under `metrics`; the path of a file counts from the folder of the document's."""
+    """The field `metrics`; paths are relative to the document's folder."""
     given = doc.data.get("metrics")
     listed = [] if given is None else [given] if isinstance(given, str) else given
     if not isinstance(listed, list) or not all(isinstance(each, str) for each in listed):
@@ -53,7 +53,7 @@ def named_metrics(doc: Document) -> tuple[str, ...]:
 
 
 def _beside(doc: Document, source: str) -> Path:
-    """A file that a document names, from the folder of the document's own."""
+    """A file named in a document, relative to the document's folder."""
     return (Path(doc.source).parent / source if doc.lines else Path(source)).expanduser().resolve()
 
 
@@ -81,7 +81,7 @@ def parameters_of(doc: Document) -> Iterator[None]:
 
 
 def controller_identity(setup: Setup) -> dict[str, str]:
-    """What of a setup's own code decides the results: names and content of the files of its controller and metrics."""
+    """The custom code of a setup that affects results: names and content of the files of its controller and metrics."""
     identity = {}
     if setup.controller is not None:
         where = written_controller(setup)
@@ -94,7 +94,7 @@ def controller_identity(setup: Setup) -> dict[str, str]:
 
 
 def written_controller(setup: Setup, folder: Path | None = None) -> str:
-    """A setup's controller as it stands in a file of a folder.
+    """A setup's controller as written in a file of a folder.
 
     Raises:
         ParameterError: it was given as an object, which no file can name.
@@ -106,7 +106,7 @@ def written_controller(setup: Setup, folder: Path | None = None) -> str:
 
 
 def written_metrics(setup: Setup, folder: Path | None = None) -> list[str]:
-    """A setup's own metrics as they stand in a file of a folder.
+    """A setup's custom metrics as written in a file of a folder.
 
     Raises:
         ParameterError: one was given as an object, which no file can name.

@@ -1,7 +1,7 @@
-"""Declared fields of spec files: pydantic models that refuse each wrong value in one sentence, and describe themselves.
+"""Declared fields of spec files: self-describing pydantic models that refuse each wrong value in one sentence.
 
-Pydantic, because its errors are data (where, which value) of which a sentence can be made, because a validator can
-raise such a sentence itself, and because a field may be one of several forms that differ by a key.
+Pydantic was chosen because its errors are data (where, which value) that can be turned into a sentence, because a
+validator can raise such a sentence itself, and because a field may have one of several forms that differ by a key.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 
 JsonSchema = dict[str, Any]
 M = TypeVar("M", bound="Fields")
-#: The dialect that the language servers of YAML know best; nothing in the schemas is newer.
+#: The dialect that YAML language servers support best; the schemas use nothing newer.
 _DIALECT: Final = "http://json-schema.org/draft-07/schema#"
-#: What is expected where pydantic finds another type, or a number out of range.
+#: Expectations for pydantic's errors about types and ranges.
 _TYPES: Final = {
     "float_type": "a number", "bool_type": "true or false", "string_type": "a name", "dict_type": "a mapping",
     "list_type": "a list", "none_required": "nothing",
@@ -27,7 +27,7 @@ _RANGES: Final = {"greater_than": "a finite number above 0", "finite_number": "a
 
 
 class Refused(ValueError):
-    """What a validator says of a wrong value.
+    """A validator's message about a wrong value.
 
     Attributes:
         path: keys from the checked value to the one that the message is about.
@@ -69,7 +69,7 @@ def chosen(default: str, names: Iterable[str], description: str) -> Any:
 
 
 def optional(description: str | None = None, *, alias: str | None = None, **schema: Any) -> Any:
-    """A field that may be missing: then it is None, which cannot stand in the file. `schema`: more for an editor."""
+    """An optional field: None if missing, which cannot be written in the file. `schema`: additions for an editor."""
     return Field(default=None, alias=alias, description=description, json_schema_extra=schema or None)
 
 
@@ -141,9 +141,9 @@ class OneOf(Fields):
     """A mapping of one field, such as {linspace: [0, 1, 5]}.
 
     Attributes:
-        alone: names of fields that may stand without a mapping.
+        alone: names of fields that may be given without a mapping.
         other: says of a field's name that there is no such field; with `{name}` in it, it is about the whole.
-        other_name: the same of a name that stands alone.
+        other_name: the same for a name given alone.
     """
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
@@ -175,7 +175,7 @@ class OneOf(Fields):
 
     @property
     def chosen(self) -> tuple[str, Any]:
-        """The name of the field that stands there, and its value."""
+        """The name of the given field, and its value."""
         (name,) = self.model_fields_set
         return name, getattr(self, name)
 
@@ -190,7 +190,7 @@ def schema_of(model: type[Fields]) -> JsonSchema:
 
 
 def _plain(schema: Any) -> Any:
-    """Without the titles, which repeat names, and without defaults that cannot stand in a file."""
+    """Without the titles, which repeat names, and without defaults that cannot be written in a file."""
     if isinstance(schema, list):
         return [_plain(item) for item in schema]
     if not isinstance(schema, dict):

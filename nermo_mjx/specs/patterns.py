@@ -1,7 +1,7 @@
-"""Patterns in the place of parameters' names, so that 64 numbers take one line: `foot.*_left.y?`, `spine.harmonics.*`.
+"""Patterns in place of parameter names, so that 64 parameters take one line: `foot.*_left.y?`, `spine.harmonics.*`.
 
-A pattern is one of the shell: `*` stands for anything, `?` for one character, `[1-4]` for one of these. It means every
-parameter whose name it matches, each with what is given, as if each stood there by itself.
+Shell-style patterns: `*` matches anything, `?` one character, `[1-4]` one of these. A pattern means every
+parameter whose name it matches, as if each were listed with the given value.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def matches(pattern: str, names: Iterable[str]) -> list[str]:
 
 
 def is_pattern(key: str) -> bool:
-    """Whether a key is no name, but a pattern of names."""
+    """Whether a key is a pattern rather than a name."""
     return any(mark in key for mark in "*?[")
 
 
 def written_out(doc: Document) -> Document:
-    """The document with the names that its patterns match in their place.
+    """The document with its patterns expanded to the names that they match.
 
-    A name that stands there itself has what it is given, whatever patterns match it.
+    A name given explicitly takes precedence over patterns.
 
     Raises:
         SpecError: a pattern matches nothing, or two patterns match one name.
@@ -69,7 +69,7 @@ def _origins(doc: Document, section: str, given: dict[str, Any]) -> dict[str, st
 
 
 def _lines(doc: Document, section: str, origin: dict[str, str]) -> dict[FieldPath, int]:
-    """The lines of what stands under a pattern, for each name that it matches."""
+    """The line numbers under a pattern, for each name that it matches."""
     moved: dict[FieldPath, int] = {}
     below: dict[str, list[FieldPath]] = {}
     for path in doc.lines:

@@ -1,4 +1,4 @@
-"""Files of a sweep or a tuning as plain values that still know where they stood: each message's `file:line`."""
+"""Spec files as plain values that keep their line numbers, for the `file:line` of each message."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nermo_mjx.robot.quantity import ParameterError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
 FieldPath = tuple["str | int", ...]
-#: How YAML's own tags begin, and those of plain values; each other tag is refused.
+#: Prefix of YAML's own tags, and the tags of plain values; all other tags are refused.
 _STANDARD: Final = "tag:yaml.org,2002:"
 _PLAIN_TAGS: Final = frozenset(_STANDARD + name for name in ("map", "seq", "str", "int", "float", "bool", "null"))
 _MERGE: Final = f"{_STANDARD}merge"
@@ -58,7 +58,7 @@ class Document:
 
 
 def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
-    """Read a YAML file; every way in which it is no YAML mapping is a `SpecError`. `what` names its kind."""
+    """Read a YAML file; raises a `SpecError` if it is not a YAML mapping. `what` names its kind."""
     source = os.fspath(path)
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -109,7 +109,7 @@ def dump(data: Mapping[str, Any]) -> str:
 
 
 def describe(value: Any) -> str:
-    """A value in words for a message: what it is, and what kind of thing."""
+    """A value in words for a message, with its kind."""
     if value is None:
         return "nothing"
     kinds = {bool: "the truth value", int: "the number", float: "the number", str: "the text", list: "the list"}
@@ -196,7 +196,7 @@ class _NodeReader:
 
     @contextlib.contextmanager
     def _opened(self, node: Node, path: FieldPath) -> Iterator[None]:
-        """While what is in a node is read, an alias to it has no end."""
+        """While a node is being read, an alias to it would be circular."""
         if any(node is other for other in self._open):
             self._refuse(node, f"{self._subject(path)} contains itself through an alias.")
         self._open.append(node)
@@ -211,7 +211,7 @@ class _NodeReader:
 
 
 def _tagged(node: Node) -> str:
-    """A node in words, with its tag where it is none of a list or mapping."""
+    """A node in words, with its tag unless it is a list or mapping."""
     tag = str(node.tag).replace(_STANDARD, "!!")
     if isinstance(node, ScalarNode):
         return f"'{node.value}' with the tag {tag}"

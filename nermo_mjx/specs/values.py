@@ -1,4 +1,4 @@
-"""Values of spec files: markers that check what stands in a file, and say to an editor what may."""
+"""Values of spec files: markers that check a file's values, and describe to an editor what is allowed."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 
-#: Every parameter, as a file without a setup has it; each setup has the same names.
+#: Every parameter, for a file without a setup; each setup has the same names.
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))
-#: Those that the file that is read may name: another controller has others.
+#: Parameters that the current file may name: a custom controller has others.
 NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=PARAMETERS)
-#: The metrics that the runs of the file that is read give: with custom metrics there are more.
+#: Metrics of the current file's runs: with custom metrics there are more.
 MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -40,7 +40,7 @@ class Checked:
         return value
 
     def schema(self, own: JsonSchema) -> JsonSchema:
-        """What an editor is told."""
+        """The schema for an editor."""
         return own
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -138,7 +138,7 @@ class ByParameter(Checked):
 
 
 def by_parameter(value: JsonSchema) -> JsonSchema:
-    """What is said of a mapping by parameters: each with its description, and the given schema or that of a number.
+    """Schema of a mapping by parameters: each with its description, and the given schema or that of a number.
 
     A pattern of names (`patterns`) is allowed in a name's place.
     """

@@ -1,4 +1,4 @@
-"""What a sweep's and a tuning's file have in common: which walk it is about, how long it lasts, what is fixed in it."""
+"""What sweep and tuning files have in common: the walk, its duration, and the fixed parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
 from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, check_value, number_of
 
-#: Parameters, and groups of them, that nothing reads unless a choice of the setup turns them on.
+#: Parameters, and groups of them, that are only used with a certain choice of the setup.
 _NEEDS: Final = {
     "spine.amplitude": ("spine", "stride_extension"),
     "spine.phase": ("spine", "stride_extension"),
@@ -84,7 +84,7 @@ class SetupFields(Fields):
     cone: str = chosen(Setup.cone, CONES, "friction cone")
     physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
     timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
-                            "wins over that of physics")  # fmt: skip
+                            "takes precedence over that of physics")  # fmt: skip
     gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
     spine: str = chosen(Setup.spine, SPINES, "its modes")
     steering: str = chosen(Setup.steering, STEERING, "what turns the robot")
@@ -102,7 +102,7 @@ SETUP_FIELDS: Final = tuple(SetupFields.model_fields)
 
 class Straight(Fields):
     what: ClassVar = "an option of the pilot 'straight'"
-    distance: float = optional("where measuring ends [m]", exclusiveMinimum=0)
+    distance: float = optional("distance at which measuring ends [m]", exclusiveMinimum=0)
 
 
 class Arc(Fields):
@@ -160,7 +160,7 @@ class RunFields(Fields):
 
 
 class WalkFields(SetupFields):
-    """What a file about a walk may say of it."""
+    """Fields of a file that describes a walk."""
 
     sources: ClassVar[str]  #: sections that give parameters their values, for messages
     pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
@@ -214,16 +214,16 @@ class WalkSpec:
 
     @property
     def parameters(self) -> dict[str, Quantity]:
-        """Every parameter that this setup has, by name."""
+        """All parameters of this setup, by name."""
         return all_parameters(self.setup)
 
     @property
     def metrics(self) -> dict[str, Metric]:
-        """Every metric that a run of this setup gives, by name."""
+        """All metrics of a run of this setup, by name."""
         return all_metrics(self.setup)
 
     def walk_fields(self, folder: Path | None = None) -> dict[str, Any]:
-        """Setup, pilot, run and fixed parameters, as they stand in a file.
+        """Setup, pilot, run and fixed parameters, as written in a file.
 
         Args:
             folder: where the file is to stand, resolved: a controller in it is named from there.
@@ -241,7 +241,7 @@ class WalkSpec:
 
 
 def unread(setup: Setup, name: str) -> tuple[str, str] | None:
-    """The choice, and what it would have to be, without which nothing reads a parameter; None if it is read."""
+    """The choice that a parameter requires, and its required values; None if the parameter is used."""
     if _is_terrain(name) and name not in terrain_values(str(setup.scene)):
         return "scene", scenes_reading(name)[0]
     groups = [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)] if setup.controller is None else []
@@ -260,7 +260,7 @@ def check_sources(
     bodies: Collection[str] = (),
     setups: Collection[Setup] = (),
 ) -> None:
-    """Fail where a parameter has two sources, or no effect.
+    """Fail if a parameter has two sources, or no effect.
 
     Args:
         sections: names of the parameters that each section of the file changes.
@@ -334,7 +334,7 @@ def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
 
 
 def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> NoReturn:
-    """Say what a setup says of its choices, about the field that it names."""
+    """Report a setup's errors for the field that they name."""
     field, _, rest = message.partition(" ")
     if field not in choices:
         doc.fail(("pilot", "waypoints", "points"), f"is refused: {message}")
@@ -352,7 +352,7 @@ def _read_run(doc: Document, fields: RunFields | None, pilot: Mapping[str, Any])
         subject, _, message = str(error).partition(" ")
         key = subject.removeprefix("run.")
         doc.fail(("pilot", "straight", key) if key == "distance" else ("run", key), message)
-    # Defaults are written out: what a run of frequency 1 Hz counts in seconds is its cycles.
+    # Defaults are written out: for a run at 1 Hz, seconds equal cycles.
     warmup, length = (float(each) for each in run.seconds(1.0))
     names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
     return dataclasses.replace(run, **dict(zip(names, (length, warmup), strict=True)))

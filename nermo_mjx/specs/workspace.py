@@ -20,7 +20,7 @@ _MOST_TRIED: Final = 50_000
 def check_workspace(
     doc: Document, setup: Setup, fixed: Mapping[str, float], tried: Mapping[str, Mapping[str, np.ndarray]]
 ) -> None:
-    """Fail at the field whose values take a foot out of its leg's workspace.
+    """Fail at the field whose values move a foot out of its leg's workspace.
 
     Args:
         setup: static choices; the leg's routing decides what it reaches.
@@ -28,7 +28,7 @@ def check_workspace(
         tried: values to try of the others, by the section of the file and by name.
     """
     if setup.controller is not None:
-        return  # it says itself what its legs reach, when it is simulated
+        return  # it checks its own workspace when it is simulated
     parts = {"set": {name: np.array([value]) for name, value in fixed.items()}, **tried}
     sections = {name: section for section, names in parts.items() for name in names if _of_legs(name)}
     if not sections:

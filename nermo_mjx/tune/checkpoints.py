@@ -54,7 +54,7 @@ class Checkpoints:
     def restore(
         self, like: TuneState, *, accept: bool = False, warn: Callable[[str], None] = lambda _: None
     ) -> tuple[TuneState, Log] | None:
-        """The newest whole checkpoint, None if there is none. Newer ones that are damaged are moved aside.
+        """The latest intact checkpoint, None if there is none. Newer ones that are damaged are moved aside.
 
         Args:
             like: a state of the same tuning; its values do not matter.

@@ -1,4 +1,4 @@
-"""Cameras that follow the robot: where each named view stands, and how smoothly it tracks the torso."""
+"""Cameras that follow the robot: the position of each named view, and how smoothly it tracks the torso."""
 
 from __future__ import annotations
 

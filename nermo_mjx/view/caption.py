@@ -1,4 +1,4 @@
-"""What a page says in words about a run: its title, its figures, and a table of everything that was chosen."""
+"""The text of a page about a run: its title, its figures, and a table of all settings."""
 
 from __future__ import annotations
 

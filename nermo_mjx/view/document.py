@@ -50,7 +50,7 @@ class Page:
         return path
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the page in a frame of its own, kept with the notebook."""
+        """Notebook output: the page in an iframe, stored with the notebook."""
         return (
             f'<iframe srcdoc="{html.escape(self.html)}" title="Page of nermo_mjx" allow="fullscreen; clipboard-write" '
             f'style="width:100%;height:{self.height}px;border:0;border-radius:8px"></iframe>'

@@ -89,7 +89,7 @@ def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterat
 
 
 def require_encoder() -> Any:
-    """The module that runs ffmpeg, which it brings along; raises `VideoError` where there is none."""
+    """The module that bundles and runs ffmpeg; raises `VideoError` if it is not installed."""
     try:
         import imageio_ffmpeg
 

@@ -1,4 +1,4 @@
-"""Text and pictures in strips of pixels, drawn by matplotlib: captions, bars and curves beside the robot's picture."""
+"""Text and plots in strips of pixels, drawn by matplotlib: captions, bars and curves beside the robot's image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recorded run looks like at each sample: where bodies and tendons are, and which forces act.
+"""The state of a recorded run at each sample: positions of bodies and tendons, and forces.
 
 A recording holds positions, velocities and commands. Forces follow from them: MuJoCo's forward dynamics of a sample
 gives the contact forces and, as the force of a tendon's length limit, its tension. The robot's tendons are massless

@@ -1,4 +1,4 @@
-"""What a video can show beside the robot itself, by name."""
+"""Overlays of a video, by name."""
 
 from __future__ import annotations
 

@@ -165,7 +165,7 @@ def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
 
 
 def _palette() -> dict[str, Any]:
-    """The colours of the house: of numbers from low to high, of things, and of what is missing."""
+    """The common colours: of values from low to high, of categories, and of missing values."""
     from matplotlib import colormaps  # takes a second
     from matplotlib.colors import to_hex
 

@@ -1,4 +1,4 @@
-"""What a page shows of a directory: the columns of its table with their meaning, whole or thinned evenly."""
+"""The data of a directory's page: the columns of its table with their metadata, complete or thinned evenly."""
 
 from __future__ import annotations
 
