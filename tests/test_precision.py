@@ -85,6 +85,7 @@ def test_a_tick_of_the_robot_in_mjx_has_it(simulator: Any) -> None:
     assert highest(products(sim.engine.tick, *one))
 
 
+@pytest.mark.compiles
 def test_one_setup_serves_programs_in_32_and_in_64_bits():
     """Also while a program of the other kind is kept; the oracle is a setup that has only been used in one."""
 
