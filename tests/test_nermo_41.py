@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx import ParameterError, Run, Setup, load_robot
+from nermo_mjx import ParameterError, Run, Setup, Simulator, load_robot
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.sagittal import SagittalModes
 from nermo_mjx.kinematics import body, spine
@@ -18,6 +18,8 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import assemble_spine
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import replace_quantities
+from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.runtime import compiler_options
 
 #: The published robot.
 ROBOT = Geometry()
@@ -178,3 +180,30 @@ def test_it_starts_on_its_feet_whatever_the_spine_does(simulator):
         mujoco.mj_kinematics(model, data)
         soles = [data.geom(f"{limb}_sole").xpos[2] - model.geom(f"{limb}_sole").size[0] for limb in LIMBS]
         assert min(soles) == pytest.approx(-1e-5, abs=5e-4)
+
+
+@pytest.mark.long  # this program of MJX compiles for a minute; test_walk_gradient.py has that of Nermo-Lite
+def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
+    """A third of a bound in float64: the speed of both engines, and its derivatives against differences of C's."""
+    point = {"spine.sagittal_amplitude": 0.2, "spine.sagittal_phase": 0.6, "spine.pitch_gain": 0.5,
+             "stiffness.spine": 1.1, "mass.front": 0.17}  # fmt: skip
+    setup = Setup(**BOUND, spine="sagittal_extension+pitch_balance")
+    run, first, share = Run(cycles=0.3, warmup_cycles=0), np.array(list(point.values())), 1e-6
+    with jax.enable_x64(True):
+        rollout = Rollout(setup, run)
+
+        def speed(values):
+            return rollout(dict(zip(point, values, strict=True)))["speed"]
+
+        def with_slopes(values):
+            ways = jnp.eye(len(point))
+            return jax.vmap(lambda way: jax.jvp(speed, (values,), (way,)), out_axes=(None, 0))(ways)
+
+        value, slopes = jax.jit(with_slopes, compiler_options=compiler_options())(jnp.asarray(first))
+        points = first + first * share * np.concatenate([np.zeros((1, 5)), np.eye(5), -np.eye(5)])
+        simulator = Simulator(setup, "c")
+        simulator.robot.physical.opt.tolerance = 0.0
+        reference, *ends = simulator.run(dict(zip(point, points.T, strict=True)), run).metrics["speed"]
+    high, low = np.split(np.array(ends), 2)
+    assert value == pytest.approx(reference, rel=1e-6)
+    np.testing.assert_allclose(slopes, (high - low) / (2 * share * first), rtol=1e-3)
