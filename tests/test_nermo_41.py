@@ -19,6 +19,7 @@ from nermo_mjx.robot import assemble_spine
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.rollout.eye_metrics import head_orientation, head_rate
 from nermo_mjx.runtime import compiler_options
 
 #: The published robot.
@@ -113,6 +114,24 @@ def test_positive_lifts_the_hip_and_lowers_the_nose(robot):
     lifted, lowered = look()
     assert lifted > hip + 0.005
     assert math.asin(lowered) - math.asin(gaze) == pytest.approx(-0.3, abs=1e-6)
+
+
+def test_the_eyes_are_tracked_through_both_servos_of_the_head(robot):
+    """Attitude and angular velocity of the head, from the robot's sensors, are those of MuJoCo's body."""
+    model, data, rng = robot.model, mujoco.MjData(robot.model), np.random.default_rng(5)
+    for _ in range(4):
+        data.qpos[:] = rng.uniform(-0.4, 0.4, model.nq)
+        data.qpos[3:7] = rng.normal(size=4)
+        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+        data.qvel[:] = rng.uniform(-2.0, 2.0, model.nv)
+        mujoco.mj_forward(model, data)
+        velocity, head = np.zeros(6), model.body("head").id
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, head, velocity, 1)
+        with jax.enable_x64(True):
+            sensors = robot.sensors(jnp.asarray(data.sensordata))
+            quaternion, rate = np.asarray(head_orientation(sensors)), np.asarray(head_rate(sensors))
+        assert abs(quaternion @ data.xquat[head]) == pytest.approx(1.0, abs=1e-12)
+        np.testing.assert_allclose(rate, velocity[:3], atol=1e-9)
 
 
 def test_springs_dampers_and_masses_reach_what_it_has_more(robot):

@@ -1,7 +1,8 @@
 """What the robot's eyes go through: yaw and pitch of its head, and how fast the image moves; part of the metrics.
 
-The head's attitude is the torso's, turned by the neck. Far away things move across the middle of a picture as fast as
-the head turns about its own vertical and its lateral axis; a head that rolls turns the image about its middle.
+The head's attitude is the torso's, turned by the neck, and on Nermo 4.1 tilted by the head's servo. Far away things
+move across the middle of an image as fast as the head turns about its own vertical and its lateral axis; a head that
+rolls turns the image about its middle.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from nermo_mjx.control.sway import wrapped
 from nermo_mjx.kinematics.attitude import attitude, turned_back
 from nermo_mjx.robot import SERVOS, Sensors
+from nermo_mjx.robot.interface import servos_by_count
 from nermo_mjx.rollout.path_metrics import root
 from nermo_mjx.shapes import Array, Quaternion, Scalar, Scalars, Spatial
 
@@ -70,11 +72,24 @@ def result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
 
 
 def head_orientation(sensors: Sensors) -> Quaternion:
-    """Attitude of the head (w, x, y, z): the torso's, turned about its vertical axis by the neck's servo."""
+    """Attitude of the head (w, x, y, z): the torso's, turned about its vertical axis by the neck, then tilted."""
     half = 0.5 * sensors.servo_angle[..., _NECK]
     c, s = jnp.cos(half), jnp.sin(half)
     w, x, y, z = (sensors.orientation[..., i] for i in range(4))
-    return jnp.stack([w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s], axis=-1)
+    panned = jnp.stack([w * c - z * s, x * c + y * s, y * c - x * s, z * c + w * s], axis=-1)
+    tilt = _tilt_servo(sensors)
+    if tilt is None:
+        return panned
+    half = 0.5 * sensors.servo_angle[..., tilt]
+    c, s = jnp.cos(half), jnp.sin(half)
+    w, x, y, z = (panned[..., i] for i in range(4))
+    return jnp.stack([w * c - x * s, x * c + w * s, y * c + z * s, z * c - y * s], axis=-1)
+
+
+def _tilt_servo(sensors: Sensors) -> int | None:
+    """Which servo tilts the head; None where none does."""
+    names = servos_by_count(sensors.servo_angle.shape[-1])
+    return names.index("head") if "head" in names else None
 
 
 def picture_speed(sensors: Sensors) -> Scalars:
@@ -84,8 +99,14 @@ def picture_speed(sensors: Sensors) -> Scalars:
 
 
 def head_rate(sensors: Sensors) -> Spatial:
-    """Angular velocity of the head in its own frame [rad/s]: the gyro's, and the neck's."""
+    """Angular velocity of the head in its own frame [rad/s]: the gyro's, the neck's, and that of the tilt."""
     half = 0.5 * sensors.servo_angle[..., _NECK]
     none = jnp.zeros_like(half)
     seen = turned_back(jnp.stack([jnp.cos(half), none, none, jnp.sin(half)], axis=-1), sensors.gyro)
-    return seen + jnp.stack([none, none, sensors.servo_velocity[..., _NECK]], axis=-1)
+    panned = seen + jnp.stack([none, none, sensors.servo_velocity[..., _NECK]], axis=-1)
+    tilt = _tilt_servo(sensors)
+    if tilt is None:
+        return panned
+    half = 0.5 * sensors.servo_angle[..., tilt]
+    seen = turned_back(jnp.stack([jnp.cos(half), jnp.sin(half), none, none], axis=-1), panned)
+    return seen + jnp.stack([sensors.servo_velocity[..., tilt], none, none], axis=-1)
