@@ -16,7 +16,6 @@ from nermo_mjx.control import ControlParameters, CounterRoll, CounterYaw, Gaze, 
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot import ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.meshes import head as shapes
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.sweep import SpecError, Sweep
 
@@ -141,10 +140,11 @@ WALK = Run(cycles=6, warmup_cycles=2)
 
 @pytest.fixture(scope="module")
 def gazing(simulator):
-    """Trots with the spine at 0.8 Hz, the head held and gazing, recorded."""
+    """Trots with the spine at 0.8 Hz, the head held and gazing, and with a head that tilts; recorded."""
+    walks = {"none": {}, "gaze": {"head": "gaze"}, "tilting": {"head": "gaze", "robot": "nermo_41"}}
     return {
-        head: simulator(head=head, spine="stride_extension").run({"frequency": [0.8]}, WALK, record=True)
-        for head in ("none", "gaze")
+        name: simulator(spine="stride_extension", **choices).run({"frequency": [0.8]}, WALK, record=True)
+        for name, choices in walks.items()
     }
 
 
@@ -158,11 +158,19 @@ def test_the_gaze_halves_the_yaw_of_the_head_and_more(gazing) -> None:
     assert gaze["speed"] == pytest.approx(held["speed"], rel=0.03)
 
 
-@pytest.mark.parametrize("head", ["none", "gaze"])
+def test_a_head_that_tilts_holds_its_pitch(gazing) -> None:
+    """On Nermo 4.1 the picture is level, and moves half as much as where the neck alone turns."""
+    torso, head = gazing["tilting"].metrics["pitch_std"], gazing["tilting"].metrics["head_pitch_std"]
+    assert head < 0.3 * torso
+    assert abs(np.degrees(gazing["tilting"].metrics["head_pitch_mean"])) < 0.3
+    assert gazing["tilting"].metrics["picture_motion"] < 0.8 * gazing["gaze"].metrics["picture_motion"]
+
+
+@pytest.mark.parametrize("head", ["none", "gaze", "tilting"])
 def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
     """Where the head looks as MuJoCo turns it in each recorded pose: its yaw and pitch, and how fast they change."""
     result = gazing[head]
-    model = load_robot().model
+    model = result.setup.load().model
     data = mujoco.MjData(model)
     poses = np.asarray(result.trace.qpos)[0][round(2 / 0.8 * 100) :]
     ahead = np.empty((len(poses), 3))
@@ -175,32 +183,36 @@ def test_metrics_of_the_eyes_are_those_of_mujocos_head(gazing, head) -> None:
     assert metrics["head_yaw_std"] == pytest.approx(heading.std(), rel=0.03)
     assert metrics["head_yaw_mean"] == pytest.approx(heading.mean(), abs=2e-3)
     down = -np.arcsin(ahead[:, 2])
-    assert metrics["head_pitch_std"] == pytest.approx(down.std(), rel=0.03)
+    # A tilting head leaves of the pitch what is fast: readings are a step older than poses, and these 10 ms apart.
+    rough = head == "tilting"
+    assert metrics["head_pitch_std"] == pytest.approx(down.std(), rel=0.1 if rough else 0.03)
     assert metrics["head_pitch_mean"] == pytest.approx(down.mean(), abs=2e-3)
     moved = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 0.01
-    assert metrics["picture_motion"] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.08)
+    assert metrics["picture_motion"] == pytest.approx(np.sqrt((moved**2).mean()), rel=0.15 if rough else 0.08)
 
 
-def test_the_eyes_look_out_of_their_lenses() -> None:
-    """A camera stands before the dome of its lens, as the meshes have it, and looks along the dome's axis."""
-    model = load_robot().model
+@pytest.mark.parametrize("robot", ["nermo_lite", "nermo_41"])
+def test_the_eyes_look_out_of_their_lenses(robot: str) -> None:
+    """A camera stands before the dome of its lens, as it is drawn, and looks along the dome's axis."""
+    model = load_robot(robot).model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    head = data.body("head")
-    glass = shapes.lens().with_mirror_image().vertices / 1e3  # of the head, in its frame
+    mesh = model.mesh("head_lenses").id
+    (geom,) = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (model.geom_dataid == mesh))
+    first = model.mesh_vertadr[mesh]
+    corners = model.mesh_vert[first : first + model.mesh_vertnum[mesh]]
+    glass = data.geom_xpos[geom] + corners @ data.geom_xmat[geom].reshape(3, 3).T  # the robot heads along -y
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
         camera = model.camera(name).id
-        to_head = head.xmat.reshape(3, 3).T
-        place = to_head @ (data.cam_xpos[camera] - head.xpos)
-        ahead = to_head @ -data.cam_xmat[camera].reshape(3, 3)[:, 2]
+        place, turn = data.cam_xpos[camera], data.cam_xmat[camera].reshape(3, 3)
+        ahead = -turn[:, 2]
         dome = glass[side * glass[:, 0] > 0]
         before = (dome - place) @ ahead
         beside = np.linalg.norm(dome - place - before[:, None] * ahead, axis=1)
         assert -0.003 < before.min() < before.max() < -0.0004, "all of the lens is behind the camera"
         assert beside.min() < 1e-5, "its top in the middle of the view"
-        right = to_head @ data.cam_xmat[camera].reshape(3, 3)[:, 0]
-        assert abs(right[2]) < 1e-6, "upright"
-        assert (right[0] < 0, side * ahead[0] > 0) == (True, True)
+        assert abs(turn[2, 0]) < 1e-6, "upright"
+        assert (turn[0, 0] < 0, side * ahead[0] > 0) == (True, True)
 
 
 @pytest.mark.long

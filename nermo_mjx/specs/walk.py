@@ -40,6 +40,7 @@ _NEEDS: Final = {
     "pilot.radius": ("pilot", "arc"),
     "pilot.direction": ("pilot", "arc"),
     "spine.harmonics": ("spine", "harmonics"),
+    "head.tilt": ("robot", "nermo_41"),
     **{f"head.{name}": ("head", GAZE) for name in ("gain", "bandwidth", "lead")},
     "tail.angle": ("tail", "articulated"),
     **{f"tail.{name}": ("tail_motion", SWING) for name in ("swing_amplitude", "swing_gain", "swing_phase")},
