@@ -71,23 +71,24 @@ def save_run(recording: Recording, record: Path | None, video: Path | None, came
 
 def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) -> None:
     """Render with a progress bar; the robot is built from the recording's own setup."""
-    from nermo_mjx.view import render, robot_of
+    from nermo_mjx.view import render, robot_of, shown_model
 
-    robot = robot_of(recording)
+    model = shown_model(recording, robot_of(recording))
     with Progress("video", "frames", quiet=quiet) as progress:
-        render(recording, robot.model, path, progress=progress.count, **drawn)
+        render(recording, model, path, progress=progress.count, **drawn)
 
 
 def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
     """Render several recordings of one robot, each below the name of its file, its title and its figures."""
-    from nermo_mjx.view import robot_of
+    from nermo_mjx.view import robot_of, shown_model
     from nermo_mjx.view.caption import headline_of, title_of
     from nermo_mjx.view.side_by_side import Pane, render_side_by_side
 
     panes = []
     for name, each in zip(names, recordings, strict=True):
         figures = ", ".join(" ".join(row) for row in headline_of(each))
-        panes.append(Pane(each, name, [line for line in (title_of(each), figures) if line]))
+        lines = [line for line in (title_of(each), figures) if line]
+        panes.append(Pane(each, name, lines, shown_model(each, robot_of(each))))
     robot = robot_of(recordings[0])
     with Progress("video", "frames", quiet=quiet) as progress:
         render_side_by_side(panes, robot.model, path, progress=progress.count, **drawn)

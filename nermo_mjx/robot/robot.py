@@ -136,9 +136,13 @@ class Robot:
         Args:
             geometry: leaves of shape ().
         """
+        return self.spec_with_geometry(geometry).compile()
+
+    def spec_with_geometry(self, geometry: Geometry) -> mujoco.MjSpec:
+        """An editable specification, from which `with_geometry` is compiled."""
         spec = self._with(geometry)
         redraw(spec, geometry)
-        return spec.compile()
+        return spec
 
     def physical_with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
         """The same of `physical`."""

@@ -5,7 +5,7 @@ from nermo_mjx.view.encoding import VideoError
 from nermo_mjx.view.overlays import OVERLAYS
 from nermo_mjx.view.page import Page, show
 from nermo_mjx.view.playing import play, write_keyframes
-from nermo_mjx.view.recorded_robot import robot_of
+from nermo_mjx.view.recorded_robot import robot_of, shown_model
 from nermo_mjx.view.video import CAMERAS, check_video, render
 
 __all__ = [
@@ -22,5 +22,6 @@ __all__ = [
     "render",
     "robot_of",
     "show",
+    "shown_model",
     "write_keyframes",
 ]

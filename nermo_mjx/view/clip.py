@@ -10,12 +10,13 @@ import numpy as np
 
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import Robot, RobotConfig
+from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.view.camera import body_radius, root_body, smooth_path
 from nermo_mjx.view.caption import details_of, headline_of, title_of
 from nermo_mjx.view.frames import Frames
 from nermo_mjx.view.motion import Motion, Tendon, finite_samples, motion_of
 from nermo_mjx.view.packing import Packer
-from nermo_mjx.view.recorded_robot import recorded_model, robot_of
+from nermo_mjx.view.recorded_robot import recorded_geometry, recorded_model, robot_of, shown_model
 from nermo_mjx.view.shapes import shapes_of
 from nermo_mjx.view.signals import Plot, plots_of
 
@@ -56,14 +57,15 @@ class Models:
     def __init__(self, packer: Packer) -> None:
         self.headers: list[dict[str, Any]] = []
         self._packer = packer
-        self._known: dict[RobotConfig, int] = {}
+        self._known: dict[tuple[RobotConfig, tuple[float, ...]], int] = {}
 
-    def index(self, robot: Robot) -> int:
-        """Place of a robot's header, which is made when it is new."""
-        if robot.config not in self._known:
-            self._known[robot.config] = len(self.headers)
-            self.headers.append(shapes_of(robot.model, self._packer))
-        return self._known[robot.config]
+    def index(self, recording: Recording, robot: Robot) -> int:
+        """Place of the header of a recording's robot, which is made when it is new."""
+        key = robot.config, tuple(float(value) for _, value in values_of(recorded_geometry(recording)))
+        if key not in self._known:
+            self._known[key] = len(self.headers)
+            self.headers.append(shapes_of(shown_model(recording, robot), self._packer))
+        return self._known[key]
 
 
 def clips_of(recordings: list[Recording], names: list[str], packer: Packer) -> dict[str, Any]:
@@ -85,7 +87,7 @@ def clip_of(recording: Recording, name: str, models: Models, packer: Packer, det
     """
     robot = robot_of(recording)
     clip = _clip(recording, recorded_model(recording, robot), packer, detail)
-    return {"name": name, "model": models.index(robot)} | clip
+    return {"name": name, "model": models.index(recording, robot)} | clip
 
 
 def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: Detail) -> dict[str, Any]:

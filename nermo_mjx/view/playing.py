@@ -17,7 +17,7 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.view import sun
 from nermo_mjx.view.camera import body_radius, following_camera, root_body
-from nermo_mjx.view.recorded_robot import robot_of
+from nermo_mjx.view.recorded_robot import has_own_geometry, recorded_geometry, robot_of
 
 #: Frames that the viewer is given a second [Hz].
 _REFRESH: Final = 60.0
@@ -138,7 +138,8 @@ def write_keyframes(
         raise ParameterError(f"rate is {rate:g} Hz: that would be {count:,} keyframes, of {MOST_KEYS:,}.")
     wanted = recording.time[0] + np.arange(count) / rate
     samples = np.unique(np.abs(recording.time - wanted[:, None]).argmin(axis=1))
-    spec = mujoco.MjSpec.from_string(robot.to_xml())
+    own = robot.spec_with_geometry(recorded_geometry(recording)) if has_own_geometry(recording) else None
+    spec = own or mujoco.MjSpec.from_string(robot.to_xml())
     for sample in samples:
         key = spec.add_key(name=f"t{recording.time[sample]:.3f}", time=float(recording.time[sample]))
         key.qpos, key.qvel, key.ctrl = recording.qpos[sample], recording.qvel[sample], recording.ctrl[sample]

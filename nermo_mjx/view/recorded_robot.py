@@ -10,7 +10,7 @@ import numpy as np
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.quantity import quantities, replace_quantities
+from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.robot.terrains import terrain_values
 
 
@@ -33,6 +33,17 @@ def recorded_geometry(recording: Recording) -> Geometry:
     given, known = recording.metadata.get("parameters") or {}, {name for name, _ in quantities(Geometry)}
     own = {name.removeprefix("geometry."): value for name, value in given.items() if value is not None}
     return replace_quantities(Geometry(), {name: np.asarray(own[name], float) for name in known & own.keys()})
+
+
+def has_own_geometry(recording: Recording) -> bool:
+    """Whether the recorded robot has other lengths and places than the published ones."""
+    one, other = (dict(values_of(geometry)) for geometry in (recorded_geometry(recording), Geometry()))
+    return any(float(one[name]) != float(other[name]) for name in one)
+
+
+def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
+    """The robot's whole model as pictures need it: its parts where the recorded robot has them."""
+    return robot.with_geometry(recorded_geometry(recording)) if has_own_geometry(recording) else robot.model
 
 
 def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:

@@ -33,11 +33,13 @@ class Pane:
         recording: from its first sample on.
         title: in bold.
         caption: lines below the title; long ones are broken.
+        model: of its own robot, where lengths and places differ from the common model's.
     """
 
     recording: Recording
     title: str
     caption: Sequence[str] = ()
+    model: mujoco.MjModel | None = None
 
 
 def render_side_by_side(
@@ -80,7 +82,7 @@ def render_side_by_side(
     header = _header(panes, width)
     ways = _ways(panes, model, samples, speed / fps)
     drawn = [
-        draw(pane.recording, model, each, width, height, camera, speed / fps, overlays)
+        draw(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
         for pane, each in zip(panes, samples, strict=True)
     ]
 
