@@ -278,6 +278,18 @@ def test_ctrl_c_is_exit_code_1_and_says_what_to_do(monkeypatch: pytest.MonkeyPat
     assert result.stderr.startswith("nermo-mjx: stopped; ")
 
 
+def test_a_benchmark_that_is_stopped_says_what_it_has_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def stopped(*_: object, keep: Callable[[dict[str, Any]], None], **__: object) -> None:
+        keep({"hardware": {}, "cases": []})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nermo_mjx.bench.run_bench", stopped)
+    result = call("bench", "--into", tmp_path)
+    assert result.exit_code == 1
+    assert result.stderr.endswith(f"nermo-mjx: stopped; 1 measurement is kept in {tmp_path / 'results.jsonl'}.\n")
+    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_stopped_sweep_says_how_to_go_on_and_goes_on(tmp_path: Path, sent: int) -> None:

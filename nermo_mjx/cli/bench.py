@@ -76,20 +76,14 @@ def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: boo
     same physics without; their ratio is the cost of the controller.
     """
     with stdout_reserved():
-        from nermo_mjx.bench import run_bench
-        from nermo_mjx.bench.history import append, is_known
         from nermo_mjx.bench.page import draw_page
         from nermo_mjx.runs import RunDirectory, Written, session
         from nermo_mjx.runs.files import clear_errors
-        from nermo_mjx.runs.text import plain
 
         # Held while it measures, so that an hour's results can be written.
         with contextlib.nullcontext() if into is None else RunDirectory(into, "benchmarks") as held:
             with Progress("bench", "measurements", quiet=quiet, compiles=True) as progress:
-                how: dict[str, Any] = {} if held is None else {
-                    "keep": lambda run: append(held.out, plain(run)), "known": functools.partial(is_known, held.out),
-                }  # fmt: skip
-                result = run_bench(cases or ("throughput",), given, progress.count, **how)
+                result = _measured(cases or ("throughput",), given, progress.count, None if held is None else held.out)
             if held is not None:
                 held.note_session(session())
                 with Written(held) as written, clear_errors(held.out):
@@ -100,6 +94,29 @@ def command(cases: tuple[str, ...], into: Path | None, as_json: bool, quiet: boo
         print_json(result)
     elif not quiet:
         _print(result)
+
+
+def _measured(cases: tuple[str, ...], given: dict[str, Any], count: Any, out: Path | None) -> dict[str, Any]:
+    """Run the cases; each measurement is appended to a file of the folder `out` as soon as it is made."""
+    from nermo_mjx.bench import run_bench
+    from nermo_mjx.bench.history import RESULTS, append, is_known
+    from nermo_mjx.runs.text import plain
+
+    if out is None:
+        return run_bench(cases, given, count)
+    kept = []
+
+    def keep(run: dict[str, Any]) -> None:
+        append(out, plain(run))
+        kept.append(run)
+
+    try:
+        return run_bench(cases, given, count, keep=keep, known=functools.partial(is_known, out))
+    except KeyboardInterrupt:
+        if not kept:
+            raise
+        number = "1 measurement is" if len(kept) == 1 else f"{len(kept)} measurements are"
+        raise KeyboardInterrupt(f"stopped; {number} kept in {out / RESULTS}.") from None
 
 
 def _print(result: dict[str, Any]) -> None:
