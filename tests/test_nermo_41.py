@@ -84,6 +84,22 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
             np.testing.assert_allclose(seen_from_torso(data, foot), feet[place], atol=1e-6)
 
 
+def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot):
+    """Longer segments, a smaller pulley and a wider hip: hip axis within 1e-6 m, and no tendon slack or tight."""
+    values = {"geometry.spine.segment": 0.018, "geometry.spine.pulley_radius": 0.0055, "geometry.hip.x": 0.045}
+    model, joints = compile_model(robot, values), robot.joints
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    spines = [i for i in range(model.ntendon) if model.tendon(i).name.startswith("spine_")]
+    np.testing.assert_allclose(data.ten_length[spines], model.tendon_range[spines, 1], atol=1e-7)
+    data.qpos[list(joints.spine)], data.qpos[list(joints.spine_vertical)] = 0.08, -0.06
+    mujoco.mj_kinematics(model, data)
+    geometry = replace_quantities(Geometry(), {name.removeprefix("geometry."): each for name, each in values.items()})
+    with jax.enable_x64(True):
+        hips = np.asarray(body.hips(np.array(0.08), geometry, np.array(-0.06)))
+    np.testing.assert_allclose(seen_from_torso(data, data.site("rear_left_axis").xpos), hips[0], atol=1e-6)
+
+
 def test_each_servo_bends_its_own_plane_by_the_published_law():
     """On the test stand all four joints of a plane bend alike, within 4 % of (5.26); the other plane stays straight."""
     model = assemble_spine(robot="nermo_41").compile()
