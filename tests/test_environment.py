@@ -236,4 +236,4 @@ def test_mjx_gives_what_c_gives_and_its_rewards_have_derivatives():
         value, slope = jax.jit(jax.value_and_grad(total))(0.1)
         both = jax.jit(jax.vmap(total))(jnp.array([0.1 - 1e-4, 0.1 + 1e-4]))
         assert jnp.isfinite(value)
-        assert slope == pytest.approx((both[1] - both[0]) / 2e-4, rel=1e-3)
+        assert float(slope) == pytest.approx(float(both[1] - both[0]) / 2e-4, rel=1e-3)
