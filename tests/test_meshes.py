@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from mujoco import mjx
 
-from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
+from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot, nermo_41
 from nermo_mjx.robot.files import mjcf_directory
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.meshes.catalogue import mesh_texts
@@ -62,9 +63,10 @@ def test_the_files_are_what_the_script_makes():
 
 
 def test_the_files_are_small_and_all_in_use():
-    """315 kB in all; every file is named in the MJCF."""
+    """315 kB in all; every file is named in the MJCF, or in what Nermo 4.1 adds to it."""
     assert sum(path.stat().st_size for path in FILES) < 320_000
-    mjcf = "".join(path.read_text() for path in mjcf_directory().glob("*.xml"))
+    sources = (*mjcf_directory().glob("*.xml"), Path(nermo_41.__file__))
+    mjcf = "".join(path.read_text() for path in sources)
     assert [path.name for path in FILES if f'file="{path.name}"' not in mjcf] == []
 
 

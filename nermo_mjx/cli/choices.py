@@ -61,6 +61,9 @@ PARAMETERS = (
     "contact.time_constant", "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee",
     "stiffness.rear_knee", "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle",
     "damping.spine", "damping.pulley", "mass.front", "mass.rear", "ground.gravity", "ground.slope", "ground.direction",
+    *(f"geometry.{pair}_leg.{link}" for pair in ("front", "rear") for link in ("upper", "attachment", "lower", "foot")),
+    *(f"geometry.{place}.{axis}" for place in ("shoulder", "hip") for axis in "xyz"), "geometry.foot.radius",
+    "geometry.spine.segment", "geometry.spine.pulley_radius", "geometry.tail.length",
     "terrain.height", "terrain.spacing", "terrain.width", "terrain.radius", "terrain.slope", "terrain.gap",
     "terrain.offset", "terrain.shift", "terrain.side", "start.x", "start.y", "start.yaw", "start.phase",
 )  # fmt: skip

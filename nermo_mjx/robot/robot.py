@@ -21,7 +21,6 @@ from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.interface import Sensors
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.masses import is_front
-from nermo_mjx.robot.meshes.catalogue import redraw
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.physical import physical_model, reduced_model
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
@@ -140,6 +139,8 @@ class Robot:
 
     def spec_with_geometry(self, geometry: Geometry) -> mujoco.MjSpec:
         """An editable specification, from which `with_geometry` is compiled."""
+        from nermo_mjx.robot.meshes.catalogue import redraw  # needs splines, which a walk need not wait for
+
         spec = self._with(geometry)
         redraw(spec, geometry)
         return spec
