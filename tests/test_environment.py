@@ -17,6 +17,7 @@ from nermo_mjx.learn.acting import Acted, Acting
 from nermo_mjx.learn.observing import Observer, Sensing, Told
 from nermo_mjx.learn.rewards import chosen_terms
 from nermo_mjx.robot import Sensors
+from nermo_mjx.robot.geometry import Geometry
 
 SETUP = Setup(physics="fast")
 RANDOMIZED = {"frequency": (0.6, 1.0), "contact.friction": (1.0, 1.6), "mass.front": (0.15, 0.19)}
@@ -133,7 +134,7 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
 def test_readings_come_late_and_with_noise_of_the_given_size():
     """Three ticks late, and a quarter of a tick more: straight between the readings of those two ticks."""
     observer = Observer(("gyro", "action"), (), ("a",), False, False, delayed=4, noisy=False, dt=0.01)
-    told = Told(None, jnp.zeros(0), None, jnp.array([7.0]))
+    told = Told(None, jnp.zeros(0), None, jnp.array([7.0]), Geometry())
     memory = observer.memory(jnp.zeros(3))
     for tick in range(1, 5):
         memory = observer.remembered(memory, observer.readings(sensors(gyro=jnp.full(3, float(tick)))))
