@@ -45,11 +45,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int | None:
-    """For `-n auto`: as many processes as there are cores, and memory for them."""
+    """For `-n auto`: one process more than there are cores, which works while others wait, and memory for them."""
     if "PYTEST_XDIST_AUTO_NUM_WORKERS" in os.environ:
         return None
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return max(1, min(runtime.cpu_count(), memory // PROCESS_BYTES))
+    return max(1, min(runtime.cpu_count() + 1, memory // PROCESS_BYTES))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -272,7 +272,8 @@ def test_a_robot_that_walks_into_a_box_is_seen_to_touch_it(labyrinth):
 # --- all of them, as a user runs them
 
 
-@pytest.mark.parametrize("profiles", [("--profile", "exact"), pytest.param((), marks=pytest.mark.long)], ids=str)
+@pytest.mark.long
+@pytest.mark.parametrize("profiles", [("--profile", "exact"), ()], ids=str)
 def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profiles):
     """`experiment all --quick`; the figures that a quick run can measure are there."""
     words = ["experiment", "all", "--quick", *profiles, "--engine", "c", "--out", str(tmp_path), "--json"]

@@ -63,7 +63,7 @@ def six_walks(**fixed: float) -> dict[str, np.ndarray]:
     ("spine", "turn_rate"),
     [
         ("stride_extension", 0.0),
-        ("none", 0.7),
+        pytest.param("none", 0.7, marks=pytest.mark.long),
         pytest.param("none", 0.0, marks=pytest.mark.long),
         pytest.param("stride_extension", 0.7, marks=pytest.mark.long),
     ],

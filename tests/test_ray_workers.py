@@ -78,7 +78,7 @@ def test_a_cluster_that_loses_and_gains_nodes_makes_the_undisturbed_table(tmp_pa
     assert len(processes) >= 3
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_driver_that_is_killed_goes_on_from_what_it_wrote(tmp_path, number):
     """The process that writes is gone: no worker of it is left, and at most what was not written yet is lost."""
     undisturbed = run_sweep(SPEC, tmp_path / "one", simulator=FakeSimulator()).table
