@@ -1,8 +1,8 @@
 """Assembly of the robot, and of its test stands, from the MJCF files of `mjcf/`.
 
-The files hold the structure, and `placing` writes the geometry into them; this module joins them, and `equipment`
-writes what the parameter trees and the table of masses hold. Every build starts from the left limbs' files; right is
-mirrored.
+The files hold the structure, and `placing` writes the geometry into them; this module joins them, and `equipment` adds
+the values of the parameter trees and the table of masses. Every build starts from the left limbs' files; the right
+limbs are mirrored.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ TAILS: Final = ("rigid", "articulated")
 CONES: Final = ("elliptic", "pyramidal")
 #: The torso's cameras that follow the robot without turning with it.
 FOLLOWING: Final = ("track_side", "track_top", "track_three_quarter")
-#: What each of the head's two cameras sees.
+#: Field of view of the head's two cameras.
 EYES: Final = ("left_eye", "right_eye")
 
 
@@ -49,12 +49,12 @@ class RobotConfig:
 
     Attributes:
         robot: `nermo_lite`, or `nermo_41` with vertical spine joints and head tilt (see `nermo_41`).
-        scene: name of a file in `mjcf/scenes`, or one of one's own; kept as `scene.resolve_scene` gives it.
+        scene: name of a file in `mjcf/scenes`, or a custom scene; stored as `scene.resolve_scene` returns it.
         tail: `rigid` (default: a third faster) or `articulated`, 19 joints; same mass and centre of mass.
         routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`.
         cone: of the friction, `elliptic` or `pyramidal`.
         physics: `reference` or `fast`, see `PRESETS`.
-        timestep: of the physics [s]; by default the preset's, and what is given wins over it.
+        timestep: of the physics [s]; overrides that of the preset, which is the default.
     """
 
     robot: str = "nermo_lite"
@@ -85,7 +85,7 @@ class RobotConfig:
 
     @property
     def preset(self) -> PhysicsPreset:
-        """What `physics` stands for."""
+        """The preset that `physics` names."""
         return PRESETS[self.physics]
 
 
@@ -144,7 +144,7 @@ def assemble_spine(parameters: ModelParameters | None = None, robot: str = "nerm
 
 
 def default_parameters(robot: str) -> ModelParameters:
-    """The body parameters that a robot is built with unless others are given."""
+    """The default body parameters of a robot."""
     return replace_quantities(ModelParameters(), mass_values(robot))
 
 
@@ -183,9 +183,10 @@ def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, 
 
 
 def _stiffen_tail(spec: mujoco.MjSpec) -> None:
-    """Freeze the tail's joints: the compiler then fuses its segments into the hip, with their mass where it was.
+    """Freeze the tail's joints: the compiler then fuses its segments into the hip, which keeps their masses where they
+    were.
 
-    Of what touches the ground the tip stays, which touches first.
+    Of the tail's ground contacts only the tip's remains, which touches first.
     """
     for geom, site in TAIL_SEGMENTS:
         spec.delete(spec.geom(geom))
@@ -198,8 +199,8 @@ def _stiffen_tail(spec: mujoco.MjSpec) -> None:
 
 def _pose(spec: mujoco.MjSpec, routing: str) -> None:
     """Make the published stance the model's zero pose, so that MuJoCo's reference inertias are those of the standing
-    robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad. It is the same whatever the
-    geometry, so that all that stands in the model is linear in it."""
+    robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad. It does not depend on the
+    geometry, so that every value in the model is linear in the geometry."""
     for pair, leg in LEGS.items():
         hip, knee, pulley = (round(angle, 4) for angle in standing(leg, routing))
         for joint in spec.joints:
@@ -221,8 +222,8 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     option.cone = getattr(mujoco.mjtCone, f"mjCONE_{config.cone.upper()}")
     option.impratio = 3.0
-    # A world that diverges must stay diverged, to be flagged, not start anew. One robot is one island: to look for
-    # others in every step finds the same forces, bit for bit, 4 % later.
+    # A world that diverges must stay diverged, so that it is flagged, and must not be reset. One robot is one island:
+    # searching for others in every step gives bit-identical forces and takes 4 % longer.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
     set_masses(spec, config.robot, parameters)
     set_joints(spec, parameters)

@@ -31,16 +31,16 @@ TENDON_TIME_CONSTANT: Final = 0.004
 TENDON_SOLIMP: Final = (0.95, 0.99, 0.0002, 0.5, 2.0)
 #: Trunk geoms that may touch the ground when the robot falls; spheres, so that each costs MJX one contact.
 TRUNK: Final = ("torso_chest", "hip_pelvis", "head_skull")
-#: The group of what is only seen.
+#: The group of the visual geoms.
 VISUAL_GROUP: Final = 2
-#: What of the tail touches the ground, and where its force is felt (geom, site): the tip, and with the articulated tail
-#: its three segments before it. Up and down the tail is rigid, so that the tip touches first; bent sideways under a
-#: rolling body the others may.
+#: Parts of the tail that may touch the ground, with the site that measures the force (geom, site): the tip and, with
+#: the articulated tail, the three segments before it. The tail is rigid vertically, so the tip touches first; when it
+#: is bent sideways under a rolling body, the others may.
 TAIL_TIP: Final = ("tail_tip", "tail_touch")
 TAIL_SEGMENTS: Final = tuple((f"tail_ground_{i}", f"tail_touch_{i}") for i in (16, 17, 18))
-#: Geoms whose names end so touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
-#: slip into a box: these spheres and capsules complete them to the robot's outline, but for its tail and 2 mm of the
-#: soft paws. A scene without obstacles is built without them, so that they cost it nothing.
+#: Geoms with this suffix touch obstacles only. TRUNK and the soles alone would let a shoulder, a knee or the nose
+#: penetrate a box: these spheres and capsules complete the robot's outline, except for its tail and 2 mm of the soft
+#: paws. A scene without obstacles is built without them, so they cost nothing there.
 BUMPER: Final = "_bumper"
 
 
@@ -105,7 +105,7 @@ def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: 
 
 
 def set_tendons(spec: mujoco.MjSpec) -> None:
-    """Make every tendon's length limit as stiff as the time step allows."""
+    """Make every tendon's length limit as stiff as the time step permits."""
     time_constant = max(TENDON_TIME_CONSTANT, 2.0 * spec.option.timestep)
     for tendon in spec.tendons:
         tendon.solref_limit = np.array([time_constant, 1.0])
@@ -136,7 +136,7 @@ def servo_joint(servo: str) -> str:
 
 
 def add_sensors(spec: mujoco.MjSpec) -> None:
-    """Everything that `Sensors` reads, in its order."""
+    """The sensors that `Sensors` reads, in its order."""
     kind, objects = mujoco.mjtSensor, mujoco.mjtObj
     site, actuator = objects.mjOBJ_SITE, objects.mjOBJ_ACTUATOR
 
@@ -172,10 +172,10 @@ def _tail_ground(spec: mujoco.MjSpec) -> list[tuple[str, str]]:
 def add_contacts(
     spec: mujoco.MjSpec, scene: SceneGeoms, parameters: ModelParameters, trunk_contacts: bool = True
 ) -> None:
-    """Declare the few contact pairs that matter; nothing else collides.
+    """Declare the few contact pairs that matter; there are no other collisions.
 
     Args:
-        scene: which of its geoms touch the robot.
+        scene: its geoms that can touch the robot.
         trunk_contacts: whether the spheres of `TRUNK` touch the ground, too. They always touch obstacles.
     """
     contact = parameters.contact

@@ -1,4 +1,4 @@
-"""Where the MJCF files are, and how one is read."""
+"""Location of the MJCF files, and reading one of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nermo_mjx.robot.meshes.obj import read_obj
 
 
 def mjcf_directory() -> Path:
-    """Where the MJCF files are: inside the installed package, or at the top of a checkout."""
+    """The folder of the MJCF files: inside the installed package, or at the top of a checkout."""
     package = Path(__file__).resolve().parents[1]
     inside = package / "mjcf"
     return inside if inside.is_dir() else package.parent / "mjcf"
@@ -43,7 +43,7 @@ def load_file(name: str, edit: Edit | None = None) -> mujoco.MjSpec:
         included = {each.get("file", ""): (path.parent / each.get("file", "")).read_bytes()
                     for each in root.iter("include")}  # fmt: skip
         spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"), include=included)
-    # Meshes become part of the specification: what is assembled and written needs no files, wherever it is compiled.
+    # Meshes become part of the specification: an assembled or exported model compiles anywhere, without files.
     for mesh in spec.meshes:
         vertices, faces = read_obj(mjcf_directory() / spec.meshdir / mesh.file)
         mesh.uservert, mesh.userface, mesh.file = vertices.ravel(), faces.ravel(), ""

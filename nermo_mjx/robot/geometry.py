@@ -1,8 +1,8 @@
-"""The robot's geometry as parameters: what a world may have of its own, and what follows from it.
+"""The robot's geometry as parameters that may differ between worlds, and the numbers derived from them.
 
-Defaults are the published numbers of `parameters`; what is not here is the same in all worlds. Trunk and servos keep
-their masses and where these lie; the links of legs, spine and tail keep their masses, and their centres of mass and
-boxes of inertia stretch with them.
+Defaults are the published numbers of `parameters`; all other dimensions are the same in all worlds. Trunk and servos
+keep their masses and their centres of mass; the links of legs, spine and tail keep their masses, and their centres of
+mass and boxes of inertia stretch with them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from nermo_mjx.robot.parameters import (
 )
 from nermo_mjx.robot.quantity import ParameterError, group, parameter_tree, quantity
 
-#: Rows of the DH table that lead from one lateral joint to the next: each has half of a segment.
+#: Rows of the DH table that lead from one lateral joint to the next; each covers half a segment.
 SEGMENT_ROWS: Final = range(SPINE.lateral_joints[0] + 1, SPINE.lateral_joints[-1] + 1)
 
 
@@ -109,7 +109,7 @@ class TailLength:
 
 @parameter_tree
 class Geometry:
-    """Lengths and places that may differ from world to world."""
+    """Lengths and positions that may differ between worlds."""
 
     front_leg: FrontLeg = group(FrontLeg)
     rear_leg: RearLeg = group(RearLeg)
@@ -121,24 +121,24 @@ class Geometry:
 
 
 def geometry_of(params: Any) -> Geometry:
-    """The geometry that parameters have, of a controller or another; the published one if they have none."""
+    """The geometry in a set of parameters, such as a controller's; the published one if they contain none."""
     geometry: Geometry = getattr(params, "geometry", None) or Geometry()
     return geometry
 
 
 def names_geometry(names: Iterable[str]) -> bool:
-    """Whether one of some parameters is a length or a place."""
+    """Whether any of these parameters is a length or a position."""
     return any(name.startswith("geometry.") for name in names)
 
 
 def check_geometry(geometry: Geometry) -> None:
-    """Refuse what cannot be built because parts overlap; `control.build.check_workspace` asks what the legs reach.
+    """Reject a geometry whose parts overlap; `control.build.check_workspace` checks the legs' reach.
 
     Args:
         geometry: not traced; leaves of shapes that broadcast.
 
     Raises:
-        ParameterError: with the first world's numbers for which it holds.
+        ParameterError: with the numbers of the first such world.
     """
     for pair, leg in (("front", geometry.front_leg), ("rear", geometry.rear_leg)):
         tied, length = _first(leg.attachment, leg.lower, lambda tied, length: tied > length)
@@ -157,16 +157,17 @@ def check_geometry(geometry: Geometry) -> None:
 
 
 def _first(one: Any, other: Any, wrong: Callable[[Any, Any], Any]) -> tuple[float, float]:
-    """The first pair of numbers that is wrong; zeros if none is."""
+    """The first invalid pair of numbers; zeros if all are valid."""
     one, other = (np.ravel(each) for each in np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float)))
     (found,) = np.nonzero(wrong(one, other))
     return (float(one[found[0]]), float(other[found[0]])) if len(found) else (0.0, 0.0)
 
 
 def leg_geometry(geometry: Geometry, pair: str, xp: Any = math) -> LegGeometry:
-    """The numbers of a leg of the pair `front` or `rear`, its links those of `geometry`, as they are typed there.
+    """The numbers of a leg of the pair `front` or `rear`, with the links of `geometry`, of the type that they have
+    there.
 
-    A tendon is cut to its leg: at servo angle 0 the knee has the angle that it has on the published robot.
+    The tendon's length follows the leg: at servo angle 0 the knee has the same angle as on the published robot.
 
     Args:
         geometry: leaves may have leading axes where `xp` allows them.

@@ -1,4 +1,4 @@
-"""Gravity as the ground has it: its size, how steep the ground rises, and where to."""
+"""Gravity in the frame of the ground: its magnitude, and the steepness and direction of the slope."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ def gravity_vector(gravity: Any, slope: Any, direction: Any, xp: Any = np) -> An
     """Acceleration of free fall in the frame of the ground, (3,) [m/s^2]: g (-u sin s, -cos s).
 
     Args:
-        gravity: its size g [m/s^2].
+        gravity: its magnitude g [m/s^2].
         slope: angle s at which the ground rises [rad].
-        direction: of the rise, u = (sin d, -cos d): 0 is -y, where a robot with yaw 0 walks to, pi/2 is x, its left.
+        direction: of the rise, u = (sin d, -cos d): 0 is -y, the heading of a robot with yaw 0, and pi/2 is x, its
+        left.
         xp: `numpy`, or `jax.numpy`.
     """
     along = -gravity * xp.sin(slope)

@@ -1,8 +1,8 @@
-"""The bodies that the robot may have: an ensemble that walks in a straight line about as near to what is published.
+"""The identified bodies: an ensemble whose straight-line walks all come about equally close to the published ones.
 
 The publication gives neither servo gain nor damping nor friction. `nermo-mjx identify` finds the bodies whose speeds
-come within a tolerance of the published ones; `identified.csv` is such an ensemble, one body a row, and the first is
-the default of `ModelParameters`. It is made anew, in about half an hour on two cores, by
+come within a tolerance of the published ones; `identified.csv` is such an ensemble, one body per row; the first is the
+default of `ModelParameters`. To regenerate it, which takes about half an hour on two cores:
 
     nermo-mjx identify --engine c --out runs/identified
     cp runs/identified/ensemble.csv nermo_mjx/robot/identified.csv
@@ -22,7 +22,7 @@ import numpy as np
 from nermo_mjx.robot.quantity import ParameterError
 
 PATH: Final = Path(__file__).with_suffix(".csv")
-#: Columns that are no parameters.
+#: Columns that are not parameters.
 _ABOUT: Final = ("objective", "weight")
 
 
@@ -32,9 +32,9 @@ class Ensemble:
 
     Attributes:
         values: model parameter -> (n,), in the parameter's unit.
-        weights: how much of what is likely each body stands for, (n,); their sum is 1.
-        objective: how far from the published speeds each one walks, (n,) [tolerances, root mean square].
-        fingerprint: of the content.
+        weights: the probability that each body stands for, (n,); their sum is 1.
+        objective: distance of each one's speeds from the published ones, (n,) [tolerances, root mean square].
+        fingerprint: hash of the content.
     """
 
     values: dict[str, np.ndarray]
@@ -61,7 +61,7 @@ def bodies() -> Ensemble:
 
 
 def choose(n: int, seed: int) -> dict[str, np.ndarray]:
-    """Parameters of n different bodies, drawn by weight; of all in their order if n is their number.
+    """Parameters of n different bodies, drawn by weight; all of them, in order, if n is the ensemble's size.
 
     Args:
         n: how many.
@@ -71,7 +71,7 @@ def choose(n: int, seed: int) -> dict[str, np.ndarray]:
         Model parameter -> (n,), in the parameter's unit.
 
     Raises:
-        ParameterError: there are not as many bodies, or n is less than 1.
+        ParameterError: n is less than 1, or more than the ensemble has.
     """
     ensemble = bodies()
     if not 1 <= n <= len(ensemble):
@@ -83,7 +83,7 @@ def choose(n: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def read_ensemble(lines: Iterable[str]) -> Ensemble:
-    """An ensemble from the lines of a file: comments, the names of the columns, one body a line."""
+    """An ensemble from the lines of a file: comments, the names of the columns, then one body per line."""
     rows = [line.split(",") for line in lines if line.strip() and not line.startswith("#")]
     table = np.array(rows[1:], float)
     table.flags.writeable = False

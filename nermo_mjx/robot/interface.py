@@ -1,4 +1,4 @@
-"""What passes between controller and robot: sensor readings in, servo angles out."""
+"""The interface between controller and robot: sensor readings in, servo angles out."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from jaxtyping import Float
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.shapes import Array, PerLimb, Quaternion, Scalars, Spatial
 
-#: Servos in the order of `ctrl`: that of the tail exists only with the articulated tail, the last two only on Nermo 4.1
+#: Servos in the order of `ctrl`: the tail's exists only with the articulated tail, the last two only on Nermo 4.1
 #: (`Robot.servos` names those of one robot).
 SERVOS: Final = (
     *(f"{limb}_hip" for limb in LIMBS), *(f"{limb}_knee" for limb in LIMBS), "spine", "neck", "tail", "spine_vertical",
     "head",
 )  # fmt: skip
 
-#: What robots lack of them, by how many they have.
+#: The servos that a robot lacks, by its number of servos.
 _LACKING: Final = {10: ("tail", "spine_vertical", "head"), 11: ("spine_vertical", "head"), 12: ("tail",)}
 
-#: Range of each servo [rad], by kind of servo. A knee's is what its tendon can follow: the wrap stays between 40 and
-#: 175 degrees.
+#: Range of each servo [rad], by kind of servo. A knee's is limited to what its tendon can follow: the wrap stays
+#: between 40 and 175 degrees.
 SERVO_RANGE: Final = {
     "hip": (-1.6, 1.6), "front_knee": (-1.25, 1.25), "rear_knee": (-0.8, 1.55), "spine": (-0.6, 0.6),
     "neck": (-1.0, 1.0), "tail": (-1.0, 1.0), "spine_vertical": (-0.6, 0.6), "head": (-1.0, 1.0),
 }  # fmt: skip
 
 
-#: The same with routing type 1, whose servo angle contains the angle that the tendon wraps.
+#: The same with routing type 1, whose servo angle includes the tendon's wrap angle.
 KNEE_RANGE_TYPE1: Final = {"front_knee": (1.3, 2.8), "rear_knee": (-2.6, -0.35)}
 
 
 def servos_by_count(count: int) -> tuple[str, ...]:
-    """Names of the servos of a robot that has so many, as a recording knows them.
+    """Names of the servos of a robot with this number of them, which is all that a recording knows.
 
     >>> servos_by_count(12)[8:]
     ('spine', 'neck', 'spine_vertical', 'head')
@@ -85,7 +85,7 @@ class ServoAngles:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Sensors:
-    """Readings of the robot's sensors, as the physics left them before its last substep.
+    """Readings of the robot's sensors, from before the physics' last substep.
 
     Attributes:
         position: IMU in the world [m].

@@ -1,4 +1,4 @@
-"""Closed forms in a leg's sagittal plane, for NumPy and JAX alike: what assembly and kinematics both need.
+"""Closed forms in a leg's sagittal plane, for both NumPy and JAX, shared by assembly and kinematics.
 
 Coordinates (y, z) and angles are those of `kinematics.leg`. A leg is anything with the fields of `LegGeometry`.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from nermo_mjx.robot.parameters import ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
 
-#: Shortest length that is divided by [m].
+#: Lower limit of lengths in denominators [m].
 TINY: Final = 1e-4
 
 
@@ -32,13 +32,13 @@ def shank(leg: Any, xp: Any = jnp) -> tuple[Any, Any]:
 
 
 def pull(leg: Any, q1: Any, knee_angle: Any, routing: str, xp: Any = jnp) -> Any:
-    """Tendon length less its wrap on the pulley, l_t - r_p theta_2 [m]; it falls as the knee flexes.
+    """Tendon length without its wrap on the pulley, l_t - r_p theta_2 [m]; it decreases as the knee flexes.
 
     Type 3 leads through the hip axis: |OB|, whatever q1. Type 2 leads through the guide point: |CB|. Both have
-    theta_2 = 0. Type 1 is the tangent from the pulley to B, whose touching point moves with the leg (5.3-5.11).
+    theta_2 = 0. Type 1 is the tangent from the pulley to B, whose tangent point moves with the leg (5.3-5.11).
 
     Lengths are worked out in a frame whose y is multiplied by the knee direction s: in it every knee bends towards +y,
-    the tendon leaves the pulley on the +y side, and front and rear leg are one.
+    the tendon leaves the pulley on the +y side, and the same equations hold for front and rear legs.
 
     Args:
         leg: its fields broadcast with the angles.
@@ -81,7 +81,8 @@ def standing(leg: LegGeometry, routing: str) -> tuple[float, float, float]:
 
 
 def tendon_limit(leg: LegGeometry, routing: str) -> float:
-    """Length of a leg's tendon at pulley angle 0 and l_t = l_t0 [m]: from its tie around the pulley, and on.
+    """Length of a leg's tendon at pulley angle 0 and l_t = l_t0 [m]: from its tie, around the pulley, to its
+    attachment.
 
     As its upper limit it holds l_t <= l_t0 + r_p (theta_2 + k q2). Types 2 and 3 leave the pulley towards a point fixed
     to the body; type 1 towards the attachment, where theta_2 counts from the pulley's forward side.
@@ -100,6 +101,6 @@ def tendon_limit(leg: LegGeometry, routing: str) -> float:
 
 
 def _tangent(point: tuple[float, float], radius: float, turn: float) -> tuple[float, float]:
-    """Length of the tangent from a point to a circle about the origin, and the angle of the point that it touches."""
+    """Length of the tangent from a point to a circle about the origin, and the angle of the tangent point."""
     distance = math.hypot(*point)
     return math.sqrt(distance**2 - radius**2), math.atan2(point[1], point[0]) + turn * math.acos(radius / distance)

@@ -11,10 +11,11 @@ import jax
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class MassModel:
-    """Masses and centres of mass, taken from the assembled robot (`Robot.mass_model`), never from a second list.
+    """Masses and centres of mass, computed from the assembled robot (`Robot.mass_model`), so that there is no second
+    list of them.
 
     Attributes:
-        front_mass, rear_mass: everything before and behind the spine [kg].
+        front_mass, rear_mass: of everything in front of and behind the spine [kg].
         front_com: shape (3,), from the spine base, in the torso's frame [m].
         rear_com: shape (3,), from the spine end, in the hip's frame [m].
     """

@@ -1,14 +1,15 @@
-"""Masses, part by part; of Nermo-Lite 270 g, share and centres of mass those of the author's compiled model.
+"""Masses of the parts: 270 g for Nermo-Lite, with the shares and centres of mass of the author's compiled model.
 
-The thesis gives 225 g and 60 g beside a total of 270 g; with them the centre of mass lies on the crossing of the two
+The thesis gives 225 g and 60 g, but a total of 270 g; with them the centre of mass lies on the crossing of the two
 stability diagonals, which contradicts the published balance results (erratum 9). Its Table A.5 has centres of mass that
-belong to a third split, 153.7 to 43.5 g (erratum 19). Share and centres must come from one source: here that is the
-author's compiled model, scaled to 270 g and cut where this one is cut, two moving vertebrae with the front: 62.8 % at
-(0, -34.34, -24.72) mm from the spine base, the rest at (0, 20.62, -11.69) mm from the spine end, the head 12 g.
+belong to a third split, 153.7 to 43.5 g (erratum 19). Shares and centres must come from one source: here that is the
+author's compiled model, scaled to 270 g and divided at the same place as this one, with two moving vertebrae in the
+front: 62.8 % at (0, -34.34, -24.72) mm from the spine base, the rest at (0, 20.62, -11.69) mm from the spine end, the
+head 12 g.
 
-Decided by what the balance test says together (docs/model.md has the table): with the compiled model all eight
-published outcomes come out and the centre of mass stands 56.9 mm high (published 57); with Table A.5 and its own split
-the robot tips in all eight cases.
+The choice rests on the balance test as a whole (docs/model.md has the table): with the compiled model all eight
+published outcomes are reproduced and the centre of mass stands 56.9 mm high (published 57); with Table A.5 and its own
+split the robot tips in all eight cases.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ class Part:
     Attributes:
         mass: [kg].
         com: centre of mass in the part's frame [m] (see `PARTS`).
-        half_size: half the edges of the box of even density whose inertia the part has [m].
-        site: reference frame of `com` if it is not the body's own: a site of that body.
+        half_size: half the edges of the uniform box that has the part's inertia [m].
+        site: a site of the body, the reference frame of `com`, if that is not the body's own frame.
     """
 
     mass: float
@@ -47,7 +48,7 @@ class Part:
         return self.mass / 3 * (b + c), self.mass / 3 * (a + c), self.mass / 3 * (a + b)
 
     def stretched(self, axis: int, ratio: float) -> Part:
-        """A part of the same mass, longer along one of its axes."""
+        """The part with the same mass, stretched along one of its axes."""
 
         def longer(point: tuple[float, float, float]) -> tuple[float, float, float]:
             x, y, z = (value * ratio if i == axis else value for i, value in enumerate(point))
@@ -56,7 +57,7 @@ class Part:
         return dataclasses.replace(self, com=longer(self.com), half_size=longer(self.half_size))
 
 
-#: Parts before the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
+#: Parts in front of the spine. Torso: frame of the spine base; includes electronics and the servos of the front legs.
 TORSO: Final = Part(0.14750, (0.0, -0.02873, -0.02647), (0.026, 0.036, 0.016))
 HEAD: Final = Part(0.01200, (0.0, -0.0180, 0.0150), (0.013, 0.022, 0.011))
 
@@ -97,7 +98,7 @@ PARTS: Final[dict[str, Part]] = {
     "tail_segment": TAIL_SEGMENT,
 }
 
-#: Along which of its axes a part is stretched, and how much longer than the published one it is.
+#: The axis along which a part is stretched, and how much longer it is than the published one.
 _STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
     "front_upper": (2, lambda geometry: geometry.front_leg.upper / FRONT_LEG.l1),
     "front_lower": (2, lambda geometry: geometry.front_leg.lower / FRONT_LEG.l3),
@@ -112,7 +113,7 @@ _STRETCHED: Final[dict[str, tuple[int, Callable[[Geometry], Any]]]] = {
 
 #: Nermo 4.1 weighs 5 g more (Table 4.1): the pulley of the vertical spine's servo, half a vertebra before the first
 #: lateral joint, and 2.5 g where that servo sits. Its vertebrae are each divided by a vertical joint, and its head, by
-#: its tilt, 1 : 2 into bracket and head as in the author's model. Where the 5 g sit is not published.
+#: its tilt, 1 : 2 into bracket and head as in the author's model. The position of the 5 g is not published.
 _SERVO_41: Final = 0.00250
 PARTS_41: Final[dict[str, Part]] = PARTS | {
     "torso": Part(
@@ -127,7 +128,7 @@ PARTS_41: Final[dict[str, Part]] = PARTS | {
     "spine_vertical_pulley": SPINE_PULLEY,
 }
 ROBOT_PARTS: Final = {"nermo_lite": PARTS, "nermo_41": PARTS_41}
-#: Masses before and behind the spine [kg].
+#: Masses in front of and behind the spine [kg].
 ROBOT_MASSES: Final = {"nermo_lite": (0.1695, 0.1005), "nermo_41": (0.1745, 0.1005)}
 
 #: Bodies counted to the front mass; every other moving body is counted to the rear.
@@ -138,17 +139,17 @@ FRONT_PARTS: Final = (
 
 
 def mass_values(robot: str) -> dict[str, float]:
-    """Masses before and behind the spine of a robot [kg], as parameters are named."""
+    """Masses in front of and behind a robot's spine [kg], by the names of their parameters."""
     return dict(zip(("mass.front", "mass.rear"), ROBOT_MASSES[robot], strict=True))
 
 
 def part_of(body: str, robot: str = "nermo_lite", geometry: Geometry | None = None) -> Part:
-    """The part a body stands for, by the body's name (`front_left_upper` is the part `front_upper`).
+    """The part that a body represents, by the body's name (`front_left_upper` is the part `front_upper`).
 
     Args:
         body: its name.
-        robot: whose it is.
-        geometry: with which a link is stretched; by default the published one. Leaves of shape ().
+        robot: that the body belongs to.
+        geometry: to which a link is stretched; by default the published one. Leaves of shape ().
     """
     key = body.replace("left_", "").replace("right_", "").rstrip("_0123456789")
     part = ROBOT_PARTS[robot][key]

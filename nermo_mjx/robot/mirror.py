@@ -1,4 +1,4 @@
-"""Turning and mirroring. The right half of the robot is mirrored from the left: there is one file a limb."""
+"""Turning and mirroring. The right half of the robot is mirrored from the left: there is one file per pair of limbs."""
 
 from __future__ import annotations
 

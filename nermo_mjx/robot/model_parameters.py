@@ -2,9 +2,8 @@
 
 Defaults are those of the published robot. The thesis is silent on contact, servo gain and damping, and the damping of
 knees, ankles and spine: the contact is that of the author's model, the others were identified from the published
-straight-line speeds (`nermo-mjx identify`; docs/experiments.md), together with an ensemble of other bodies that walk as
-near to them (`identified`).
-`physics.variation` writes them into model fields.
+straight-line speeds (`nermo-mjx identify`; docs/experiments.md), together with an ensemble of other bodies that match
+these speeds as closely (`identified`). `physics.variation` writes them into model fields.
 """
 
 from __future__ import annotations
@@ -35,10 +34,10 @@ class Contact:
     With a damping ratio or an impedance of 0.3 the soles of a standing robot bounce in the steps of `fast`.
 
     Friction of the sole, time constant and damping ratio are those of the author's model (basic_scene.xml). His
-    impedance is 0.9 without any depth and 0.95 at 1 mm. One that begins at 0 needs half of that width: with 1 mm the
-    soles sink by 0.8 mm under the standing robot, with 0.5 mm by 0.43 (his: 0.25). Steeper still, the objective becomes
-    a staircase. The tail is printed plastic: 0.4, as for the robot against a box; the author's has MuJoCo's 1.0. With a
-    box, friction is that of plastic and printed parts on wood.
+    impedance is 0.9 without any depth and 0.95 at 1 mm. One that starts at 0 needs half that width: with 1 mm the
+    soles sink by 0.8 mm under the standing robot, with 0.5 mm by 0.43 (his: 0.25). With a still steeper one the
+    objective becomes a staircase. The tail is printed plastic: 0.4, as for the robot against a box; the author's has
+    MuJoCo's 1.0. Friction with a box is that of plastic and printed parts on wood.
     """
 
     friction: Any = quantity(1.4, unit="1", low=0.05, high=5.0, doc="sliding friction of the sole")
@@ -74,9 +73,9 @@ class Damping:
 
 @parameter_tree
 class Mass:
-    """Mass of everything before and behind the spine; parts keep their shares, inertias scale along.
+    """Mass of everything in front of and behind the spine; parts keep their shares, and inertias scale with them.
 
-    Defaults are those of Nermo-Lite; with Nermo 4.1 they are its own (`masses.ROBOT_MASSES`).
+    Defaults are those of Nermo-Lite; Nermo 4.1 has its own (`masses.ROBOT_MASSES`).
     """
 
     front: Any = quantity(0.1695, unit="kg", low=0.05, high=0.5, doc="torso, head, front legs and half the spine")
@@ -85,9 +84,10 @@ class Mass:
 
 @parameter_tree
 class Ground:
-    """Gravity as the ground has it: a slope turns gravity, not the scene, so that heights and angles are those to it.
+    """Gravity in the frame of the ground: a slope turns gravity, not the scene, so heights and angles refer to the
+    ground.
 
-    In a scene with a gravity of its own these are its defaults.
+    In a scene that sets its own gravity, that is the default.
     """
 
     gravity: Any = quantity(9.81, unit="m/s^2", low=0.1, high=30.0, doc="acceleration of free fall")

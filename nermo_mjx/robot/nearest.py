@@ -1,4 +1,4 @@
-"""The name that was meant."""
+"""Suggestions for misspelled names."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from collections.abc import Iterable
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str | None:
-    """The allowed name nearest to another, or the one that ends like it (`amplitude`: `spine.amplitude`); None if no
-    one is near."""
+    """The allowed name closest to `name`, or the one that ends with it (`amplitude`: `spine.amplitude`), or None."""
     names = list(allowed)
     found = difflib.get_close_matches(name, names, n=1)
     found += [full for full in names if full.rpartition(".")[2] == name.rpartition(".")[2]]

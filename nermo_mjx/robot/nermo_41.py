@@ -1,15 +1,16 @@
-"""What Nermo 4.1 has beyond Nermo-Lite: vertical joints in the spine with their servo, and a head that tilts.
+"""The additional parts of Nermo 4.1: vertical joints in the spine with their servo, and a head that tilts.
 
-Both robots come from the same MJCF files; here the trees of `spine.xml` and `head.xml` get what 4.1 has more. Each
-vertical row of Table 5.3, a fixed frame in Nermo-Lite, gets a body with a hinge, so that eight joints alternate.
+Both robots come from the same MJCF files; here the parts that only 4.1 has are added to the trees of `spine.xml` and
+`head.xml`. Each vertical row of Table 5.3, a fixed frame in Nermo-Lite, gets a body with a hinge, which makes eight
+joints with alternating axes.
 
 The thesis gives the chain, the mass, the length and the number of servos of Nermo 4.1, but not how its tendons run.
 Servo, guide and tilt axis are those of the author's later model (github.com/a-rohr/mouse_controller, commit 22caf00,
 `models/dynamic_4l_t3.xml`). Its tendons run 7.5 mm above and 3 mm below the joints from one pulley: pulling in the
-lower one needs 2.5 times as much of the upper one as the pulley gives, so that its spine, simulated, flexes by 0.06 rad
-a joint and then stalls. Here both run as far from the axes as the lateral tendons do, `SpineGeometry.segment_offset`,
-and one law (5.26) holds for both servos. Each tendon crosses the joints of the other plane on their axes, so that
-neither servo bends the other plane.
+lower one needs 2.5 times as much of the upper one as the pulley releases, so in simulation its spine flexes by 0.06 rad
+per joint and then stalls. Here both run at the same distance from the axes as the lateral tendons,
+`SpineGeometry.segment_offset`, and (5.26) holds for both servos. Each tendon crosses the joints of the other plane on
+their axes, so that neither servo bends the other plane.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ SIDE: Final = 0.010
 GUIDE: Final = (0.0, -0.0200, 0.0070)
 #: Axis of the head's tilt from the foot of the neck's axis [m].
 TILT_AXIS: Final = (0.0, -0.0106, 0.0144)
-#: How much further forward than Nermo-Lite's the head sits [m]. Its nose is then 53 mm before the tilt axis, as in the
-#: author's model, and 405 mm before the tip of the tail, as published.
+#: How much further forward the head sits than Nermo-Lite's [m]. Its nose is then 53 mm in front of the tilt axis, as in
+#: the author's model, and 405 mm in front of the tip of the tail, as published.
 HEAD_FORWARD: Final = 0.0160
 
 _COUNT: Final = len(SPINE.vertical_joints)
-#: The sites of the tendons above and below lie to this side of a joint; left and right is z of a vertical joint.
+#: The side of a joint on which the sites of the upper and lower tendon lie; a vertical joint's z is left.
 _SIGNS: Final = {"above": 1.0, "below": -1.0, "left": 1.0, "right": -1.0}
 
 
@@ -63,7 +64,8 @@ def _add_vertical_spine(root: ET.Element) -> None:
 
 
 def _add_joint(root: ET.Element, frame: ET.Element, number: int) -> None:
-    """The vertical joint `number` (from 1), in the frame of its row: x back, y up, z left, so that it lifts the hip.
+    """The vertical joint `number` (from 1), in the frame of its row: x back, y up, z left, so that a positive angle
+    lifts the hip.
 
     In the neutral spine the tendons run straight across it, though the spine bends there.
     """
@@ -119,7 +121,7 @@ def _passed(name: str) -> Iterator[str]:
 
 
 def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
-    """Put what `spine.xml` got in its place.
+    """Position the parts that were added to `spine.xml`.
 
     Args:
         spec: of the spine.
@@ -144,7 +146,7 @@ def place_vertical_spine(spec: mujoco.MjSpec, ratio: float) -> None:
 
 
 def _add_head_tilt(root: ET.Element) -> None:
-    """Put the head of `head.xml` on a bracket that pans, about whose own axis it tilts; positive is nose down."""
+    """Put the head of `head.xml` on a bracket that pans, with the axis about which it tilts; positive is nose down."""
     world = _found(root, "worldbody")
     head = _found(world, "body[@name='head']")
     pan, *shell = list(head)
@@ -164,7 +166,7 @@ def place_head_tilt(spec: mujoco.MjSpec) -> None:
     spec.frame("shell").pos = np.array([0.0, -HEAD_FORWARD, 0.0]) - TILT_AXIS
 
 
-#: What turns a part of Nermo-Lite into that of Nermo 4.1, by the name of its file.
+#: The edits that turn a part of Nermo-Lite into that of Nermo 4.1, by the name of its file.
 EDITS: Final[dict[str, Callable[[ET.Element], None]]] = {"spine": _add_vertical_spine, "head": _add_head_tilt}
 
 

@@ -1,4 +1,4 @@
-"""Python files and modules of a user's, from which a spec file or a command names objects."""
+"""The user's Python files and modules, whose objects spec files and commands can name."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from nermo_mjx.robot.quantity import ParameterError
 
 
 def content_of_source(subject: str, source: str, form: str) -> tuple[str, bytes]:
-    """The file of a source, and what is in it.
+    """The file of a source, and its content.
 
     Args:
-        subject: what messages begin with: `controller is 'bound.py:Bound'`.
+        subject: the beginning of messages: `controller is 'bound.py:Bound'`.
         source: `FILE.py` or the name of a module.
-        form: what is expected, for messages.
+        form: the expected form, for messages.
 
     Raises:
-        ParameterError: there is no such file or module, or it cannot be read.
+        ParameterError: the file or module does not exist or cannot be read.
     """
     path = Path(source) if source.endswith(".py") else _file_of(subject, source, form)
     try:
@@ -33,7 +33,8 @@ def content_of_source(subject: str, source: str, form: str) -> tuple[str, bytes]
 
 
 def module_of(subject: str, source: str, form: str) -> ModuleType:
-    """The module of a source; a file is run once for each content. The arguments are the same.
+    """The module of a source; a file is executed once for each version of its content. The arguments are those of
+    `content_of_source`.
 
     Raises:
         ParameterError: see `content_of_source`; or it cannot be imported.
@@ -46,7 +47,7 @@ def module_of(subject: str, source: str, form: str) -> ModuleType:
 
 
 def no_such_name(subject: str, source: str, name: str, names: list[str]) -> ParameterError:
-    """The error that a source has no such name, with the nearest of the names that it has."""
+    """The error for a name that a source does not have, with its closest existing name."""
     near = nearest(name, names)
     hint = f"; did you mean {near!r}?" if near else "."
     return ParameterError(f"{subject}: {source} has no {name!r}{hint}")

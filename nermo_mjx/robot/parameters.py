@@ -36,8 +36,8 @@ class LegGeometry:
             picks a wrap's side by the mean of its two tangent points, so that a wrap must stay below 180 degrees: the
             point keeps it between 40 and 175 degrees over the servo's range.
         tie_type1: the same for routing type 1.
-        side: a point on the side on which the tendon passes the pulley, (y, z) from E [m].
-        neutral_foot: where the foot stands in the published stance, (y, z) from O [m] (Table A.7).
+        side: a point on the side where the tendon passes the pulley, (y, z) from E [m].
+        neutral_foot: position of the foot in the published stance, (y, z) from O [m] (Table A.7).
     """
 
     l1: float
@@ -70,7 +70,7 @@ REAR_LEG: Final = LegGeometry(
     neutral_foot=(0.000, -0.050),
 )  # fmt: skip
 LEGS: Final = {"front": FRONT_LEG, "rear": REAR_LEG}
-#: A leg servo's output is inside the plane of its leg by the first, its case ends behind that by the second [m].
+#: Distance of a leg servo's output from the plane of its leg, inward, and from there to the end of its case [m].
 SERVO_INSIDE: Final = 0.0038
 SERVO_DEPTH: Final = 0.0190
 #: How much farther out a pulley's rim is than the middle of its tendon [m].
@@ -133,7 +133,7 @@ SPINE: Final = SpineGeometry(
 
 @dataclasses.dataclass(frozen=True)
 class BodyGeometry:
-    """Where the limbs sit; left side, the right side mirrors x [A.5, with errata].
+    """Mounting positions of the limbs; left side, the right side mirrors x [A.5, with errata].
 
     Attributes:
         shoulder: shoulder axis from the spine base, in the torso's frame [m].
@@ -192,12 +192,14 @@ TAIL: Final = TailGeometry()
 
 @dataclasses.dataclass(frozen=True)
 class EyeGeometry:
-    """The two cameras that are the robot's eyes; left side, the right side mirrors x. By pictures of the robot.
+    """The two cameras that are the robot's eyes; left side, the right side mirrors x. Estimated from pictures of the
+    robot.
 
     Attributes:
-        place: middle of the lens from the neck, in the head's frame [m].
-        outward, up: where it looks from straight ahead [rad].
-        dome: how far the camera that renders stands before the middle of the lens, out of the robot's own sight [m].
+        place: centre of the lens from the neck, in the head's frame [m].
+        outward, up: angles of its viewing direction from straight ahead [rad].
+        dome: distance of the rendering camera in front of the centre of the lens, so that it does not see the robot
+        [m].
     """
 
     place: tuple[float, float, float] = (0.0099, -0.0276, 0.0186)
@@ -222,7 +224,7 @@ GAIT_PATTERNS: Final[dict[str, GaitPattern]] = {
     "trt": GaitPattern(0.50, (0.50, 0.00, 0.00, 0.50), 2.00),  # ideal trot
     "trt1": GaitPattern(0.60, (0.50, 0.00, 0.00, 0.50), 1.67),  # walking trot
     "lat": GaitPattern(0.68, (0.63, 0.14, 0.00, 0.54), 1.47),  # lateral sequence walk
-    # Not of the thesis. Bound: hind pair, then fore pair, half a cycle apart (Hildebrand, BioScience 39, 1989), with
+    # Not in the thesis. Bound: hind pair, then fore pair, half a cycle apart (Hildebrand, BioScience 39, 1989), with
     # neither flight nor overlap, as in the ideal trot. Gallop: the rotary gallop that the author's code has and does
     # not use (`gallop_rot_parameters` of mouse_parameters_dir.py); gait factor 1 / duty.
     "bound": GaitPattern(0.50, (0.50, 0.50, 0.00, 0.00), 2.00),

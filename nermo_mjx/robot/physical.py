@@ -1,8 +1,7 @@
-"""The model that engines step: the robot's, without what is only drawn or marked.
+"""The model that engines step: the robot's, without purely visual elements and unused markers.
 
-Both engines move every geom and every site in every step. Of this robot's 117 geoms 13 touch something or carry a
-tendon, and of its 98 sites 46 are on a tendon or read by a sensor; the others matter to pictures, and to whoever looks
-into the model.
+Both engines move every geom and every site in every step. Of this robot's 117 geoms 13 collide or guide a tendon, and
+of its 98 sites 46 are on a tendon or read by a sensor; the others matter only for rendering and inspection.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ _SITE_WRAP = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
 def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel:
-    """The compiled model without meshes, geoms, sites, cameras and lights that no force and no reading depends on.
+    """The compiled model without the meshes, geoms, sites, cameras and lights that affect neither forces nor readings.
 
-    Bodies, joints, actuators, tendons, contact pairs and sensors keep their ids; so do trajectories their bits.
+    Bodies, joints, actuators, tendons, contact pairs and sensors keep their ids, and trajectories are bit-identical.
 
     Args:
         spec: of the whole robot; it is not changed.
@@ -34,7 +33,7 @@ def physical_model(spec: mujoco.MjSpec, model: mujoco.MjModel) -> mujoco.MjModel
 
 
 def reduced_model(spec: mujoco.MjSpec, geoms: Collection[str], sites: Collection[str]) -> mujoco.MjModel:
-    """The compiled model of a specification, which is not changed, with these geoms and sites and no looks."""
+    """The compiled model of a specification with only these geoms and sites and no visuals; `spec` is not changed."""
     lean = spec.copy()
     for geom in list(lean.geoms):
         if geom.name not in geoms:
@@ -48,7 +47,7 @@ def reduced_model(spec: mujoco.MjSpec, geoms: Collection[str], sites: Collection
 
 
 def _geoms(model: mujoco.MjModel) -> Iterator[int]:
-    """Ids of the geoms that touch, lead a tendon, or are read by a sensor."""
+    """Ids of the geoms that collide, guide a tendon, or are read by a sensor."""
     yield from (*model.pair_geom1.tolist(), *model.pair_geom2.tolist())
     yield from (i for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i])
     yield from (int(i) for kind, i in _wraps(model) if kind in _GEOM_WRAPS)
@@ -78,6 +77,6 @@ def _wraps(model: mujoco.MjModel) -> list[tuple[int, int]]:
 
 
 def _sensed(model: mujoco.MjModel, kind: Any) -> Iterator[int]:
-    """Ids of the elements of one kind that a sensor reads, or reads against."""
+    """Ids of the elements of one kind that a sensor reads or uses as its reference."""
     for types, ids in ((model.sensor_objtype, model.sensor_objid), (model.sensor_reftype, model.sensor_refid)):
         yield from (int(i) for each, i in zip(types, ids, strict=True) if int(each) == int(kind) and i >= 0)

@@ -1,7 +1,8 @@
-"""The robot's numbers, written into the parts of `mjcf/`: places, lengths, and limits of the tendons.
+"""Writes the robot's numbers into the parts of `mjcf/`: positions, lengths, and limits of the tendons.
 
-The files hold structure, looks and what stands nowhere else. Each function takes one part as it was read, in its own
-frame, and the geometry; all places are linear in the geometry's numbers, on which `physics.variation` builds.
+The files hold the structure, the visuals and everything that is defined nowhere else. Each function takes one part as
+read, in its own frame, and the geometry; all positions are linear in the geometry's numbers, which `physics.variation`
+relies on.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from nermo_mjx.robot.tail import add_tail
 _SERVOS: Final = {"torso": (-0.0063, 0.0003, 0.0074), "hip": (-0.0063, 0.0021, 0.0059)}
 #: Half the width of the spine's pulley [m].
 _PULLEY_WIDTH: Final = 0.0015
-#: Digits of the tendons' limits [m]; with more of them, walks would differ in their last bits from those on record.
+#: Digits of the tendons' limits [m]; with more, walks would differ from recorded ones in their last bits.
 _DIGITS: Final = {"leg": 10, "straight": 8}
 
 
 def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoco.MjSpec:
-    """The part `mjcf/NAME.xml`, its numbers in their places.
+    """The part `mjcf/NAME.xml` with its numbers filled in.
 
     >>> round(float(load_part("front_leg", Geometry()).body("lower").pos[2]), 4)
     -0.0295
@@ -37,7 +38,7 @@ def load_part(name: str, geometry: Geometry, robot: str = "nermo_lite") -> mujoc
     Args:
         name: `torso`, `head`, `spine`, `hip`, `front_leg`, `rear_leg` (left ones) or `tail`.
         geometry: leaves of shape ().
-        robot: whose part it is; see `nermo_41`.
+        robot: that the part belongs to; see `nermo_41`.
     """
     spec = load_file(name, nermo_41.EDITS.get(name) if robot == "nermo_41" else None)
     if name in _PLACED:
@@ -52,7 +53,7 @@ def _torso(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 
 def _head(spec: mujoco.MjSpec, geometry: Geometry) -> None:
-    """The cameras before the lenses; a camera's own axes are right, up and back."""
+    """The cameras in front of the lenses; a camera's own axes are right, up and back."""
     for name, side in (("left_eye", 1.0), ("right_eye", -1.0)):
         c, s, level, rise = np.cos(EYE.outward), side * np.sin(EYE.outward), np.cos(EYE.up), np.sin(EYE.up)
         ahead = np.array([s * level, -c * level, rise])
@@ -120,7 +121,7 @@ def _spine(spec: mujoco.MjSpec, geometry: Geometry) -> None:
     ratio = float(geometry.spine.pulley_radius) / SPINE.pulley_radius
     for side, sign in (("left", 1.0), ("right", -1.0)):
         for i in range(2 * len(SPINE.lateral_joints)):
-            # Before and behind each joint; in its frame x is back and -y left.
+            # In front of and behind each joint; in its frame x is back and -y left.
             spec.site(f"{side}_{i}").pos = np.array([half if i % 2 else -half, -sign * beside, 0.0])
         x, y = SPINE.tie
         spec.site(f"{side}_rim").pos = np.array([sign * x * ratio, y * ratio, 0.0])
@@ -140,7 +141,7 @@ def _tail(spec: mujoco.MjSpec, geometry: Geometry) -> None:
 
 
 def _limit_to_straight(spec: mujoco.MjSpec) -> None:
-    """Antagonists just taut while all is straight and their servo at 0."""
+    """Make the antagonists just taut when all joints are straight and their servo is at 0."""
     for tendon in spec.tendons:
         tendon.limited = mujoco.mjtLimited.mjLIMITED_FALSE
     model = spec.copy().compile()
@@ -162,5 +163,5 @@ _PLACED: Final[dict[str, Callable[[mujoco.MjSpec, Geometry], None]]] = {
 
 
 def stance_height(geometry: Geometry) -> float:
-    """Height of the spine base where the front feet stand at their neutral places on level ground [m]."""
+    """Height of the spine base when the front feet stand at their neutral positions on level ground [m]."""
     return float(geometry.foot.radius) - float(geometry.shoulder.z) - LEGS["front"].neutral_foot[1]

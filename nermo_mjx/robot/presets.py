@@ -1,6 +1,6 @@
-"""Presets of the physics: what it costs to compute, chosen by name.
+"""Named presets of the physics, which set its computational cost.
 
-Each figure behind a preset, and what was tried and left out, is in docs/benchmarks/physics.md.
+The figures behind each preset, and the variants that were rejected, are in docs/benchmarks/physics.md.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from typing import Final
 
 @dataclasses.dataclass(frozen=True)
 class PhysicsPreset:
-    """What a preset chooses.
+    """The settings of a preset.
 
     Attributes:
         timestep: of the physics [s], unless one is given.
-        trunk_contacts: whether chest, pelvis and head touch the ground. Without them a robot that falls is reported
-            as soon, and then sinks into the mat. While it walks they touch nothing, but MJX solves for the rows of
-            all contacts in every step, and a third of the rows are theirs.
+        trunk_contacts: whether chest, pelvis and head touch the ground. Without them a fall is reported equally soon,
+            but the robot then sinks into the mat. While it walks they touch nothing, but MJX solves for the rows of all
+            contacts in every step, and a third of the rows are theirs.
     """
 
     timestep: float
@@ -26,7 +26,7 @@ class PhysicsPreset:
 
 
 class PresetTimestep(float):
-    """A time step that nobody gave [s]: it is its preset's, and another preset brings its own."""
+    """A time step [s] that was not given: it is that of the preset and changes with the preset."""
 
 
 #: `reference` is the model as it was identified. `fast` keeps speeds at the published frequencies within 1.5 % of it,

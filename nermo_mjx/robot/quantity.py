@@ -1,8 +1,8 @@
 """Physical quantities: array fields of a parameter tree, each with its unit, default, range and meaning.
 
 A parameter tree is a frozen dataclass registered as a JAX pytree whose leaves are declared with `quantity`. The
-declaration is the only place where a parameter's unit and range stand: validation, `--list-parameters` and the
-metadata of result tables read them from here.
+declaration is the only place that states a parameter's unit and range: validation, `--list-parameters` and the
+metadata of result tables all use it.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ T = TypeVar("T")
 
 
 class ParameterError(ValueError):
-    """A parameter outside what is allowed; the message names the field, its value and the allowed range."""
+    """An invalid parameter; the message names the field, its value and the allowed range."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
-    """What is known about one parameter.
+    """The declaration of one parameter.
 
     Attributes:
         default: value of the published robot, a float or a tuple (one number for each of `labels`).
         unit: SI unit, "rad", or "1" for a pure number.
         low, high: the allowed range; `open_low`/`open_high` exclude the bound itself.
-        doc: one line on what it means.
+        doc: its meaning in one line.
         labels: names of the components of a vector quantity; empty for a scalar.
     """
 
@@ -81,7 +81,7 @@ def quantity(
     about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
 
     def own() -> np.ndarray:
-        """Each tree its own: JAX keeps what it made of an array, and would mix up programs in 32 and in 64 bits."""
+        """A new array for each tree: JAX caches by array, and would mix up programs in 32 and 64 bits."""
         value = np.array(default, dtype=np.float64)
         value.flags.writeable = False
         return value
@@ -105,8 +105,8 @@ def parameter_tree(cls: type[T]) -> type[T]:
 def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
     """Yield (dotted name, quantity) of every scalar parameter of a tree (or tree class), in order.
 
-    A vector quantity yields one entry a component, `name.label`. A sub-tree contributes its field name as prefix. What
-    is neither has no name.
+    A vector quantity yields one entry per component, `name.label`. A sub-tree contributes its field name as prefix.
+    Fields that are neither are skipped.
     """
     for name, about, component in _walk(tree, prefix):
         if component is None:
@@ -116,7 +116,7 @@ def quantities(tree: Any, prefix: str = "") -> Iterator[tuple[str, Quantity]]:
 
 
 def gathered(known: Mapping[str, Quantity]) -> Iterator[tuple[str, Quantity]]:
-    """Names and quantities for people: those of a long vector, alike but for the last part of their names, as one.
+    """Names and quantities for display: components of a long vector that differ only in their last name part are one.
 
     >>> alike = Quantity(0.0, "m", 0.0, 1.0, "of a path")
     >>> [name for name, _ in gathered({f"path.y{i}": alike for i in range(6)})]
@@ -150,7 +150,7 @@ def replace_quantities(tree: T, values: Mapping[str, Any]) -> T:
     """A copy of `tree` with the named quantities replaced (names as `quantities` yields them).
 
     A value may be a number, a numpy array or a traced array, of any batch shape; a component of a vector quantity is
-    written into the last axis. Nothing is checked: see `check_quantities`.
+    written into the last axis. Values are not checked: see `check_quantities`.
     """
     unknown = set(values) - {name for name, _, _ in _walk(tree, "")} if values else None
     if unknown:
@@ -169,7 +169,7 @@ def check_quantities(tree: Any, prefix: str = "") -> None:
 
 
 def _check(name: str, about: Quantity, value: Any) -> None:
-    """Check a scalar, or a vector as a whole, whose wrong component is named."""
+    """Check a scalar, or a whole vector; the error names the invalid component."""
     try:
         about.check(name, value)
     except ParameterError:
@@ -185,7 +185,7 @@ def _prefix(field: dataclasses.Field[Any]) -> str:
 
 @functools.cache
 def _of_component(about: Quantity, component: int) -> Quantity:
-    """The quantity that one number of a vector is."""
+    """The quantity of one component of a vector."""
     assert isinstance(about.default, tuple)
     return dataclasses.replace(about, default=about.default[component], labels=())
 

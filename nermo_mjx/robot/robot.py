@@ -1,4 +1,4 @@
-"""The assembled robot: its compiled model, and the ids behind the names, resolved once."""
+"""The assembled robot: its compiled model, and its names resolved to ids once."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class JointIndex:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Compiled:
-    """What all robots of one configuration have in common, and no caller gets hold of."""
+    """What all robots of one configuration share; never handed to callers."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
@@ -105,10 +105,10 @@ class _Compiled:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot in a scene; its models are its own, so that a change of them reaches no other robot.
+    """A robot in a scene; its models are not shared, so that changing them does not affect other robots.
 
     Attributes:
-        config: what was built.
+        config: the configuration that it was built from.
     """
 
     config: RobotConfig
@@ -121,16 +121,16 @@ class Robot:
 
     @functools.cached_property
     def model(self) -> mujoco.MjModel:
-        """The compiled model. Engines step `physical`; variation within a batch is `physics.variation`'s."""
+        """The compiled model. Engines step `physical`; `physics.variation` varies it within a batch."""
         return copy.copy(self._compiled.model)
 
     @functools.cached_property
     def physical(self) -> mujoco.MjModel:
-        """`model` without what is only drawn or marked, for engines; the ids of geoms and sites differ."""
+        """`model` without visuals and unused markers, for engines; the ids of geoms and sites differ."""
         return copy.copy(self._compiled.physical)
 
     def with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
-        """The whole model of this robot with other lengths and places, all else the same.
+        """The whole model of this robot with other lengths and positions, otherwise the same.
 
         Args:
             geometry: leaves of shape ().
@@ -146,7 +146,7 @@ class Robot:
         return spec
 
     def physical_with_geometry(self, geometry: Geometry) -> mujoco.MjModel:
-        """The same of `physical`."""
+        """The same for `physical`."""
         known = self._compiled.physical
         geoms, sites = ([one(i).name for i in range(n)] for one, n in
                         ((known.geom, known.ngeom), (known.site, known.nsite)))  # fmt: skip
@@ -182,7 +182,8 @@ class Robot:
         return Sensors(**parts)
 
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:
-        """`sensordata` of the robot put down at `qpos`, in JAX: where IMU and joints are; all else reads zero."""
+        """`sensordata` of the robot placed at `qpos`, in JAX: IMU pose and joint angles; all other readings are
+        zero."""
         place, (w, x, y, z) = qpos[self.joints.root :][:3], qpos[self.joints.root :][3:7]
         arm = jnp.asarray(self.model.site("imu").pos, qpos.dtype)
         axis = jnp.stack([x, y, z])
@@ -214,7 +215,7 @@ class Robot:
 
     @property
     def terrain(self) -> Terrain:
-        """How high the ground is."""
+        """Height of the ground."""
         return self._compiled.terrain
 
     def mass_table(self) -> list[dict[str, float | str]]:
@@ -239,7 +240,7 @@ def _compile(config: RobotConfig) -> _Compiled:
     spec = assemble(config)
     try:
         model = spec.compile()
-    except ValueError as error:  # a scene of one's own with the name of a part
+    except ValueError as error:  # a custom scene that uses the name of one of the robot's parts
         why = str(error).splitlines()[0].removeprefix("Error: ")
         raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None
     terrain = Terrain(model, _ids(model, scene_geoms(str(config.scene)).ground), str(config.scene))
@@ -265,7 +266,7 @@ def _mass_model(model: mujoco.MjModel) -> MassModel:
 
 
 def mass_model_of(config: RobotConfig, geometry: Geometry) -> MassModel:
-    """`Robot.mass_model` of a robot with other lengths and places, in JAX.
+    """`Robot.mass_model` of a robot with other lengths and positions, in JAX.
 
     Centres of mass of the standing robot are linear in them.
 
@@ -310,7 +311,7 @@ def load_robot(
     physics: str = "reference",
     timestep: float | None = None,
 ) -> Robot:
-    """Assemble a robot in a scene. The same arguments compile once, and each call gives a robot with models of its own.
+    """Assemble a robot in a scene. The same arguments compile once; each call returns a robot with models of its own.
 
     >>> load_robot(tail="articulated").n_servos
     11
@@ -318,7 +319,7 @@ def load_robot(
     Args: see `RobotConfig`.
 
     Raises:
-        ParameterError: an unknown name, a scene that cannot be used, or a time step out of range.
+        ParameterError: unknown name, unusable scene, or time step out of range.
     """
     given = {} if timestep is None else {"timestep": timestep}
     config = RobotConfig(robot, scene, tail, routing, cone, physics, **given)

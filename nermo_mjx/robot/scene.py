@@ -1,7 +1,7 @@
-"""A scene: one that ships, by its name, or one of one's own, as a text of MJCF that stands for itself.
+"""A scene: a bundled one, by its name, or a custom one, as self-contained MJCF text.
 
-A file or an `MjSpec` becomes such a text once, where a setup is made: it can be compared, hashed, sent to another
-process, and written into a spec file or a recording, all of which then know what the robot walked on.
+A file or an `MjSpec` is converted to such a text once, when a setup is created. The text can be compared, hashed, sent
+to another process, and stored in a spec file or a recording, so that these document the ground the robot walked on.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from nermo_mjx.robot.quantity import ParameterError, check_quantities, replace_q
 from nermo_mjx.robot.terrains import TERRAINS, add_terrain
 
 Scene: TypeAlias = str | os.PathLike[str] | mujoco.MjSpec
-#: Default classes of the geoms that the robot stands on, and of those that stop it; a class inside of one counts, too.
+#: Default classes of the geoms that carry the robot, and of those that stop it; nested classes count, too.
 GROUND: Final = "ground"
 OBSTACLE: Final = "obstacle"
 #: A geom of this name is ground, whatever its class.
 FLOOR: Final = "floor"
-#: What ground can be: MuJoCo knows how a sphere touches it in every engine, and `terrain.Terrain` how high it is.
+#: Allowed types of ground: every engine can collide a sphere with them, and `terrain.Terrain` knows their height.
 GROUND_TYPES: Final = (
     mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_HFIELD,
 )  # fmt: skip
 #: The file of `mjcf/scenes/common` into which a terrain is put.
 _GROUNDS: Final = "scenes/common/terrain"
-#: What moves, acts or reads: positions, controls and sensors are the robot's alone.
+#: Elements that move, act or measure: only the robot may have positions, controls and sensors.
 _FOREIGN: Final = {
     "joints": "a joint", "actuators": "an actuator", "sensors": "a sensor", "tendons": "a tendon",
     "equalities": "an equality", "pairs": "a contact pair", "keys": "a keyframe", "flexes": "a flex",
     "skins": "a skin", "plugins": "a plugin",
 }  # fmt: skip
-#: MuJoCo writes what it has just read a little differently once: a quaternion of a frame is written out.
+#: MuJoCo's first write of a text that it has read differs slightly: a frame's quaternion is written out.
 _MOST_READ: Final = 4
 
 
 @dataclasses.dataclass(frozen=True)
 class SceneGeoms:
-    """Names of the geoms that touch the robot, in the scene's order: what it stands on, and what stops it."""
+    """Names of the geoms that touch the robot, in the scene's order: those that carry it, and those that stop it."""
 
     ground: tuple[str, ...]
     obstacles: tuple[str, ...]
@@ -59,18 +59,18 @@ def scenes() -> tuple[str, ...]:
 
 
 def resolve_scene(scene: Scene) -> str:
-    """A scene as it is kept: the name of one that ships, or MJCF.
+    """A scene in stored form: the name of a bundled one, or MJCF.
 
     Args:
         scene: a name; the path of an MJCF file, relative to the working directory; MJCF itself; or an `MjSpec`, which
-            is not changed. In a scene of one's own nothing moves; geoms of the default class `ground`, and the one
-            named `floor`, carry the robot, those of the class `obstacle` stop it, and no other touches it. What
-            it reads from files, such as meshes, stays there; the text has their absolute paths. Of its options
+            is not changed. In a custom scene nothing moves; geoms of the default class `ground`, and the one
+            named `floor`, carry the robot, those of the class `obstacle` stop it, and no other touches it. Files that
+            it refers to, such as meshes, are not embedded; the text has their absolute paths. Of its options only
             gravity is kept.
 
     Raises:
-        ParameterError: there is no such scene or file; MuJoCo refuses it; it has what belongs to the robot, or no
-            ground.
+        ParameterError: the scene or file does not exist; MuJoCo rejects it; it has elements that only the robot may
+            have, or no ground.
     """
     if isinstance(scene, mujoco.MjSpec):
         return _text(scene.copy(), f"the MjSpec {scene.modelname!r}")
@@ -90,12 +90,12 @@ def resolve_scene(scene: Scene) -> str:
 
 
 def scene_name(scene: str) -> str:
-    """What a scene as `resolve_scene` keeps it is called: its name, or that of its model."""
+    """Name of a scene from `resolve_scene`: its own, or that of its model."""
     return ElementTree.fromstring(scene).get("model", "own") if is_mjcf(scene) else scene
 
 
 def load_scene(scene: str) -> mujoco.MjSpec:
-    """The specification of a scene as `resolve_scene` keeps it, editable."""
+    """The editable specification of a scene from `resolve_scene`."""
     if scene in TERRAINS:
         spec = load_file(_GROUNDS)
         add_terrain(spec, scene)
@@ -106,7 +106,7 @@ def load_scene(scene: str) -> mujoco.MjSpec:
 
 @functools.lru_cache(maxsize=64)
 def scene_geoms(scene: str) -> SceneGeoms:
-    """Which geoms touch the robot, of a scene as `resolve_scene` keeps it."""
+    """The geoms that touch the robot, of a scene from `resolve_scene`."""
     spec = load_scene(scene)
     ground, obstacles = ([geom.name for geom in _geoms(spec, role)] for role in (GROUND, OBSTACLE))
     return SceneGeoms(tuple(ground), tuple(obstacles))
@@ -117,7 +117,7 @@ def is_mjcf(text: str) -> bool:
 
 
 def _geoms(spec: mujoco.MjSpec, role: str) -> list[Any]:
-    """Geoms of a default class, or of a class inside of it."""
+    """Geoms of a default class, or of a class nested in it."""
     tree = ElementTree.fromstring(spec.to_xml())
     classes = {each.get("class") for each in tree.findall(f".//default[@class='{role}']//default")} | {role}
     return [geom for geom in spec.geoms if geom.classname.name in classes or (role == GROUND and geom.name == FLOOR)]
@@ -125,7 +125,7 @@ def _geoms(spec: mujoco.MjSpec, role: str) -> list[Any]:
 
 @contextlib.contextmanager
 def _refusals(called: str) -> Iterator[None]:
-    """Say in one sentence about the scene what MuJoCo says in several lines."""
+    """Turn MuJoCo's message of several lines into one sentence about the scene."""
     try:
         yield
     except ValueError as error:
@@ -141,7 +141,7 @@ def _from_text(text: str) -> str:
 
 
 def _text(spec: mujoco.MjSpec, called: str) -> str:
-    """MJCF of a scene that is checked and prepared, and stays as it is when it is read and prepared again."""
+    """MJCF of a checked and prepared scene, which does not change when it is read and prepared again."""
     text = _prepared(spec, called)
     for _ in range(_MOST_READ):
         before, text = text, _prepared(mujoco.MjSpec.from_string(text), called)
@@ -151,7 +151,7 @@ def _text(spec: mujoco.MjSpec, called: str) -> str:
 
 
 def _prepared(spec: mujoco.MjSpec, called: str) -> str:
-    """MJCF of a scene in which all is checked, named and fixed to the world, and files have absolute paths."""
+    """MJCF of a scene, checked, with all geoms named and fixed to the world, and absolute paths of files."""
 
     def refuse(why: str) -> NoReturn:
         raise ParameterError(f"scene is {called}: it {why}.")
@@ -179,7 +179,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
             kind = geom.type.name.removeprefix("mjGEOM_").lower()
             refuse(f"has the ground {geom.name!r}, a {kind}; allowed is a plane, a box, a capsule or an hfield")
     _find_files(spec)
-    # What stands still belongs to the world, so that the robot's bodies are all there are.
+    # Static bodies are merged into the world, so that the only bodies are the robot's.
     spec.compiler.fusestatic = True
     with _refusals(called):
         model = spec.compile()
@@ -193,7 +193,7 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
 
 
 def _own_settings_only(text: str) -> str:
-    """The scene without settings that would reach the robot: how it is computed, compiled and weighed is its own."""
+    """The scene without settings that would affect the robot, which has its own options and compiler settings."""
     tree = ElementTree.fromstring(text)
     for name, kept in (("option", "gravity"), ("compiler", "angle"), ("size", "")):
         for element in tree.findall(name):
@@ -203,7 +203,7 @@ def _own_settings_only(text: str) -> str:
 
 
 def _find_files(spec: mujoco.MjSpec) -> None:
-    """Give the files that a scene refers to their absolute paths."""
+    """Make the paths of the files that a scene refers to absolute."""
     home = Path(spec.modelfiledir or ".")
 
     def found(folder: str, file: str) -> str:

@@ -11,7 +11,7 @@ They lie in the unit circle if and only if b + 2 a < 4 (Jury's criterion), that 
 
 With kp or kv alone these are 4 I / h^2 and 2 I / h; beyond, the torque jumps from limit to limit in each step. I is at
 least the armature, since the inertia matrix is that of the bodies, which is positive, plus it; the joints' damping, in
-which Euler's method is implicit, only widens the bound. The standing robot alternates from 1.01 times the bound on.
+which Euler's method is implicit, only widens the bound. The standing robot starts to alternate at 1.01 times the bound.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from nermo_mjx.robot.quantity import ParameterError
 
 #: Share of the bound that is allowed: closer to it a servo settles, but rings for longer than a control period.
 ALLOWED: Final = 0.9
-#: Share of it that is allowed to kp: without damping, the rest of the body is enough for a stiff servo to ring.
+#: Share of it that is allowed for kp: without damping, the rest of the body is enough to make a stiff servo ring.
 ALLOWED_STIFFNESS: Final = 0.75
 
 
 def highest_kp(timestep: float, kv: float) -> float:
-    """The highest proportional gain [N m/rad] at a time step [s], beside a damping kv [N m s/rad]."""
+    """The highest proportional gain [N m/rad] at a time step [s], with a damping kv [N m s/rad]."""
     inertia = 4.0 * ARMATURE["servo"]
     return min(ALLOWED_STIFFNESS * inertia, ALLOWED * inertia - 2.0 * timestep * kv) / timestep**2
 
 
 def highest_kv(timestep: float, kp: Any) -> Any:
-    """The highest damping [N m s/rad] at a time step [s], beside gains kp [N m/rad] of any shape."""
+    """The highest damping [N m s/rad] at a time step [s], with gains kp [N m/rad] of any shape."""
     return (4.0 * ALLOWED * ARMATURE["servo"] - timestep**2 * kp) / (2.0 * timestep)
 
 
 def check_servo(kp: Any, kv: Any, timestep: float) -> None:
-    """Refuse servos whose stiffness and damping are together too much for the time step.
+    """Reject servos whose stiffness and damping together are too high for the time step.
 
     Args:
-        kp, kv: gains [N m/rad] and damping [N m s/rad], of any shapes that fit.
+        kp, kv: gains [N m/rad] and damping [N m s/rad], of any shapes that broadcast.
         timestep: of the physics [s].
 
     Raises:
-        ParameterError: with the largest excess.
+        ParameterError: for the largest excess.
     """
     kp, kv = np.broadcast_arrays(np.asarray(kp, float), np.asarray(kv, float))
     excess = kv - highest_kv(timestep, kp) * (1.0 + 1e-6)

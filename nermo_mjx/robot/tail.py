@@ -1,4 +1,4 @@
-"""The tail's chain of segments, built from its numbers: bodies, joints, eyelets of the tendons, and what touches."""
+"""The tail's chain of segments, built from its numbers: bodies, joints, eyelets of the tendons, and contact geoms."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from nermo_mjx.robot.mirror import turn
 from nermo_mjx.robot.parameters import SPINE, TAIL
 
-#: Half the width of the pulley [m], and where along a segment of the published length its eyelets are [m].
+#: Half the width of the pulley [m], and the positions of the eyelets along a segment of the published length [m].
 _PULLEY_WIDTH: Final = 0.0010
 _EYELET: Final = 0.5 * TAIL.spacing
 #: The last segments, numbered from 1, whose ends may touch the ground besides the tip.

@@ -1,4 +1,4 @@
-"""How high the ground is beneath a place: planes, boxes, capsules and height fields, fixed or of a terrain's shape."""
+"""Height of the ground at a point: planes, boxes, capsules and height fields, fixed or of a terrain's shape."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _PARALLEL: Final = 1e-9
 
 
 class Terrain:
-    """Height of what the robot stands on, above z = 0 of the world; pure JAX, differentiable."""
+    """Height of the ground above z = 0 of the world; pure JAX, differentiable."""
 
     def __init__(self, model: mujoco.MjModel, geoms: Sequence[int], scene: str = "") -> None:
         """
         Args:
             model: compiled.
             geoms: ids of the ground's geoms, fixed to the world: planes, boxes, capsules and height fields.
-            scene: name of the scene, of which one of `TERRAINS` has a shape.
+            scene: name of the scene; one of `TERRAINS` has a shape.
 
         Raises:
             ParameterError: a plane that is too steep, or a height field that is not level.
@@ -37,19 +37,20 @@ class Terrain:
         shaped = set(geom_names(scene))
         self._still = [_surface(model, geom) for geom in geoms if model.geom(geom).name not in shaped]
         self._shaped = [_surface(model, geom) for geom in geoms if model.geom(geom).name in shaped]
-        #: Height beside all of it: there a robot falls, and has fallen where it is lower.
+        #: Height where there is no ground: there a robot falls, and has fallen once it is lower.
         self._bottom = min(surface.bottom for surface in (*self._still, *self._shaped))
 
     @property
     def has_shape(self) -> bool:
-        """Whether parameters shape it."""
+        """Whether its shape depends on parameters."""
         return self._kind is not None
 
     def height(self, x: ArrayLike, y: ArrayLike, shape: TerrainShape | None = None) -> Scalars:
-        """Height [m] of the highest ground at (x, y) [m], which broadcast; beside all of it, of its lowest point.
+        """Height [m] of the highest ground at (x, y) [m], which broadcast; where there is none, that of its lowest
+        point.
 
         Args:
-            shape: of a terrain, instead of the one that was compiled; scenes without parameters do not ask.
+            shape: of a terrain, instead of the compiled one; ignored in scenes without parameters.
         """
         x, y = jnp.asarray(x), jnp.asarray(y)
         heights = [surface.height(x, y) for surface in self._still]
@@ -70,7 +71,7 @@ class Terrain:
             assert isinstance(field, _Field)
             return field.height(x - pos[0, 0] + field.place[0], y - pos[0, 1] + field.place[1], shape.height)
         surface = _box_height if self._kind.geom == mujoco.mjtGeom.mjGEOM_BOX else _capsule_height
-        # All elements at once: a place has a line of them.
+        # All elements at once, along the last axis.
         rotation = _rotation(quat)
         return jnp.max(surface(x[..., None] - pos[:, 0], y[..., None] - pos[:, 1], rotation, size) + pos[:, 2], axis=-1)
 
@@ -87,10 +88,10 @@ def _rotation(quat: Array) -> Array:
 
 
 def _box_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
-    """Where a vertical line enters a box from above, over its centre, between its three pairs of faces; or -inf.
+    """Height above a box's centre at which a vertical line enters it, by its three pairs of faces; or -inf.
 
     Args:
-        dx, dy: of the line from the centre, (...) [m].
+        dx, dy: offset of the line from the centre, (...) [m].
         rotation, size: (..., 3, 3) and half lengths (..., 3) [m].
     """
     top, base = jnp.full((), jnp.inf), jnp.full((), -jnp.inf)
@@ -106,7 +107,7 @@ def _box_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
 
 
 def _capsule_height(dx: Array, dy: Array, rotation: Array, size: Array) -> Array:
-    """The same of a capsule: of the cylinder between its ends, and of the spheres there."""
+    """The same for a capsule: the cylinder between its ends, and the spheres there."""
     ax, ay, az = (rotation[..., i, 2] for i in range(3))
     radius, half = size[..., 0], size[..., 1]
     along = dx * ax + dy * ay
@@ -157,12 +158,14 @@ class _Field:
     ) -> None:
         self.place, self.rotation, self.size, self.form = place, rotation, size, data.shape
         self.highest = float(size[2])
-        #: None for rough ground, whose points are computed: XLA takes minutes over a program with so large a table.
+        #: None for rough ground, whose points are computed: XLA takes minutes to compile a program with so large a
+        #: table.
         self.table = None if of_waves else data
         self.bottom = float(place[2])
 
     def height(self, x: Array, y: Array, highest: ArrayLike | None = None) -> Array:
-        """On the triangles into which MuJoCo cuts each cell, of a field so high; -inf beside the field."""
+        """Height on the triangles into which MuJoCo divides each cell, for a field of this height; -inf off the
+        field."""
         rows, columns = self.form
         dx, dy = x - self.place[0], y - self.place[1]
         u = (self.rotation[0, 0] * dx + self.rotation[1, 0] * dy) / self.size[0]
@@ -184,7 +187,7 @@ class _Field:
         return jnp.where(inside, self.place[2] + (self.highest if highest is None else highest) * share, -jnp.inf)
 
     def _shares(self, row: Array, column: Array) -> Array:
-        """Of points of the field."""
+        """Heights of points of the field."""
         if self.table is None:
             return field_share(column.astype(float), row.astype(float), jnp)
         return jnp.asarray(self.table, jnp.result_type(float))[row, column]

@@ -1,8 +1,8 @@
-"""Terrains whose shape is a matter of parameters: a world of a batch has its own.
+"""Terrains whose shape is set by parameters, so that each world of a batch has its own.
 
-Each is a scene by its name. It begins 0.15 m ahead of the robot's start, and the way leads along -y; about the spiral
-stair it is the circle to the left. What stands where follows from `TerrainShape` alone, in the scene that is compiled,
-in the model fields of a batch (`physics.variation`), and for whoever asks how high the ground is (`terrain`).
+Each is a named scene. It begins 0.15 m ahead of the robot's start, and the path leads along -y; on the spiral stair it
+is the circle to the left. `TerrainShape` alone determines the layout, for the compiled scene, the model fields of a
+batch (`physics.variation`), and the height of the ground (`terrain`).
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 
-#: Where a terrain begins ahead of the robot's start [m], and half of how wide it is.
+#: Distance from the robot's start to the beginning of a terrain, and half the terrain's width [m].
 BEGIN: Final = 0.15
 HALF_WIDTH: Final = 0.4
-#: What is buried of steps and ramps [m], so that no foot finds a gap beneath.
+#: Depth to which steps and ramps are buried [m], so that there is no gap beneath them.
 BURIED: Final = 0.1
 #: Radius and half height of the poles of the slalom [m].
 POLE: Final = (0.01, 0.08)
-#: The field of rough ground: half lengths across and along the way [m], distance of its points, and its centre.
+#: The field of rough ground: half lengths across and along the path [m], spacing of its points, and its centre.
 FIELD_SIZE: Final = (0.6, 2.4)
 FIELD_STEP: Final = 0.03
 FIELD_CENTRE: Final = -2.0
@@ -33,7 +33,7 @@ FIELD_CENTRE: Final = -2.0
 
 @parameter_tree
 class TerrainShape:
-    """What a terrain looks like; each scene reads some of it (`TERRAINS`), and has defaults of its own."""
+    """The shape of a terrain; each scene uses some of it (`TERRAINS`), and has its own defaults."""
 
     height: Any = quantity(0.01, unit="m", low=0.0, high=0.05, doc="of a plank, log, step, or of rough ground")
     spacing: Any = quantity(0.2, unit="m", low=0.05, high=1.0, doc="way from one plank, log, step or gate to the next")
@@ -47,7 +47,7 @@ class TerrainShape:
 
 
 class Layout(NamedTuple):
-    """Places of the geoms of a terrain: (k, 3), (k, 4) and (k, 3), as MuJoCo has them."""
+    """Positions, orientations and sizes of a terrain's geoms: (k, 3), (k, 4) and (k, 3), as in MuJoCo."""
 
     pos: Any
     quat: Any
@@ -56,14 +56,15 @@ class Layout(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class TerrainKind:
-    """A terrain by its name.
+    """A named terrain.
 
     Attributes:
-        doc: one line on what it is.
+        doc: description in one line.
         geom: type of its geoms.
-        count: how many.
+        count: number of its geoms.
         layout: from a shape and `numpy` or `jax.numpy` to a `Layout`.
-        defaults: of the shape, where they are not those of `TerrainShape`; they name what the terrain reads.
+        defaults: of the shape, where they differ from those of `TerrainShape`; their names are the parameters that the
+        terrain reads.
         obstacle: whether it stops the robot, instead of carrying it.
         material: of its geoms.
     """
@@ -92,7 +93,7 @@ def _level(xp: Any, count: int) -> Any:
 
 
 def _along(shape: TerrainShape, count: int) -> Any:
-    """Ways from the start to the beginnings of so many elements."""
+    """Distances from the start to the beginnings of this number of elements."""
     return BEGIN + shape.shift + shape.spacing * np.arange(count)
 
 
@@ -118,7 +119,7 @@ def _ramp(shape: TerrainShape, xp: Any) -> Layout:
     pos = xp.stack([
         _stacked(xp, 0.0, -along, up), _stacked(xp, 0.0, -(end + top), 2.0 * half * sine - thick),
     ])  # fmt: skip
-    # About x, so that -y rises.
+    # Rotation about x, so that the ramp rises towards -y.
     turned = _stacked(xp, xp.cos(-0.5 * shape.slope), xp.sin(-0.5 * shape.slope), 0.0, 0.0)
     quat = xp.stack([turned, xp.asarray([1.0, 0.0, 0.0, 0.0])])
     size = xp.asarray([[HALF_WIDTH, half, thick], [HALF_WIDTH, top, thick]])
@@ -135,13 +136,13 @@ def _stairs(shape: TerrainShape, xp: Any) -> Layout:
 
 
 def _spiral(shape: TerrainShape, xp: Any) -> Layout:
-    """Steps about the point (radius, 0), as far apart as `spacing` on the way, which is the circle to the left."""
+    """Steps about the point (radius, 0), `spacing` apart along the path, which is the circle to the left."""
     number, width = np.arange(15), 0.3
     angle = (BEGIN + shape.shift + shape.spacing * (number + 0.5)) / shape.radius
     x, y = shape.radius * (1.0 - xp.cos(angle)), -shape.radius * xp.sin(angle)
     pos = _stacked(xp, x, y, shape.height * (number + 1) - BURIED)
     quat = _stacked(xp, xp.cos(0.5 * angle), 0.0, 0.0, xp.sin(0.5 * angle))
-    # As deep as the outer end needs; inside, steps overlap and the higher one counts.
+    # As deep as the outer end requires; further in, steps overlap and the higher one counts.
     deep = 0.5 * shape.spacing * (1.0 + 0.5 * width / shape.radius)
     return Layout(pos, quat, _stacked(xp, np.full(15, 0.5 * width), deep, BURIED))
 
@@ -161,7 +162,7 @@ def _slalom(shape: TerrainShape, xp: Any) -> Layout:
 
 
 def gates(shape: TerrainShape, xp: Any = np) -> Any:
-    """Centres of the slalom's six gates (6, 2) [m], what way points lead through."""
+    """Centres of the slalom's six gates (6, 2) [m], for use as way points."""
     side = np.where(np.arange(6) % 2 == 0, 1.0, -1.0)
     return _stacked(xp, side * shape.offset, -(_along(shape, 6) + 0.5 * shape.spacing))
 
@@ -187,7 +188,7 @@ TERRAINS: Final[Mapping[str, TerrainKind]] = {
 
 
 def terrain_values(scene: str) -> dict[str, float]:
-    """The parameters `terrain.*` of a scene, where it reads them."""
+    """The parameters `terrain.*` that a scene reads."""
     kind = TERRAINS.get(scene)
     return {} if kind is None else {f"terrain.{name}": value for name, value in kind.defaults.items()}
 
@@ -208,10 +209,10 @@ def geom_names(scene: str) -> tuple[str, ...]:
 
 
 def _waves() -> tuple[np.ndarray, ...]:
-    """Of the waves that rough ground is made of: wave numbers across and along the way [rad/m], phases [rad], heights.
+    """The waves that make up rough ground: wave numbers across and along the way [rad/m], phases [rad], heights.
 
-    They are from 0.1 to 0.5 m long, the short ones lower, in directions and phases without order. These come from the
-    golden ratio: a generator's stream may change with a release of NumPy, and with it what a scene is.
+    They are from 0.1 to 0.5 m long, the short ones lower, in irregular directions and phases. These come from the
+    golden ratio: a generator's stream may change with a release of NumPy, which would change the scene.
     """
     number, golden = np.arange(16), 0.5 * (np.sqrt(5.0) - 1.0)
     length = 0.1 * 5.0 ** (number / 15.0)
@@ -251,7 +252,7 @@ def _field_points() -> tuple[np.ndarray, np.ndarray]:
 
 
 def field_shares() -> np.ndarray:
-    """The shares of all points of the field, (rows, columns)."""
+    """Relative heights of all points of the field, (rows, columns)."""
     return np.clip(field_share(*_field_points()), 0.0, 1.0)
 
 
@@ -259,9 +260,9 @@ def add_terrain(spec: mujoco.MjSpec, scene: str, values: Mapping[str, float] | N
     """Put the geoms of a terrain into a scene.
 
     Args:
-        spec: of the floor; it has the default classes `ground` and `obstacle`.
+        spec: the floor's; it has the default classes `ground` and `obstacle`.
         scene: name of the terrain.
-        values: of its shape, by their names without `terrain.`; the others are its defaults.
+        values: of its shape, by their names without `terrain.`; the others keep their defaults.
     """
     kind = TERRAINS[scene]
     shape = TerrainShape(**(dict(kind.defaults) | dict(values or {})))

@@ -1,4 +1,4 @@
-"""Meshes of what the robot looks like, made from its numbers; they weigh nothing and touch nothing.
+"""Visual meshes of the robot, made from its numbers; they have no mass and do not collide.
 
-`python -m nermo_mjx.robot.meshes` writes them to `mjcf/meshes`, whence the MJCF files take them.
+`python -m nermo_mjx.robot.meshes` writes them to `mjcf/meshes`, where the MJCF files refer to them.
 """

@@ -1,4 +1,4 @@
-"""`python -m nermo_mjx.robot.meshes`: write the mesh files anew, after one of the robot's numbers has changed."""
+"""`python -m nermo_mjx.robot.meshes`: rewrite the mesh files, after one of the robot's numbers has changed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from nermo_mjx.robot.meshes.catalogue import mesh_texts
 
 
 def main() -> None:
-    """Write all files, and remove those that are no longer made."""
+    """Write all files, and remove obsolete ones."""
     folder = mjcf_directory() / "meshes"
     folder.mkdir(exist_ok=True)
     texts = mesh_texts()

@@ -25,16 +25,16 @@ def mesh_texts() -> dict[str, str]:
 
 
 def redraw(spec: mujoco.MjSpec, geometry: Geometry) -> None:
-    """Give an assembled robot the meshes of its geometry, in place of those of the files.
+    """Replace an assembled robot's meshes from the files by those of its geometry.
 
     Args:
         spec: of the robot.
-        geometry: with which it was assembled.
+        geometry: that it was assembled with.
     """
     shapes = torso_shapes(geometry) | hip_shapes(geometry) | leg_shapes(geometry)
     shapes |= {f"spine_{name.removeprefix('spine_')}": shape for name, shape in spine_shapes(geometry).items()}
     for mesh in spec.meshes:
-        # Both sides have one file, and right is mirrored by its scale.
+        # Both sides share one file; the right side is mirrored by its scale.
         shape = shapes.get(mesh.name.replace("_left_", "_").replace("_right_", "_"))
         if shape is not None:
             drawn = creased(shape)

@@ -1,4 +1,4 @@
-"""Sharp edges: MuJoCo gives every vertex one normal, so that an edge is sharp where its vertices are split."""
+"""Sharp edges: MuJoCo gives every vertex one normal, so an edge is sharp only if its vertices are split."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from nermo_mjx.robot.meshes.shapes import Shape
 
-#: Edges that turn by more than this stay sharp [rad]. A chamfer is less: its vertices take the normal of the large face
-#: beside it, and the edge looks rounded.
+#: Edges that turn by more than this stay sharp [rad]. A chamfer turns by less: its vertices take the normal of the
+#: large adjacent face, and the edge looks rounded.
 CREASE: Final = np.radians(50.0)
 
 
 def creased(shape: Shape, angle: float = CREASE) -> Shape:
-    """The same surface, its vertices split wherever faces meet at more than `angle` [rad]; idle ones are left out."""
+    """The same surface, its vertices split wherever faces meet at more than `angle` [rad]; unused ones are dropped."""
     corner = shape.vertices[shape.faces]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     area = np.linalg.norm(normal, axis=1)
@@ -37,7 +37,7 @@ def creased(shape: Shape, angle: float = CREASE) -> Shape:
 def _smooth_groups(
     vertex: int, faces: list[int], corners: np.ndarray, normal: np.ndarray, limit: float
 ) -> list[list[int]]:
-    """Faces around a vertex, grouped by being neighbours across an edge that is not sharp."""
+    """Faces around a vertex, in groups that are connected across edges that are not sharp."""
     group = {face: {face} for face in faces}
     for i, one in enumerate(faces):
         for other in faces[i + 1 :]:

@@ -23,7 +23,7 @@ SECTIONS: Final = (
 )  # fmt: skip
 RINGS: Final = 14
 SIDES: Final = 20
-#: The left ear: middle [mm], radius, and how it is turned outward, and leans back [rad].
+#: The left ear: middle [mm], radius, and its angles outward and backward [rad].
 EAR: Final = (12.6, -2.5, 28.0)
 EAR_RADIUS: Final = 8.6
 EAR_OUT: Final = 0.38
@@ -81,7 +81,7 @@ def ear(lining: bool) -> Shape:
 
 
 def camera() -> Shape:
-    """The barrel that stands in the skull."""
+    """The barrel that sits in the skull."""
     return _at_eye(turned_part([(-6.0, 3.7), (0.4, 4.1)], 16))
 
 

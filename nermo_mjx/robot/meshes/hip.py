@@ -1,6 +1,6 @@
 """The hip: the bracket of the rear legs' stacked servos and of the spine's servo, and the tail's support.
 
-In the frame of the spine end: x left, y back, z up.
+The frame is that of the spine end: x left, y back, z up.
 """
 
 from __future__ import annotations

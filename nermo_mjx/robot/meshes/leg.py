@@ -26,7 +26,7 @@ from nermo_mjx.robot.meshes.shapes import (
 )
 from nermo_mjx.robot.parameters import FRONT_LEG, LEGS, PULLEY_RIM, LegGeometry
 
-#: How much stouter than the front legs the rear legs are.
+#: Ratio of the rear legs' thickness to the front legs'.
 STOUT: Final = {"front": 1.0, "rear": 1.12}
 #: Inner and outer face of a cheek of the upper leg, and half the thickness of the link between the cheeks [mm].
 CHEEK: Final = (1.65, 3.1)
@@ -60,7 +60,7 @@ def grooved_pulley(radius: float, half_width: float, tendon: float = TENDON) -> 
 
 
 def pulley_holes(radius: float, half_width: float, count: int = 5) -> Shape:
-    """What shows as lightening holes in such a pulley, by which one sees it turn: dark discs."""
+    """Dark discs that look like lightening holes in the pulley and make its rotation visible."""
     middle, size = (radius + 0.9) / 2, (radius - 4.1) / 2.9
     disc = turned_part([(0.0, size), (half_width - 0.36, size)], 8)
     angles = 2 * np.pi * np.arange(count) / count

@@ -1,4 +1,4 @@
-"""What several parts share: units, thicknesses, and poses along the spine."""
+"""Numbers that several parts share: units, thicknesses, and poses along the spine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nermo_mjx.robot.geometry import Geometry, dh_table
 MM: Final = 1000.0
 #: Radius at which the leg's and the spine's tendons are drawn [mm].
 TENDON: Final = 0.5
-#: Height between the axes of the stacked hip and knee servos is the pulley's height; a servo fills most of it [mm].
+#: The axes of the stacked hip and knee servos are apart by the pulley's height; a servo fills most of it [mm].
 SERVO_WIDTH: Final = 11.0
 
 

@@ -13,7 +13,7 @@ from nermo_mjx.robot.meshes.shapes import Shape
 
 def to_obj(shape: Shape) -> str:
     """The text of a mesh file."""
-    # A nudge beyond rounding error, so that no platform's last bit decides between two hundredths.
+    # An offset larger than rounding errors, so that all platforms round to the same hundredth.
     hundredths = np.rint(100.0 * shape.vertices + 1e-5).astype(int)
     lines = ["v " + " ".join(_number(value) for value in row) for row in hundredths.tolist()]
     lines += ["f {} {} {}".format(*face) for face in (shape.faces + 1).tolist()]

@@ -1,4 +1,4 @@
-"""The servo, one for all joints: its output turns about x, the horn sits at the origin and the case lies at x < 0."""
+"""The servo, the same for all joints: its output turns about x, the horn is at the origin, the case at x < 0."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from nermo_mjx.robot.meshes.numbers import MM, SERVO_WIDTH
 from nermo_mjx.robot.meshes.shapes import Shape, block, join, turned_part
 from nermo_mjx.robot.parameters import SERVO_DEPTH
 
-#: Depth along the axis, and reach before and behind it [mm]; the case of a Power HD-DSM44, about.
+#: Depth along the axis, and reach before and behind it [mm]; approximately the case of a Power HD-DSM44.
 DEPTH: Final = MM * SERVO_DEPTH
 BEFORE: Final = 6.0
 BEHIND: Final = 13.0

@@ -1,6 +1,6 @@
 """Closed triangle meshes from a few primitives: lofts, tubes, turned parts, plates and blocks.
 
-Lengths are millimetres, as in the mesh files. A shape has one vertex a corner; `creases` makes edges sharp.
+Lengths are millimetres, as in the mesh files. A shape has one vertex per corner; `creases` makes edges sharp.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def join(*shapes: Shape) -> Shape:
 
 
 def loft(rings: Sequence[Any] | np.ndarray, ring_closed: bool = False) -> Shape:
-    """Skin over rings of equally many points each, shape (R, N, 3); its ends are capped unless the rings close."""
+    """Skin over rings with the same number of points each, shape (R, N, 3); its ends are capped unless the rings
+    close."""
     points = np.asarray(rings, float)
     count, size = points.shape[:2]
     index = np.arange(count * size).reshape(count, size)
@@ -122,7 +123,7 @@ def plate(outline: Any, low: float, high: float, chamfer: float = 0.3) -> Shape:
 
 
 def frame_plate(outline: Any, window: Any, low: float, high: float, chamfer: float = 0.3) -> Shape:
-    """A plate as `plate` makes it, with a window; both outlines (N, 2) have points at matching places [mm]."""
+    """A plate as `plate` makes it, with a window; the points of the two outlines (N, 2) correspond [mm]."""
     outer, inner = np.asarray(outline, float), np.asarray(window, float)
     edge = _inset(outer, chamfer)
     levels = ((low, inner), (low, edge), (low + chamfer, outer), (high - chamfer, outer), (high, edge), (high, inner))

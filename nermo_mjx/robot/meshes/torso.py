@@ -27,7 +27,7 @@ BREASTBONE: Final = (
     (-11.0, -44.5, 1.6, 1.1), (-17.0, -46.3, 2.6, 1.1), (-34.0, -49.8, 3.2, 1.1), (-50.0, -49.6, 3.6, 1.1),
     (-60.0, -44.0, 4.0, 1.1), (-63.0, -38.0, 4.0, 1.1),
 )  # fmt: skip
-#: Ribs: y at the back beam, half-width, lowest z, and how far the breastbone's end lies before that of the back [mm].
+#: Ribs: y at the back beam, half-width, lowest z, and how far its breastbone end lies in front of its back end [mm].
 RIBS: Final = (
     (-13.0, 19.5, -45.5, 3.0),
     (-21.5, 21.8, -48.5, 2.5),
@@ -104,7 +104,7 @@ def board() -> Shape:
 
 
 def chips() -> Shape:
-    """What is soldered on it."""
+    """The components on the board."""
     return join(
         block((-5.0, -33.0, -23.0), (5.0, -23.0, -21.2), 0.3),
         block((-11.5, -44.0, -23.0), (-6.5, -38.0, -21.4), 0.3),
