@@ -1,4 +1,4 @@
-"""Building controller parameters: names, ranges, and strides that the legs can reach, are checked here only."""
+"""Building controller parameters: names, ranges and reachable strides are checked here only."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def control_parameters(
     (0.68, 0.3)
 
     Args:
-        gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a gait of your own; the gait factor follows
+        gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a custom gait; the gait factor follows
             the duty factor unless it is given.
         steering: "leg", "spine" or "mix".
         profile: "exact" or "as_published".
         routing: knee tendon routing, for the check of the workspace.
         values: parameters by name, as `quantities(ControlParameters)` lists them, and lengths and places of the robot
-            (`Geometry`); a name with a dot is given as `**{"spine.amplitude": 0.3}`. Numbers, or arrays whose axes are
+            (`Geometry`); pass names with a dot as `**{"spine.amplitude": 0.3}`. Numbers, or arrays whose axes are
             batch axes. They are checked, so they cannot be traced: inside a transformed function use
             `replace_quantities`.
 
     Raises:
-        ParameterError: an unknown name, a number out of range, or a stride past the legs' workspace.
+        ParameterError: an unknown name, a number out of range, or a stride outside the legs' workspace.
     """
     named: dict[str, Any] = {**published_values(gait, steering=steering, profile=profile)}
     start = ControlParameters(geometry=Geometry() if names_geometry(values) else None)
@@ -58,7 +58,7 @@ def control_parameters(
 
 
 def check(params: ControlParameters, *, routing: str = "type3") -> None:
-    """Refuse parameters that are not finite, out of range, or step past the legs' workspace.
+    """Reject parameters that are not finite, out of range, or step outside the legs' workspace.
 
     Args:
         params: concrete (not traced) parameters; leaves may carry leading batch axes.
@@ -72,7 +72,7 @@ def check(params: ControlParameters, *, routing: str = "type3") -> None:
 
 
 def check_workspace(params: ControlParameters, *, routing: str = "type3") -> None:
-    """Refuse strides, heights and amplitudes whose nominal foot path leaves a leg's workspace; see `check`."""
+    """Reject strides, heights and amplitudes whose nominal foot path leaves a leg's workspace; see `check`."""
     stride = np.asarray(params.gait.stride, float) * np.asarray(params.stance.max_stride, float)
     paths = _distinct(_Paths(params.stance, geometry_of(params), stride))
     start_jax()
@@ -85,7 +85,7 @@ def check_workspace(params: ControlParameters, *, routing: str = "type3") -> Non
 
 
 class _Paths(NamedTuple):
-    """What the nominal foot paths depend on, and whether legs reach them; leaves of one shape, (batch,)."""
+    """The inputs of the nominal foot paths, and whether legs reach them; leaves of one shape, (batch,)."""
 
     stance: Stance
     geometry: Geometry

@@ -1,4 +1,4 @@
-"""Gait clock, the leg state machine: which feet are planned on the ground, and how far each is in its half-cycle."""
+"""Gait clock, the leg state machine: the planned contact of each foot, and its progress within its half-cycle."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from nermo_mjx.control.parameters import Gait
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Scalars, TruthPerLimb
 
-#: Shortest share of the cycle a half-cycle may take inside a traced program; `Gait.duty` is checked where it is built.
+#: Shortest share of the cycle that a half-cycle takes in a traced program; `Gait.duty` is checked where it is built.
 SHORTEST_HALF = 1e-3
 
 
@@ -37,7 +37,7 @@ def wrap(phase: Scalars) -> Scalars:
 
 
 def advance(phase: Scalars, frequency: Scalars, duration: Scalars) -> Scalars:
-    """Integrate the phase over `duration` seconds of the controller's clock; the frequency may change on the fly."""
+    """Integrate the phase over `duration` seconds of the controller's clock; the frequency may change during a run."""
     return wrap(phase + frequency * duration)
 
 
@@ -54,7 +54,7 @@ def limb_states(gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | 
     Args:
         gait: `offset` of shape (..., 4), `duty` of shape (...).
         phase: of the gait cycle, in [0, 1).
-        longer: what each limb's duty factor has more than the gait's.
+        longer: each limb's duty factor minus the gait's.
     """
     duty = stance_share(gait.duty)[..., None]
     local = wrap(jnp.asarray(phase)[..., None] - gait.offset)
@@ -62,8 +62,8 @@ def limb_states(gait: Gait, phase: Scalars, longer: Float[Array, "*#batch 4"] | 
         stance = local < duty
         progress = jnp.where(stance, local / duty, (local - duty) / (1.0 - duty))
     else:
-        # As above, times ratios that are exactly 1 for a limb like the others: XLA divides by one number of all limbs
-        # otherwise than by one of each, in the last bit.
+        # As above, times ratios that are exactly 1 for a limb like the others: in XLA, division by a shared number and
+        # by one per limb differ in the last bit.
         own = stance_share(gait.duty[..., None] + longer)
         stance = local < own
         swung = (local - own) / (1.0 - duty) * ((1.0 - duty) / (1.0 - own))

@@ -5,8 +5,8 @@
                ├────────┴──────────► spine ────┴───────────────────────────────────────► spine servo
                └───────────────────► head, tail ───────────────────────────────────────► neck, tilt and tail servos
 
-Two pytrees go through it: `ControlParameters` (what a sweep varies) and `ControllerState` (what time changes). Its
-parts are fields, and each can be replaced by one of the same form. Values are unbatched; engines vmap.
+Two pytrees go through it: `ControlParameters` (varied by sweeps) and `ControllerState` (which changes over time). Its
+parts are fields, and each can be replaced by another one with the same interface. Values are unbatched; engines vmap.
 """
 
 from __future__ import annotations
@@ -51,18 +51,18 @@ class Controller:
     """Static choices of the controller; hashable by value, so it can be closed over or a static argument of `jit`.
 
     Attributes:
-        pilot: where to; see `PilotLike`.
-        gait: how the feet go there; see `GaitLike`.
-        spine: what the spine does besides; see `SpineLike`.
-        head: where the robot looks; see `HeadLike`.
-        tail: what the tail does; see `TailLike`.
-        sagittal: what the vertical servo of Nermo 4.1's spine does; see `SagittalLike`. None where there is none.
+        pilot: commands speed and turn rate; see `PilotLike`.
+        gait: plans the feet; see `GaitLike`.
+        spine: commands the spine's servo; see `SpineLike`.
+        head: commands the neck and the head's tilt; see `HeadLike`.
+        tail: commands the tail's servo; see `TailLike`.
+        sagittal: commands the vertical servo of Nermo 4.1's spine; see `SagittalLike`. None for robots without one.
         routing: knee tendon routing of the legs.
         control_rate, pilot_rate: ticks per simulated second [Hz]; their ratio is an integer.
-        parameters: what a simulation starts from before values are named; any tree with the groups that the parts read.
+        parameters: defaults of a simulation; any tree with the groups that the parts read.
 
     Raises:
-        ParameterError: at construction, for an unknown name or rates that do not fit together.
+        ParameterError: at construction, for an unknown name or incompatible rates.
     """
 
     pilot: PilotLike = dataclasses.field(default_factory=Follow)
@@ -82,7 +82,7 @@ class Controller:
 
     @property
     def dt(self) -> float:
-        """Simulated seconds of a control tick."""
+        """Simulated duration of a control tick [s]."""
         return 1.0 / self.control_rate
 
     @property
@@ -91,7 +91,8 @@ class Controller:
         return round(self.control_rate / self.pilot_rate)
 
     def init(self, params: ControlParameters, sensors: Sensors, phase: Scalar | float = 0.0) -> ControllerState:
-        """State at the start: every leg on its nominal path at `phase`, so that the robot starts in its gait's posture.
+        """State at the start: every leg is on its nominal path at `phase`, so that the robot starts in its gait's
+        posture.
 
         Args:
             params: unbatched parameters.
@@ -108,7 +109,7 @@ class Controller:
         return with_dtypes_of(state, after)
 
     def initial_servo(self, params: ControlParameters, phase: Scalar | float = 0.0) -> ServoAngles:
-        """Servo angles of the state that `init` returns, to build the robot's pose at the start from."""
+        """Servo angles of the state that `init` returns, from which the start pose is built."""
         return self.servo_angles(params, self._start(params, phase))
 
     def update(
@@ -145,11 +146,11 @@ class Controller:
         return servos if trim is None else trim(params, servos)
 
     def cycle_rate(self, params: ControlParameters) -> Any:
-        """Gait cycles a simulated second [1/s]."""
+        """Gait cycles per simulated second [1/s]."""
         return params.gait.frequency / params.tracking.clock_ratio
 
     def path(self, params: ControlParameters, state: ControllerState, position: Float[Array, " 3"]) -> PathPoint | None:
-        """The point of the pilot's path beside a position [m]; None for a pilot without one."""
+        """The point of the pilot's path closest to a position [m]; None for a pilot without a path."""
         follow = getattr(self.pilot, "path", None)
         return None if follow is None else follow(params, state.pilot, position)
 
@@ -158,11 +159,12 @@ class Controller:
         return state.stance
 
     def complete(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Named values with what follows from them: the gait factor from a duty factor that is named without it."""
+        """Named values plus derived ones: the gait factor, if only the duty factor is named."""
         return with_gait_factor(values)
 
     def check(self, params: ControlParameters) -> None:
-        """Refuse strides out of reach, see `build.check_workspace`, and limbs that would always or never stand."""
+        """Reject unreachable strides, see `build.check_workspace`, and limbs that would always or never be in
+        stance."""
         build.check_workspace(params, routing=self.routing)
         if isinstance(self.gait, FreeStepping):
             self.gait.check(params)
@@ -206,7 +208,7 @@ class Controller:
         return Walk(state.time, state.phase, speed, yaw_rate, due, self.pilot_rate)
 
     def _decide(self, params: ControlParameters, state: ControllerState, sensors: Sensors) -> tuple[Any, Drive]:
-        """The pilot's memory and drive, new at a pilot tick and held between two of them."""
+        """The pilot's memory and drive, updated at pilot ticks and held in between."""
         walk = self._walk(params, state)
         new, held = self.pilot.update(params, state.pilot, sensors, walk), (state.pilot, state.drive)
         return jax.tree.map(lambda now, before: jnp.where(walk.due, now, before), new, held)
@@ -234,20 +236,20 @@ def published_controller(
     Args:
         spine: auxiliary modes, "none", "stride_extension", "balance", "harmonics", and of Nermo 4.1
             "sagittal_extension" and "pitch_balance", or several joined by "+" (or a tuple of names).
-        pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" asks
+        pilot: "open_loop" holds `pilot.turn_rate`, "straight", "arc" and "waypoints" follow a path, "external" calls
             `command`. All but the last command `gait.speed`.
         waypoints: (x, y) of the points that the pilot "waypoints" passes [m], see `course.course_through`.
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
-        trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with numbers of
+        trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with parameters for
             each limb and movable points, see `free_stepping`.
-        head: "none" holds it, "gaze" keeps its direction in the world; see `control.head`.
-        tail_motion: "none" holds it, "swing", "counter_yaw" or "counter_roll"; see `control.tail`.
+        head: "none" holds it still, "gaze" keeps its direction in the world; see `control.head`.
+        tail_motion: "none" holds it still, "swing", "counter_yaw" or "counter_roll"; see `control.tail`.
         routing: knee tendon routing of the legs.
         masses: two-mass model of the assembled robot, for the mode "balance".
         control_rate, pilot_rate: see `Controller`.
 
     Raises:
-        ParameterError: an unknown name, or choices that do not fit together.
+        ParameterError: an unknown name, or choices that cannot be combined.
     """
     stepping = FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory)
     modes = fusion.mode_names(spine)

@@ -1,7 +1,7 @@
-"""Courses: smooth planar curves through way points, and where a robot is beside one.
+"""Courses: smooth planar curves through way points, and a robot's position relative to one.
 
-A curve is sampled once, when it is built, at equal steps of arc length. A robot is then looked for only near the
-progress it has made, so that a course may come near or cross itself, and the search costs one short table lookup.
+A curve is sampled once, when it is built, at equal steps of arc length. The search for the nearest point covers only
+the vicinity of the robot's progress, so a course may approach or cross itself, and a search is one short table lookup.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Scalars, Spatial
 
-#: Part of the course, by arc length from the progress made, in which the robot is looked for [m]. The robot sways back
-#: by a centimetre within a stride; ahead, the window leaves room to cut a bend.
+#: Search window along the course, by arc length from the progress made [m]. The robot sways back by a centimetre within
+#: a stride; ahead, the window leaves room to cut a bend.
 BEHIND: Final = 0.05
 AHEAD: Final = 0.15
-#: Smallest radius of curvature that is taken for a course and not for a kink [m].
+#: Smallest radius of curvature that is not a kink [m].
 SMALLEST_RADIUS: Final = 0.05
 
 
@@ -34,7 +34,7 @@ class Course:
     Attributes:
         x, y: of the points [m], n + 1 each.
         heading: direction of the tangent from the x axis [rad], continuous (not wrapped).
-        curvature: at the points [1/m], positive where the course bends to the left of who walks along it.
+        curvature: at the points [1/m], positive where the course bends to the left in walking direction.
         spacing: arc length between two points [m].
     """
 
@@ -63,26 +63,26 @@ class Course:
 def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: float = 0.01) -> Course:
     """The smooth course through way points: a cubic spline over the chord lengths, with continuous curvature.
 
-    Both ends have no curvature, because the course goes on straight beyond them.
+    Both ends have no curvature, because the course continues straight beyond them.
 
     Args:
         points: (x, y) of at least three way points [m], in walking order.
-        spacing: wanted arc length between the samples [m]; the nearest one that divides the course is taken.
+        spacing: desired arc length between samples [m]; rounded to a whole fraction of the course.
 
     Raises:
-        ParameterError: the points give no smooth course.
+        ParameterError: the points do not give a smooth course.
     """
-    from scipy.interpolate import CubicSpline  # a second, which a walk without a course need not wait
+    from scipy.interpolate import CubicSpline  # the import takes a second, which only walks with a course need
 
     way = _checked(points, spacing)
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
     curve = CubicSpline(chords, way, bc_type="natural")
 
-    # Arc length on a grid so fine that its polygon is shorter than the curve by less than a micrometre in a metre.
+    # Arc length on a grid whose polygon is shorter than the curve by less than a micrometre per metre.
     fine = np.linspace(0.0, chords[-1], 1 + 20 * max(int(np.ceil(chords[-1] / spacing)), len(way)))
     pieces = np.diff(curve(fine), axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(pieces, axis=1))])
-    # Turn from piece to piece, and not the formula for the curvature, which is 0 / 0 where a course turns back.
+    # Turns between pieces instead of the curvature's formula, which is 0 / 0 where a course reverses.
     turn = np.diff(np.unwrap(np.arctan2(pieces[:, 1], pieces[:, 0])))
     sharpest = float(np.abs(turn / (0.5 * (arc[2:] - arc[:-2]))).max())
     if not sharpest * SMALLEST_RADIUS <= 1.0:
@@ -102,13 +102,13 @@ def course_through(points: Sequence[Sequence[float]] | np.ndarray, spacing: floa
 def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
     """The nearest point of the course near the progress made.
 
-    Beyond either end the course goes on straight for the error, and the progress stays at the end. A robot that has
-    left the window, because it was carried away, has its error from the window's nearer end.
+    Beyond either end the error refers to a straight continuation, and the progress stays at the end. The error of a
+    robot that has left the window, because it was moved, is measured from the window's nearer end.
 
     Args:
         course: the curve.
-        progress: arc length up to where the robot has come [m], 0 at the start.
-        position: of the robot [m]; only x and y matter.
+        progress: arc length covered so far [m], 0 at the start.
+        position: of the robot [m]; only x and y are used.
     """
     table, step = jnp.asarray(course._table), course.spacing
     segments = len(course.x) - 1
@@ -116,7 +116,7 @@ def locate(course: Course, progress: Scalars, position: Spatial) -> PathPoint:
     first = jnp.clip(jnp.floor((progress - BEHIND) / step).astype(jnp.int32), 0, segments - window)
     nodes = table[first[..., None] + jnp.arange(window + 1)]
 
-    # The nearest point of each segment of the window, as its share `along` of the segment, and of those the nearest.
+    # The nearest point of each segment in the window, as its share `along` of the segment, then the nearest of these.
     place = jnp.clip(position[..., :2], -1e6, 1e6)
     start, chord = nodes[..., :-1, :2], nodes[..., 1:, :2] - nodes[..., :-1, :2]
     offset = place[..., None, :] - start

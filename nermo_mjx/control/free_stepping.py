@@ -1,12 +1,13 @@
-"""Gaits with many parameters: the published stepping with numbers of each limb, and foot paths through free points.
+"""Gaits with many parameters: the published stepping with parameters per limb, and foot paths through free points.
 
-Everything is added to the published gait, with nothing where it is not given, so that the published gait is the point
-of this space at which all is at its default: the same numbers, bit for bit.
+All parameters are offsets to the published gait and default to zero, so that the defaults give the published gait, bit
+for bit.
 
-A foot's path is a loop through eight points. Touch-down (1) and lift-off (5) are the ends of the half-cycles, which
-begin where the one before has ended, so that the path is closed and continuous whatever they are. In between, at a
+A foot's path is a loop through eight points. Touch-down (1) and lift-off (5) are the ends of the half-cycles, each of
+which begins where the previous one ended, so that the path is always closed and continuous. In between, at a
 quarter, the half and three quarters of stance (2-4) and swing (6-8), a spline through the points is added, which
-leaves both ends as they are, with their velocities. What would leave the leg's workspace is drawn in (`within`).
+changes neither the position nor the velocity at both ends. Points outside the leg's workspace are moved inside
+(`within`).
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Array, Planar, Scalars
 
-#: The trajectory that chooses this stepping, beside `trajectory.FORMS`.
+#: The name of this trajectory, in addition to `trajectory.FORMS`.
 FREE: Final = "free"
-#: Width of the border of the workspace within which feet are drawn in [m]. The published rear feet come within 0.05 mm
-#: of it, in the middle of the swing, where their knee servos are almost at their limit.
+#: Width of the border of the workspace within which feet are moved inside [m]. The published rear feet come within 0.05
+#: mm of it in mid-swing, where their knee servos are almost at their limit.
 BORDER: Final = 4e-5
 
-#: Where the spline has its points; its ends are 0.
+#: Knots of the spline; it is 0 at its ends.
 _KNOTS: Final = np.linspace(0.0, 1.0, FOOT_POINTS // 2 + 1)
 
 
@@ -51,7 +52,7 @@ def _spline() -> np.ndarray:
     )
     square = (3 * rise - 2 * slope[:-1] - slope[1:]) / step
     cube = (slope[:-1] + slope[1:] - 2 * rise) / step**2
-    # At a knot nothing but the third derivative changes.
+    # At a knot only the third derivative changes.
     return np.concatenate([square[:1], cube[:1], np.diff(cube, axis=0)])
 
 
@@ -60,17 +61,17 @@ _SPLINE: Final = _spline()
 
 @dataclasses.dataclass(frozen=True)
 class FreeStepping(Stepping):
-    """Stepping with the parameters `limb`, `foot` and `trim` besides the published ones.
+    """Stepping with the parameters `limb`, `foot` and `trim` in addition to the published ones.
 
     Attributes:
-        form: of the path that points are moved from.
+        form: of the path whose points are moved.
         routing: knee tendon routing, for the workspace.
     """
 
     routing: str = "type3"
 
     def trim(self, params: ControlParameters, servos: ServoAngles) -> ServoAngles:
-        """The servo angles with what is added to each [rad]."""
+        """The servo angles plus the offset of each [rad]."""
         trim = params.trim
         return dataclasses.replace(
             servos, hip=servos.hip + _added(trim.hip), knee=servos.knee + _added(trim.knee),
@@ -78,7 +79,8 @@ class FreeStepping(Stepping):
         )  # fmt: skip
 
     def check(self, params: ControlParameters) -> None:
-        """Refuse limbs that would always or never stand; `params` are not traced, and may have leading batch axes."""
+        """Reject limbs that would always or never be in stance; `params` are not traced, and may have leading batch
+        axes."""
         added = np.asarray(params.limb.duty, float)
         duty = np.asarray(params.gait.duty, float)[..., None] + np.repeat(added[..., :2], 2, axis=-1) + added[..., 2:]
         for place, name in enumerate(LIMBS):
@@ -116,7 +118,7 @@ class FreeStepping(Stepping):
 
 
 def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:
-    """Of each inner point of a half-cycle, how much of its way the foot has moved at `progress` in [0, 1].
+    """Weight of each inner point of a half-cycle at `progress` in [0, 1].
 
     Cubic splines, 1 at their own point and 0 at the others; value and slope are 0 at both ends.
     """
@@ -127,10 +129,11 @@ def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:
 
 
 def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
-    """The foot (y, z) from the leg's axis, drawn into the ring between both distances [m].
+    """The foot (y, z) from the leg's axis, moved into the ring between both distances [m].
 
-    Within the ring it is as it was, bit for bit, but for a border of `BORDER`: there and beyond, the distance nears
-    the ring's end with a slope that is 1 where the border begins and above 0 everywhere, so that a gradient leads back.
+    Within the ring it is unchanged, bit for bit, except in a border of width `BORDER`: there and beyond, the distance
+    nears the ring's end with a slope that is 1 where the border begins and above 0 everywhere, so that a gradient leads
+    back.
     """
     distance = jnp.sqrt(jnp.maximum(jnp.sum(foot**2, axis=-1), 1e-12))
     low, high = nearest + BORDER, farthest - BORDER
@@ -145,7 +148,7 @@ def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
 
 
 def _both(value: Any) -> tuple[Array, Array]:
-    """The numbers of each limb's pair and its own, (..., 4) each."""
+    """The values of each limb's pair, and each limb's own, (..., 4) each."""
     value = jnp.asarray(value)
     front, rear = value[..., 0], value[..., 1]
     return jnp.stack([front, front, rear, rear], axis=-1), value[..., 2:]
@@ -157,7 +160,7 @@ def _added(value: Any) -> Array:
 
 
 def _points(params: ControlParameters) -> Float[Array, "*batch 4 8 2"]:
-    """How far the points of each foot's path are moved, (y, z) in the leg's frame [m]."""
+    """Displacements of the points of each foot's path, (y, z) in the leg's frame [m]."""
     foot = params.foot
     front, rear = jnp.asarray(foot.front), jnp.asarray(foot.rear)
     moved = jnp.stack(

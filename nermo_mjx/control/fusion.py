@@ -1,7 +1,7 @@
 """The spine's controller: auxiliary modes, their fusion with steering, and offset compensation.
 
 Positive spine servo and joint angles turn left (`robot/parameters.py`). (5.33)'s stride extension is therefore
-+A cos(2 pi phase + psi) here, with the published stance offsets, without another sign.
++A cos(2 pi phase + psi) here, with the published stance offsets, with no further change of sign.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.robot import mass_model_of
 from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
 
-#: Auxiliary modes of the lateral servo; several may be on together, and their sum is clipped.
+#: Auxiliary modes of the lateral servo; several may be active, and their sum is clipped.
 LATERAL_MODES: Final = ("stride_extension", "balance", "harmonics")
 #: Those of Nermo 4.1's vertical servo (`sagittal`).
 SAGITTAL_MODES: Final = ("sagittal_extension", "pitch_balance")
@@ -36,13 +36,13 @@ NO_MODE: Final = "none"
 #: Every choice of modes, by its name.
 SPINES: Final = (NO_MODE, *("+".join(some) for n in range(1, 6) for some in itertools.combinations(MODES, n)))
 
-#: Share left over by steering below which its power law is made linear (see `signed_power`).
+#: Share left by steering below which the power law is linear (see `signed_power`).
 _FADE_LINEAR_BELOW = 1e-3
 
 
 @runtime_checkable
 class SpineLike(Protocol):
-    """What the spine does. Values are unbatched."""
+    """Controls the spine. Values are unbatched."""
 
     def __call__(
         self,
@@ -68,13 +68,13 @@ class SpineModes:
     """The published spine: steering fused with the sum of the auxiliary modes.
 
     Attributes:
-        modes: "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple of names); a
-            tuple of `LATERAL_MODES` once it is made.
-        masses: two-mass model of the assembled robot, for the mode "balance". Kept as plain numbers.
-        robot: whose model it is, to find that of other geometries; by default it is the same for all.
+        modes: "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple of names);
+            converted to a tuple of `LATERAL_MODES`.
+        masses: two-mass model of the assembled robot, for the mode "balance". Stored as plain numbers.
+        robot: that the model belongs to, to compute it for other geometries; by default it is the same for all.
 
     Raises:
-        ParameterError: an unknown mode, or a balance without masses.
+        ParameterError: an unknown mode, or the mode "balance" without masses.
     """
 
     modes: str | tuple[str, ...] = ()
@@ -111,7 +111,7 @@ def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> 
     """Names joined by "+", or in a tuple, as a tuple in the order of `modes`.
 
     Raises:
-        ParameterError: a name that is none of them.
+        ParameterError: an unknown name.
     """
     names = tuple(spine.split("+")) if isinstance(spine, str) else tuple(spine)
     chosen = {choice("spine", name.strip(), (NO_MODE, *modes)) for name in names} - {NO_MODE}
@@ -119,7 +119,7 @@ def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> 
 
 
 def _plain(masses: MassModel) -> MassModel:
-    """The same numbers without arrays: hashable, and equal when they are equal."""
+    """The same values as plain numbers: hashable and comparable."""
     return MassModel(
         front_mass=float(masses.front_mass), rear_mass=float(masses.rear_mass),
         front_com=tuple(map(float, masses.front_com)), rear_com=tuple(map(float, masses.rear_com)),
@@ -127,14 +127,15 @@ def _plain(masses: MassModel) -> MassModel:
 
 
 def stride_extension(spine: Spine, phase: Scalars) -> Scalars:
-    """Servo angle A cos(2 pi phase + psi) [rad], which compresses the swinging pair and extends the other (5.33)."""
+    """Servo angle A cos(2 pi phase + psi) [rad], which compresses the diagonal in swing and extends the other
+    (5.33)."""
     return spine.amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.phase)
 
 
 def harmonics(spine: Spine, phase: Scalars) -> Scalars:
     """Servo angle [rad] of a Fourier series, sum a_k cos(k 2 pi phase) + b_k sin(k 2 pi phase).
 
-    The coefficients have a derivative where they are zero, too, which an amplitude and a phase have not.
+    Unlike an amplitude and a phase, the coefficients have a derivative where they are zero.
     """
     turns = 2.0 * jnp.pi * jnp.arange(1.0, HARMONICS + 1.0) * jnp.asarray(phase)[..., None]
     waves = jnp.stack([jnp.cos(turns), jnp.sin(turns)], axis=-1)
@@ -161,7 +162,8 @@ def balance(
 def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
     """q_sp = q_max (alpha_tr + (1 - |alpha_tr|)^s f_sp), in [-q_max, q_max] (5.45, 5.46) [rad].
 
-    Erratum: (5.46) is printed without the absolute value, with which a left turn would amplify the other mode.
+    Erratum: (5.46) is printed without the absolute value, which is needed: otherwise a left turn would amplify the
+    other mode.
 
     Args:
         spine: q_max and s.
@@ -172,7 +174,7 @@ def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
 
 
 def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
-    """(1 - |alpha_tr|)^s f_sp, what steering leaves of the auxiliary modes, in [-1, 1]; see `fuse`."""
+    """(1 - |alpha_tr|)^s f_sp, the auxiliary modes as reduced by steering, in [-1, 1]; see `fuse`."""
     wanted = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
     left_over = signed_power(1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW)
     return left_over * wanted
@@ -187,7 +189,7 @@ def compensation(spine: Spine, servo: Scalar, geometry: Geometry, lifted: Planar
         spine: `offset_compensation`.
         servo: lateral servo angle [rad].
         geometry: of the robot.
-        lifted: how much higher the vertical joints of Nermo 4.1 put both rear feet [m].
+        lifted: rise of both rear feet due to the vertical joints of Nermo 4.1 [m].
     """
     rise = hip_height_offset(joint_angle(servo, geometry), geometry)
     rise = spine.offset_compensation * (rise if lifted is None else rise + lifted)

@@ -1,18 +1,18 @@
-"""Guidance of the profile `exact`: the curvature to walk, from an estimate of the course beside the path without sway.
+"""Guidance of the profile `exact`: the commanded curvature, from a sway-free estimate of the course beside the path.
 
-The torso sways by a centimetre and turns to and fro in every gait cycle, because the spine bends and the legs push by
-turns. A robot that steers against its sway limit-cycles, or steps longer on one side, since a leg takes up its new
+The torso sways by a centimetre and yaws back and forth in every gait cycle, because the spine bends and the legs push
+alternately. A robot that steers against its sway limit-cycles, or steps longer on one side, since a leg adopts its new
 stride only when it switches; and each turn by the legs costs speed, since it shortens strides. The gait's phase is
-known, so the sway can be estimated beside the course, and left alone.
+known, so the sway can be estimated together with the course, and ignored.
 
-Two observers of one form see the cross-track error and the heading. What each observes is, between two of its steps,
+Two observers of the same form track the cross-track error and the heading. Between two steps, the observed system is
 linear: a double integrator for the course (the value, and what drives it beyond the known input) and an oscillator for
-each harmonic of the sway. The gains place the poles, whatever the gait frequency and the pilot's rate:
-with a(z) the plant's characteristic polynomial and p(z) the wanted one, they are the partial fractions of p(z) / a(z)
+each harmonic of the sway. The gains place the poles for any gait frequency and pilot rate: with a(z) the plant's
+characteristic polynomial and p(z) the desired one, they are the partial fractions of p(z) / a(z)
 at the plant's poles, in closed form.
 
-The heading is measured, and not only what the turn rate is expected to do, because that is not known well: with the
-spine's stride extension the trot answers a turn of the legs by up to three times what it does without.
+The heading is measured, not just predicted from the turn rate, because the prediction is inaccurate: with the spine's
+stride extension the trot responds to a turn by the legs with up to three times the yaw rate that it has without.
 """
 
 from __future__ import annotations
@@ -27,31 +27,32 @@ from jaxtyping import Float
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.shapes import Array, Scalar
 
-#: Harmonics of the gait cycle of which the sway is made. On a straight line right mirrors left after half a cycle,
-#: which leaves the odd ones; in a turn the second joins them. Measured in trots with and without the spine: 5 to 8 mm
+#: Harmonics of the gait cycle that make up the sway. On a straight line right mirrors left after half a cycle, which
+#: leaves only the odd ones; in a turn the second is added. Measured in trots with and without the spine: 5 to 8 mm
 #: in the first, 1 to 2 mm in the third, 0.3 mm at most in the second and fourth.
 HARMONICS: Final = (1, 2, 3)
-#: Decay of what the inputs leave out, over that of all else: of cross-track error and heading. What turns the robot
-#: besides stands in the loop with a plant that may turn twice as much as is expected, or half; learned as fast as the
-#: course, it made the trot with the spine swing in four cycles.
+#: Decay rate of the unexplained inputs relative to all other poles: for cross-track error and heading. The unexplained
+#: turning is in the loop with a plant that may turn twice as much as expected, or half as much; estimated as fast as
+#: the course, it made the trot with the spine oscillate with a period of four cycles.
 SLOW: Final = (1.0, 0.4)
 #: Look-ahead on a bend, as a share of its radius, see `correction`.
 BEND: Final = 0.7
-#: Longest step of the observer [gait cycles]: beyond, a harmonic would look like a slower one, or like its own mirror.
+#: Longest step of the observer [gait cycles]: beyond it, a harmonic would alias to a slower one, or to its own mirror
+#: image.
 LONGEST_STEP: Final = 0.4 / max(HARMONICS)
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Guidance:
-    """Estimate of where and whereto the robot walks, beside its path.
+    """Estimate of the robot's position and heading relative to its path.
 
     Attributes:
         course: cross-track error [m] and heading from the path's tangent [rad], without sway, positive left.
-        unexplained: what the observers' inputs leave out: lateral speed beside the heading [m/s], and yaw rate beside
-            the one that is expected of the strides [rad/s].
+        unexplained: not accounted for by the observers' inputs: lateral speed relative to the heading [m/s], and yaw
+            rate beyond the one expected from the strides [rad/s].
         sway: of both, cosine and sine of each of `HARMONICS` at the gait's phase [m, rad].
-        cycles: observed since the start [gait cycles].
+        cycles: time observed since the start [gait cycles].
     """
 
     course: Float[Array, " 2"]
@@ -61,7 +62,7 @@ class Guidance:
 
 
 def start(error: Scalar, heading: Scalar, speed: Scalar) -> Guidance:
-    """Estimate at rest: the robot will walk along its path, wherever its torso looks.
+    """Estimate at rest: the robot is assumed to walk along its path, whatever the torso's direction.
 
     Args:
         error: cross-track error [m].
@@ -87,7 +88,7 @@ def observe(
     cycle_rate: Any,
     dt: float,
 ) -> Guidance:
-    """One step of the observers (Luenberger, in its current form: the reading of this step is used in this step).
+    """One step of the observers (Luenberger, in the current-estimate form: each step uses its own reading).
 
     Args:
         pilot: `bandwidth`, of the observers [rad per gait cycle].
@@ -95,8 +96,8 @@ def observe(
         seen: cross-track error [m] and heading from the path's tangent [rad] as measured.
         phase: of the gait cycle.
         speed: of the walk [m/s].
-        yaw_rate: expected, against that of the path [rad/s].
-        cycle_rate: gait cycles a second [1/s].
+        yaw_rate: expected, relative to that of the path [rad/s].
+        cycle_rate: gait cycles per second [1/s].
         dt: time since the last step [s].
     """
     course, sway = observer_gains(pilot.bandwidth, cycle_rate * dt)
@@ -122,11 +123,11 @@ def observer_gains(
 ) -> tuple[Float[Array, "2 2"], Float[Array, "2 harmonics 2"]]:
     """Gains that put each pole of an observer at exp(-bandwidth * cycles) of the plant's: stable for every bandwidth.
 
-    The one of what the inputs leave out lies at exp(-SLOW * bandwidth * cycles).
+    The pole of the unexplained input is at exp(-SLOW * bandwidth * cycles).
 
     Args:
-        bandwidth: [rad per gait cycle]; 0 lets the estimate be.
-        cycles: length of a step [gait cycles]; longer ones than `LONGEST_STEP` count as that long.
+        bandwidth: [rad per gait cycle]; 0 leaves the estimate unchanged.
+        cycles: length of a step [gait cycles]; limited to `LONGEST_STEP`.
 
     Returns:
         of (value, unexplained rate dt), the observers in the last axis, and real and imaginary part of each harmonic's,
@@ -163,13 +164,13 @@ def observer_gains(
 
 
 def correction(pilot: Pilot, state: Guidance, speed: Array, curvature: Array) -> Scalar:
-    """Curvature to add to the path's [1/m]: poles of the way walked at 1 / look-ahead, unexplained turns taken back.
+    """Curvature to add to the path's [1/m]: poles at 1 / look-ahead along the path, unexplained turning compensated.
 
-    The look-ahead is `look_ahead` on a line, and on a bend `BEND` of its radius at most: what the robot turns less than
-    is expected of it leads away from the path the faster the narrower the bend is.
+    The look-ahead is `look_ahead` on a line, and at most `BEND` times the radius on a bend: if the robot turns less
+    than expected, it leaves the path faster the tighter the bend is.
 
-    It grows to its full size in the 2 / `bandwidth` gait cycles in which the observers learn the sway: what they take
-    for an error before is mostly sway.
+    It is ramped up over the 2 / `bandwidth` gait cycles in which the observers learn the sway: until then, apparent
+    errors are mostly sway.
 
     Args:
         pilot: `look_ahead` [m], `damping` and `bandwidth`.

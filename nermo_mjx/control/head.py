@@ -1,12 +1,12 @@
-"""What the head does: it is held beside the torso, or its gaze is held in the world while the torso sways below it.
+"""Head control: held relative to the torso, or with its gaze held in the world while the torso sways.
 
-The gaze is a direction d in the world. With the torso's rotation R, read from its IMU and carried on by the gyro over
-the time that the servos lag, the torso sees it along u = R^T d, and the head looks there with
+The gaze is a direction d in the world. With the torso's rotation R, read from its IMU and extrapolated with the gyro by
+the servos' lag, its direction in the torso's frame is u = R^T d, and the head looks there with
 
     neck = atan2(u_x, -u_y),        tilt = atan2(-u_z, |(u_x, u_y)|),
 
-which takes out what roll and pitch do to the middle of the picture, too. A robot without a servo for the tilt does what
-the neck alone can.
+which also removes the effect of roll and pitch on the centre of the image. A robot without a servo for the tilt uses
+the neck alone.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ class HeadAngles(NamedTuple):
 
 @runtime_checkable
 class HeadLike(Protocol):
-    """What the head does: pure functions over parameters and a memory of its own, any pytree. Values are unbatched."""
+    """Head control: pure functions of parameters and their own memory, any pytree. Values are unbatched."""
 
     def start(self, params: Any, pace: Pace) -> tuple[Any, HeadAngles]:
-        """Memory and angles of a robot that has read no sensor yet; the start pose is made from them."""
+        """Memory and angles before the first sensor reading; the start pose is built from them."""
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        """The memory of `start` with the first readings taken in."""
+        """The memory of `start` updated with the first readings."""
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, HeadAngles]:
         """Memory and angles one control tick of `dt` seconds later."""
 
 
 def named_head(name: str) -> HeadLike:
-    """What a head does, by its name in `HEADS`."""
+    """The head control of this name in `HEADS`."""
     return Gaze() if choice("head", name, HEADS) == GAZE else HeldHead()
 
 
 @dataclasses.dataclass(frozen=True)
 class HeldHead:
-    """Looks where the torso looks, or beside it by `head.pan`, `head.tilt` and `head.into_turn`."""
+    """Looks in the torso's direction, offset by `head.pan`, `head.tilt` and `head.into_turn`."""
 
     def start(self, params: ControlParameters, pace: Pace) -> tuple[Any, HeadAngles]:
         """See `HeadLike`."""
@@ -76,7 +76,7 @@ class HeldHead:
 
 @dataclasses.dataclass(frozen=True)
 class Gaze:
-    """Looks along the robot's course and level, or beside that direction as `HeldHead` does beside the torso's."""
+    """Looks along the robot's course and level, with the offsets that `HeldHead` has from the torso's direction."""
 
     def start(self, params: ControlParameters, pace: Pace) -> tuple[Course, HeadAngles]:
         """See `HeadLike`."""
@@ -105,6 +105,6 @@ def _held(head: Head, pace: Pace) -> HeadAngles:
 
 
 def _direction(heading: Scalars, down: Scalars) -> Float[Array, " 3"]:
-    """The unit vector of a heading [rad], positive left of -y, that looks down by an angle [rad]."""
+    """The unit vector of a heading [rad], positive left of -y, that points down by an angle [rad]."""
     level = jnp.cos(down)
     return jnp.stack([level * jnp.sin(heading), -level * jnp.cos(heading), -jnp.sin(down)])

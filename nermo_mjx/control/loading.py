@@ -1,4 +1,4 @@
-"""Controllers by name: an object in a Python file or module, as a spec file or a command names it."""
+"""Controllers by name: an object in a Python file or module, named in a spec file or a command."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
 from nermo_mjx.robot.quantity import ParameterError
 
 FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
-#: What reads a controller that is data. By name: policies are learned in a room above this one, which needs none.
+#: Loader of controllers that are data. By name, because policies belong to a higher layer, which is imported on demand.
 _READERS: Final = {".npz": "nermo_mjx.learn.policy:load_policy"}
 
 
 def load_controller(where: str) -> Any:
-    """The controller that a text names; the same object as long as its file stays the same.
+    """The controller that a text names; the same object as long as its file does not change.
 
     Args:
-        where: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function without
-            arguments that gives one; or `FILE.npz`, a policy that `nermo-mjx train` made.
+        where: `FILE.py:NAME` or `MODULE:NAME`, the name being that of a controller, or of a class or function that
+            returns one when called without arguments; or `FILE.npz`, a policy from `nermo-mjx train`.
 
     Raises:
-        ParameterError: there is no such file, module or name, it cannot be imported, or it is no controller.
+        ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
     if is_data(where):
         place, _, reader = _READERS[Path(where).suffix].partition(":")
@@ -57,15 +57,15 @@ def controller_digest(where: str) -> str:
 
 
 def is_data(where: str) -> bool:
-    """Whether a text names a file that holds a controller as data, and not code."""
+    """Whether a text names a file that holds a controller as data instead of code."""
     return Path(where).suffix in _READERS
 
 
 def check_form(controller: Any) -> None:
-    """Refuse what is no controller, see `ControllerLike`.
+    """Reject objects that are not controllers, see `ControllerLike`.
 
     Raises:
-        ParameterError: with what it lacks.
+        ParameterError: the message names what is missing.
     """
     missing = [name for name in REQUIRED if not hasattr(controller, name)]
     if missing:

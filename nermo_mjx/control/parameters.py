@@ -1,4 +1,5 @@
-"""The controller's parameters: arrays a sweep varies and a gradient tunes. What time changes is `ControllerState`."""
+"""The controller's parameters: arrays that sweeps vary and gradients tune. `ControllerState` holds what changes over
+time."""
 
 from __future__ import annotations
 
@@ -13,25 +14,25 @@ from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_PATTERNS, LIMBS, REAR_LEG
 from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
 
-#: Pairs of limbs, then limbs: a number of a pair holds for its two limbs alike, and that of a limb comes on top.
+#: Pairs of limbs, then limbs: the value of a pair applies to both of its limbs, and that of a limb is added to it.
 PAIRS_AND_LIMBS = ("front", "rear", *LIMBS)
 #: Harmonics of the spine's Fourier series.
 HARMONICS = 6
 #: Points of a foot's path: touch-down, three in stance, lift-off, three in swing.
 FOOT_POINTS = 8
 
-#: Control rate of the published foot tracking lag [Hz], and what it closed of the foot error per tick.
+#: Control rate of the published foot tracking lag [Hz], and the share of the foot error that it closed per tick.
 PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
 PUBLISHED_CLOCK_RATIO = 0.4
 #: The published pilot is a PD from the cross-track error to the turn rate, and limit-cycles: it aims at a point 12 mm
-#: ahead at 0.08 m/s, a tenth of the trunk, answers to the torso's sway, and cannot see that a turn rate of 0.4 changes
-#: the legs' strides by 1 % only. The profile `exact` is guided by curvature instead (`guidance`).
+#: ahead at 0.08 m/s, a tenth of the trunk, reacts to the torso's sway, and ignores that a turn rate of 0.4 changes the
+#: legs' strides by only 1 %. The profile `exact` is guided by curvature instead (`guidance`).
 PUBLISHED_PILOT = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0, "pilot.guidance": 0.0}
 
 
 @parameter_tree
 class Gait:
-    """When the feet are on the ground, and how far they step (5.21, 5.22, Tables A.2, A.6)."""
+    """Timing of the feet's contact, and length of their steps (5.21, 5.22, Tables A.2, A.6)."""
 
     frequency: Any = quantity(0.67, unit="Hz", low=0.0, open_low=True, high=5.0, doc="gait cycles per second")
     stride: Any = quantity(1.0, unit="1", low=0.0, high=1.2, doc="stride length, as a share of the maximum")
@@ -56,7 +57,7 @@ class Gait:
 
 @parameter_tree
 class Stance:
-    """Where the feet stand and how they lift, in the leg's frame (Table A.7)."""
+    """Neutral positions and lift of the feet, in the leg's frame (Table A.7)."""
 
     front_y: Any = quantity(
         FRONT_LEG.neutral_foot[0], unit="m", low=-0.03, high=0.03, doc="neutral foot behind the shoulder axis"
@@ -75,7 +76,7 @@ class Stance:
 
 @parameter_tree
 class Spine:
-    """What the spine does besides steering (5.31-5.35, 5.45, 5.46)."""
+    """The spine's motion in addition to steering (5.31-5.35, 5.45, 5.46)."""
 
     amplitude: Any = quantity(0.4, unit="rad", low=0.0, high=0.6, doc="servo amplitude of the stride extension")
     phase: Any = quantity(
@@ -125,7 +126,7 @@ def _of_limbs(default: float, **about: Any) -> Any:
 
 @parameter_tree
 class Limb:
-    """How a limb steps unlike the others, with the trajectory 'free'. A pair's number and its limb's go together."""
+    """Differences between limbs, with the trajectory 'free'. The values of a pair and of its limb are combined."""
 
     stride: Any = _of_limbs(1.0, unit="1", low=0.0, high=2.0, doc="the limb's stride, as a share of that of the gait")
     lift: Any = _of_limbs(0.0, unit="m", low=-0.02, high=0.02, doc="higher mid-swing than stance.swing_amplitude")
@@ -146,7 +147,7 @@ def _foot_path() -> Any:
 
 @parameter_tree
 class FootPaths:
-    """How far eight points of a foot's path are moved, with the trajectory 'free'. A pair's are added to its limb's."""
+    """Displacements of eight points of a foot's path, with the trajectory 'free'. A pair's are added to its limb's."""
 
     front: Any = _foot_path()
     rear: Any = _foot_path()
@@ -158,7 +159,7 @@ class FootPaths:
 
 @parameter_tree
 class Trim:
-    """What is added to servo angles, with the trajectory 'free'. A pair's number is added to its limb's."""
+    """Offsets of servo angles, with the trajectory 'free'. A pair's value is added to its limb's."""
 
     spine: Any = quantity(0.0, unit="rad", low=-0.4, high=0.4, doc="added to the spine servo, positive left")
     hip: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the hip servo, positive backward")
@@ -178,7 +179,7 @@ class Turning:
 
 @parameter_tree
 class Pilot:
-    """The high-level controller: guidance by curvature, the published PD, and the path that is followed."""
+    """The high-level controller: guidance by curvature, the published PD, and the path to follow."""
 
     guidance: Any = quantity(
         1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate for the curvature that leads back to the path"
@@ -215,7 +216,7 @@ class Pilot:
 
 @parameter_tree
 class Head:
-    """Where the head looks, and how it holds its gaze; the tilt needs a robot with a servo for it."""
+    """Direction of the head, and stabilisation of its gaze; the tilt needs a robot with a servo for it."""
 
     pan: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="neck beside straight ahead, positive left")
     tilt: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="head from level, positive down")
@@ -231,7 +232,7 @@ class Head:
 
 @parameter_tree
 class Tail:
-    """How the articulated tail moves; its servo's angle is positive where the tip goes left."""
+    """How the articulated tail moves; a positive servo angle moves the tip to the left."""
 
     angle: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="servo angle about which it moves")
     swing_amplitude: Any = quantity(0.5, unit="rad", low=0.0, high=1.0, doc="largest servo amplitude of the swing")
@@ -241,7 +242,8 @@ class Tail:
     swing_phase: Any = quantity(
         np.pi, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="of the swing A cos(2 pi phase + tail.swing_phase)"
     )
-    # Both chosen by sweeps of the trot at 0.8 Hz (docs/control.md): beyond, the robot rolls or slows down.
+    # Both were chosen by sweeps of the trot at 0.8 Hz (docs/control.md): with higher values the robot rolls or slows
+    # down.
     yaw_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle against the torso's yaw off course")
     roll_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle over the torso's roll")
     bandwidth: Any = quantity(
@@ -270,8 +272,8 @@ class Tracking:
 class ControlParameters:
     """All parameters of the controller; every leaf may carry leading batch axes.
 
-    Its kinematics is that of `geometry`, which the body has under the same names: a named value goes to both. None is
-    the published one, in constants.
+    Its kinematics uses `geometry`, which has the same names as the body's: a named value sets both. None means the
+    published one, as constants.
     """
 
     gait: Gait = flat(Gait)
@@ -289,7 +291,7 @@ class ControlParameters:
 
 
 def with_geometry(params: Any) -> Any:
-    """A controller's parameters with a geometry of their own, so that it can be named: also where they are inside
+    """A controller's parameters with a `geometry`, so that its values can be named; also if they are nested in
     another's."""
     if isinstance(params, ControlParameters):
         return dataclasses.replace(params, geometry=params.geometry or Geometry())
@@ -302,8 +304,8 @@ def with_geometry(params: Any) -> Any:
 
 #: Weights (leg, spine) of the three published turning strategies.
 STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
-#: What the robot turns over what `turning.path_curvature` expects, by what steers it. Measured at the held turn rates
-#: that are expected to walk radii of 0.5 and 1 m, without a path: mean over three gaits, three frequencies and strides
+#: Measured over expected curvature (`turning.path_curvature`), by type of steering. Measured without a path, at
+#: constant turn rates with expected radii of 0.5 and 1 m: mean over three gaits, three frequencies and strides
 #: of 0.8 and 1.0 (docs/experiments.md has the spread).
 GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
 PROFILES: tuple[str, ...] = ("exact", "as_published")
@@ -330,9 +332,10 @@ def published_values(gait: str, *, steering: str = "leg", profile: str = "exact"
 
 
 def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values, and where they name a duty factor but no gait factor, the one that belongs to it, 1 / duty (A.2).
+    """The values; if they name a duty factor but no gait factor, with its gait factor 1 / duty (A.2).
 
-    While a foot stands for the share d of a cycle, the body goes one stride, so 1 / d strides in a cycle (erratum 20).
+    While a foot is in stance, for the share d of a cycle, the body moves by one stride: 1 / d strides per cycle
+    (erratum 20).
     """
     if "duty" in values and "gait_factor" not in values:
         return {**values, "gait_factor": 1.0 / values["duty"]}

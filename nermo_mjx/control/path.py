@@ -1,4 +1,4 @@
-"""Paths that a pilot can follow: from a position to the nearest point of the path.
+"""Paths that a pilot can follow: functions from a position to the nearest point of the path.
 
 Paths are fixed in the world, start at its origin and head -y there.
 """
@@ -15,20 +15,20 @@ import jax.numpy as jnp
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.shapes import Array, Planar, Scalars, Spatial
 
-#: Positions farther out than this count as this far [m]: what diverges stays finite.
+#: Positions are limited to this distance [m], so that results stay finite if a world diverges.
 FARTHEST: Final = 1e6
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class PathPoint:
-    """The point of a path beside the robot.
+    """The point of a path closest to the robot.
 
     Attributes:
         error: cross-track error, positive where the robot is to the **left** of the path [m].
         curvature: of the path there, positive where it bends to the left [1/m].
         tangent: unit vector (x, y) ahead.
-        progress: arc length from the path's start, where the path keeps count of it, else 0 [m].
+        progress: arc length from the path's start, if the path keeps track of it, else 0 [m].
     """
 
     error: Scalars
@@ -48,7 +48,7 @@ def arc(pilot: Pilot, position: Spatial) -> PathPoint:
     """The circle of `pilot.radius` that bends to `pilot.direction`.
 
     With the centre at (s R, 0), s = +1 left: e = s (R - |p - centre|), written without the difference of two large
-    numbers, so that a radius of a kilometre keeps its millimetres in float32.
+    numbers, so that float32 resolves millimetres at a radius of a kilometre.
     """
     near = _near(position)
     x, y = near[..., 0], near[..., 1]

@@ -1,4 +1,4 @@
-"""The pilot, the high-level controller: speed and turn rate that lead along a path, or are given beforehand."""
+"""The pilot, the high-level controller: speed and turn rate that follow a path, or that are prescribed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PILOTS: Final = ("open_loop", *PATHS, WAYPOINTS, "external")
 
 
 class Drive(NamedTuple):
-    """What a pilot decides.
+    """A pilot's output.
 
     Attributes:
         speed: commanded [m/s of the controller's clock].
@@ -44,14 +44,14 @@ class Drive(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """What a pilot is told of the walk, besides the sensors.
+    """A pilot's inputs, in addition to the sensors.
 
     Attributes:
         time: simulated, since the start [s].
         phase: of the gait cycle.
-        speed, yaw_rate: to expect without slip of the strides that the legs make now [m/s, rad/s of simulated time].
-        due: whether what the pilot decides at this tick is taken up.
-        rate: decisions a simulated second [Hz].
+        speed, yaw_rate: expected without slip from the legs' current strides [m/s, rad/s of simulated time].
+        due: whether the pilot's output at this tick is used.
+        rate: pilot ticks per simulated second [Hz].
     """
 
     time: Scalar
@@ -64,19 +64,19 @@ class Walk(NamedTuple):
 
 @runtime_checkable
 class PilotLike(Protocol):
-    """A pilot: pure functions over its parameters and a memory of its own, any pytree. Values are unbatched.
+    """A pilot: pure functions of its parameters and its own memory, any pytree. Values are unbatched.
 
-    One that has a method `path(params, memory, position) -> PathPoint` has its path measured (`cross_track_rms`).
+    If it has a method `path(params, memory, position) -> PathPoint`, the path error is measured (`cross_track_rms`).
     """
 
     def start(self, params: Any) -> tuple[Any, Drive]:
-        """Memory and drive of a robot that stands at the path's beginning; the start pose is made from them."""
+        """Memory and drive of a robot at the beginning of the path; the start pose is built from them."""
 
     def init(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        """The memory of `start` with the first readings taken in."""
+        """The memory of `start` updated with the first readings."""
 
     def update(self, params: Any, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
-        """New memory and drive; both are held until the next decision."""
+        """New memory and drive; both are held until the next pilot tick."""
 
 
 def limited(speed: Any, turn_rate: Any) -> Drive:
@@ -103,7 +103,7 @@ class OpenLoop:
 
 @dataclasses.dataclass(frozen=True)
 class External:
-    """Obeys a command over time; see `tabulated`."""
+    """Follows a command over time; see `tabulated`."""
 
     command: Command
 
@@ -121,7 +121,7 @@ class External:
 
 
 class Beside(NamedTuple):
-    """What `Follow` remembers: the point of the path beside the robot, and the estimate of its course there."""
+    """Memory of `Follow`: the point of the path closest to the robot, and the estimate of its course there."""
 
     point: PathPoint
     guidance: guidance.Guidance
@@ -138,19 +138,19 @@ class Follow:
     along: Callable[[Pilot, Array], PathPoint] | Course = straight
 
     def locate(self, params: ControlParameters, position: Float[Array, " 3"], progress: Scalar) -> PathPoint:
-        """The point of the path beside a position.
+        """The point of the path closest to a position.
 
         Args:
             params: unbatched.
             position: in the world [m].
-            progress: of the last point, for a path that comes near itself [m].
+            progress: of the last point, for a path that approaches itself [m].
         """
         if isinstance(self.along, Course):
             return locate(self.along, progress, position)
         return self.along(params.pilot, position)
 
     def path(self, params: ControlParameters, memory: Beside, position: Float[Array, " 3"]) -> PathPoint:
-        """The point of the path beside a position, for metrics."""
+        """The point of the path closest to a position, for metrics."""
         return self.locate(params, position, memory.point.progress)
 
     def start(self, params: ControlParameters) -> tuple[Beside, Drive]:
@@ -174,7 +174,7 @@ class Follow:
             params.gait.frequency / params.tracking.clock_ratio, 1.0 / walk.rate,
         )  # fmt: skip
         curvature = point.curvature + guidance.correction(params.pilot, estimate, walk.speed, point.curvature)
-        # No Newton step is spent on a turn rate that nobody takes up.
+        # Avoids Newton steps for a turn rate that is not used.
         speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))
         published_ticks = PUBLISHED_PILOT_RATE / (walk.rate * params.tracking.clock_ratio)
         change = (point.error - memory.point.error) / published_ticks
@@ -187,13 +187,13 @@ class Follow:
 
 
 def heading(point: PathPoint, sensors: Sensors, geometry: Geometry) -> Scalar:
-    """Heading of the robot from the tangent of its path [rad], positive left, in (-pi, pi].
+    """Heading of the robot relative to the tangent of its path [rad], positive left, in (-pi, pi].
 
-    A bent spine turns torso and hip to opposite sides of it, so it is the torso's less half of the bend.
+    A bent spine turns torso and hip to opposite sides of it, so it is the torso's minus half of the bend.
 
     Args:
-        point: of the path, beside the robot.
-        sensors: orientation and the spine's servo angle count.
+        point: of the path, closest to the robot.
+        sensors: orientation and the spine's servo angle are used.
         geometry: of the robot.
     """
     w, x, y, z = sensors.orientation
@@ -245,12 +245,12 @@ def tabulated(time: ArrayLike, speed: ArrayLike, turn_rate: ArrayLike, *, hold: 
 
     Args:
         time: strictly increasing, simulated time [s].
-        speed: commanded, one for each time or one for all [m/s of the controller's clock]. The stride saturates.
-        turn_rate: in [-1, 1], positive left, one for each time or one for all.
+        speed: commanded, a number, or one per time [m/s of the controller's clock]. The stride saturates.
+        turn_rate: in [-1, 1], positive left, a number, or one per time.
         hold: keep each row until the next one begins, instead of interpolating linearly.
 
     Raises:
-        ParameterError: the columns do not fit together, are not finite, or are out of range.
+        ParameterError: the columns have different lengths, are not finite, or are out of range.
     """
     times = _column("command.time", time)
     if times.ndim != 1 or times.size == 0:

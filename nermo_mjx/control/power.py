@@ -15,6 +15,6 @@ def signed_power(base: Broadcastable, exponent: Broadcastable, linear_below: flo
     Args:
         base: x.
         exponent: t > 0.
-        linear_below: where the straight piece ends; the largest slope is linear_below^(t - 1).
+        linear_below: end of the linear part; the largest slope is linear_below^(t - 1).
     """
     return base * jnp.maximum(jnp.abs(base), linear_below) ** (exponent - 1.0)

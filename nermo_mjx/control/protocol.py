@@ -1,4 +1,4 @@
-"""What a controller is to simulators, metrics, sweeps and tunings: pure functions over pytrees."""
+"""The interface of controllers for simulators, metrics, sweeps and tunings: pure functions of pytrees."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ class ControllerLike(Protocol):
 
     @property
     def dt(self) -> float:
-        """Simulated seconds of a control tick, a whole number of physics steps."""
+        """Simulated duration of a control tick [s], a whole number of physics steps."""
 
     @property
     def parameters(self) -> Any:
-        """The parameters of one world before values are named; they give the structure and the shapes of all others."""
+        """Default parameters of one world; they define the structure and shapes of all others."""
 
     def init(self, params: Any, sensors: Sensors, phase: Scalar) -> Any:
         """State at the start, from the readings at rest; `phase` is `start.phase`."""
 
     def initial_servo(self, params: Any, phase: Scalar) -> ServoAngles:
-        """Servo angles in which the robot is put down."""
+        """Servo angles of the start pose."""
 
     def update(self, params: Any, state: Any, sensors: Sensors) -> tuple[Any, ServoAngles]:
         """One control tick: the state and the servo angles `dt` later."""
 
     def cycle_rate(self, params: Any) -> Any:
-        """Gait cycles a simulated second [1/s]: what a run counts, and what metrics take means over.
+        """Gait cycles per simulated second [1/s], in which runs are counted and over which metrics are averaged.
 
         Elementwise: in a batch the leaves of `params` have a leading axis.
         """
@@ -52,24 +52,24 @@ class ControllerLike(Protocol):
 @runtime_checkable
 @runtime_checkable
 class FollowsPath(Protocol):
-    """A controller that has a path, beside which the robot is measured (`cross_track_rms`, the way along it)."""
+    """A controller with a path, relative to which the robot is measured (`cross_track_rms`, progress along it)."""
 
     def path(self, params: Any, state: Any, position: Float[Array, " 3"]) -> PathPoint | None:
-        """The point of the path beside a position [m]; None where it follows none after all."""
+        """The point of the path closest to a position [m]; None if it does not follow one."""
 
 
 @runtime_checkable
 class TakesPilot(Protocol):
-    """A controller that can follow another path than its own."""
+    """A controller whose path can be replaced."""
 
     def with_pilot(self, pilot: str, waypoints: tuple[tuple[float, float], ...] | None) -> ControllerLike:
-        """The same controller behind a pilot of the published one; raises `ParameterError` where it does not fit."""
+        """The same controller with a pilot of the published one; raises `ParameterError` if that is impossible."""
 
 
 @runtime_checkable
 @runtime_checkable
 class PlansContact(Protocol):
-    """A controller that knows which feet are to stand (`swing_loaded_rear`)."""
+    """A controller that plans contacts (for `swing_loaded_rear`)."""
 
     def stance(self, state: Any) -> Bool[Array, " 4"]:
         """Planned contact of the limbs."""
@@ -78,7 +78,7 @@ class PlansContact(Protocol):
 @runtime_checkable
 @runtime_checkable
 class ChecksParameters(Protocol):
-    """A controller that refuses parameters beyond the ranges of its quantities."""
+    """A controller with checks of its parameters beyond the ranges of its quantities."""
 
     def check(self, params: Any) -> None:
         """Raise `ParameterError` with one sentence. `params` are not traced, and may have leading batch axes."""
@@ -87,10 +87,10 @@ class ChecksParameters(Protocol):
 @runtime_checkable
 @runtime_checkable
 class CompletesValues(Protocol):
-    """A controller some of whose parameters follow others, unless both are named."""
+    """A controller with parameters that are derived from others, unless both are named."""
 
     def complete(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Named values, and what follows from them."""
+        """Named values plus derived ones."""
 
 
 def leg_servos(
@@ -102,11 +102,11 @@ def leg_servos(
     (4,)
 
     Args:
-        feet: y is backward, z up from the hip's axis; what a leg cannot reach is brought to its workspace's edge.
+        feet: y is backward, z up from the hip's axis; unreachable positions are moved to the edge of the workspace.
         spine: positive turns left.
         routing: knee tendon routing of the robot.
-        geometry: of the robot, by default the published one. A controller whose parameters have a group `geometry:
-            Geometry` is given that of its world.
+        geometry: of the robot, by default the published one. If a controller's parameters have a group `geometry:
+            Geometry`, it receives that of its world.
     """
     servo = inverse(four_legs(geometry or Geometry()), feet, routing).servo
     spine = jnp.asarray(spine, servo.dtype)

@@ -1,9 +1,9 @@
-"""The vertical servo of Nermo 4.1's spine: it flexes and extends with the stride, and levels the torso.
+"""The vertical servo of Nermo 4.1's spine: flexes and extends the spine with the stride, and levels the torso.
 
 Positive lifts the hip, which extends the spine; negative arches it and brings the rear feet forward. Neither mode is
 published: the thesis describes the joints, and its experiments are those of Nermo-Lite. The stride extension is that of
-(5.33) turned into the sagittal plane, as mammals use it in bound and gallop: flexed when the hind feet touch down,
-extended when they leave the ground.
+(5.33) transferred to the sagittal plane, as mammals use it in bound and gallop: flexed when the hind feet touch down,
+extended when they lift off.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from nermo_mjx.shapes import Scalar, Scalars
 
 @runtime_checkable
 class SagittalLike(Protocol):
-    """What the vertical servo of the spine does. Values are unbatched."""
+    """Controls the vertical servo of the spine. Values are unbatched."""
 
     def __call__(
         self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
@@ -32,17 +32,17 @@ class SagittalLike(Protocol):
             params: of the controller.
             phase: of the gait cycle.
             turn_rate: in [-1, 1], positive left.
-            pitch: of the torso as its IMU senses it, positive nose down [rad].
-            pitch_rate: its sensed angular velocity about the same axis [rad/s].
+            pitch: of the torso from its IMU, positive nose down [rad].
+            pitch_rate: measured angular velocity about the same axis [rad/s].
         """
 
 
 @dataclasses.dataclass(frozen=True)
 class SagittalModes:
-    """The sum of the chosen modes, of which steering leaves as much as of the lateral ones (5.46).
+    """The sum of the chosen modes, reduced by steering as much as the lateral ones (5.46).
 
     Attributes:
-        modes: "sagittal_extension", "pitch_balance", both joined by "+", or a tuple of names; a tuple once it is made.
+        modes: "sagittal_extension", "pitch_balance", both joined by "+", or a tuple of names; converted to a tuple.
 
     Raises:
         ParameterError: an unknown mode.
@@ -67,7 +67,8 @@ class SagittalModes:
 
 
 def sagittal_extension(spine: Spine, phase: Scalars) -> Scalars:
-    """Servo angle -A cos(2 pi phase + psi) [rad]: with psi = 0 most flexed as a cycle begins, then extended.
+    """Servo angle -A cos(2 pi phase + psi) [rad]: with psi = 0 the spine is most flexed as a cycle begins, then
+    extends.
 
     In `bound` and `gallop` the hind feet touch down at phase 0.
     """
@@ -75,5 +76,5 @@ def sagittal_extension(spine: Spine, phase: Scalars) -> Scalars:
 
 
 def pitch_balance(spine: Spine, pitch: Scalars, pitch_rate: Scalars) -> Scalars:
-    """Servo angle [rad] that levels the torso: flexion, which raises the rump, against a nose that rises."""
+    """Servo angle [rad] that levels the torso: flexion raises the rump and counteracts a rising nose."""
     return spine.pitch_gain * pitch + spine.pitch_damping * pitch_rate

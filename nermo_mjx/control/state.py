@@ -1,4 +1,4 @@
-"""What the controller remembers between two ticks."""
+"""The controller's state between ticks."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class ControllerState:
         tick: control ticks since the start.
         time: simulated time since the start [s].
         pilot: the pilot's memory, of its last decision.
-        drive: what it has decided, held from one decision to the next.
+        drive: its output, held between pilot ticks.
         gait: the gait's state.
         foot: commanded foot positions: those on the path, after offset compensation and tracking lag [m].
         spine: commanded spine servo angle, positive left [rad].
@@ -75,5 +75,5 @@ def canonical(state: State) -> State:
 
 
 def with_dtypes_of(reference: State, state: State) -> State:
-    """`state` with the dtypes of `reference`, so that a scan can carry it on."""
+    """`state` with the dtypes of `reference`, so that a scan can carry it."""
     return jax.tree.map(lambda old, new: jnp.asarray(new).astype(old.dtype), reference, state)

@@ -17,7 +17,7 @@ from nermo_mjx.shapes import Array, Scalar, Scalars
 
 @runtime_checkable
 class Stepped(Protocol):
-    """What the controller reads of a gait's state, besides what is the gait's own."""
+    """The part of a gait's state that the controller reads."""
 
     @property
     def phase(self) -> Scalar:
@@ -30,16 +30,16 @@ class Stepped(Protocol):
 
 @runtime_checkable
 class GaitLike(Protocol):
-    """A gait: pure functions over its parameters and a state of its own. Values are unbatched."""
+    """A gait: pure functions of its parameters and its own state. Values are unbatched."""
 
     def start(self, params: Any, phase: Scalar, drive: Drive) -> tuple[Any, Float[Array, "4 2"]]:
         """State (see `Stepped`) in a steady gait at a phase, and the feet (y, z) in their legs' frames [m]."""
 
     def update(self, params: Any, state: Any, before: Drive, now: Drive, dt: float) -> tuple[Any, Float[Array, "4 2"]]:
-        """State and feet `dt` simulated seconds later, driven as `before` until now and as `now` from here on."""
+        """State and feet `dt` simulated seconds later, with the drive `before` until now and `now` from now on."""
 
     def walked(self, params: Any, state: Any, drive: Drive) -> tuple[Scalar, Scalar]:
-        """(speed [m/s], yaw rate [rad/s]) without slip of the strides that the legs make now, in simulated time."""
+        """(speed [m/s], yaw rate [rad/s]) without slip from the legs' current strides, in simulated time."""
 
 
 @jax.tree_util.register_dataclass
@@ -102,7 +102,7 @@ class Stepping:
         return clock.stance_share(params.gait.duty)
 
     def limbs(self, params: ControlParameters, phase: Scalars) -> clock.LimbStates:
-        """Planned contact of the limbs, and how far each is in its half-cycle, at phases."""
+        """Planned contact of the limbs, and each one's progress in its half-cycle, at phases."""
         return clock.limb_states(params.gait, phase)
 
     def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
@@ -110,7 +110,7 @@ class Stepping:
         return stride * turning.stride_shares(params.turning, drive.turn_rate)
 
     def _moved(self, params: ControlParameters) -> trajectory.Moved | None:
-        """How far control points are moved; None where they are not."""
+        """Displacement of the control points; None without one."""
         return None
 
     def _feet(
@@ -121,15 +121,15 @@ class Stepping:
     def _points(
         self, params: ControlParameters, state: Steps, limbs: clock.LimbStates, before: Drive, now: Drive, dt: float
     ) -> Float[Array, "4 3 2"]:
-        """Control points of the half-cycles that the legs are in now.
+        """Control points of the legs' current half-cycles.
 
-        A leg switches between two ticks. Its new half-cycle starts where the old one ends, not where the foot was at
-        the tick before, and has the stride that was wanted when it switched. So the commanded feet are continuous in
-        frequency, duty and offsets, which say in which tick a switch falls.
+        A leg switches between two ticks. Its new half-cycle starts where the old one ends, not at the foot's position
+        one tick before, and has the stride that was commanded when it switched. So the commanded feet are continuous in
+        frequency, duty and offsets, which determine the tick of a switch.
         """
         duty = self._duty(params)
         length, other = jnp.where(limbs.stance, duty, 1.0 - duty), jnp.where(limbs.stance, 1.0 - duty, duty)
-        # Since the leg's last switch, and in a tick, as shares of the gait cycle.
+        # Time since the leg's last switch, and length of a tick, as shares of the gait cycle.
         since = limbs.progress * length
         in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
         strides_before, strides_now = self._strides(params, before), self._strides(params, now)
@@ -139,7 +139,7 @@ class Stepping:
             return strides_now + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (strides_before - strides_now)
 
         switched = clock.switches(limbs.stance, state.stance)
-        # A half-cycle shorter than a tick may pass unseen; the foot has made its way all the same.
+        # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
         skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
         passed = trajectory.end_points(params.stance, ~limbs.stance, stride(since + other), moved)
         start = jnp.where(skipped[:, None], passed, state.points[:, 2])

@@ -1,11 +1,11 @@
-"""Where the robot is heading without its sway, from the attitude of its torso and the bend of its spine.
+"""The robot's heading without its sway, from the attitude of its torso and the bend of its spine.
 
-Head and tail answer to what the torso does beside its course. The course is the heading of the body, half-way between
-torso and hip, followed by a critically damped observer: with x the heading seen, b the bandwidth and T the tick,
+Head and tail react to the torso's deviation from its course. The course is the heading of the body, half-way between
+torso and hip, followed by a critically damped observer: with x the measured heading, b the bandwidth and T the tick,
 
     e = wrap(x - (c + T r)),    c <- c + T r + 2 T b e,    r <- r + T b^2 e,
 
-so that it lags behind no steady turn.
+so that it has no lag in a steady turn.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from nermo_mjx.shapes import Array, Scalar, Scalars
 
 
 class Pace(NamedTuple):
-    """What head and tail are told of the walk.
+    """Inputs of head and tail control, in addition to the sensors.
 
     Attributes:
         phase: of the gait cycle.
         speed: commanded [m/s of the controller's clock].
         turn_rate: commanded, in [-1, 1], positive left.
-        cycle_rate: gait cycles a simulated second [1/s].
+        cycle_rate: gait cycles per simulated second [1/s].
     """
 
     phase: Scalars
@@ -41,7 +41,7 @@ class Course(NamedTuple):
     """Estimate of the robot's course.
 
     Attributes:
-        heading: positive left, 0 along -y; goes on beyond half a turn [rad].
+        heading: positive left, 0 along -y; unwrapped [rad].
         rate: of its change [rad/s].
     """
 
@@ -56,7 +56,7 @@ def body_heading(sensors: Sensors, geometry: Geometry) -> Scalar:
 
 
 def begin(sensors: Sensors, geometry: Geometry) -> Course:
-    """The course of a robot that is put down."""
+    """The course at the start."""
     heading = body_heading(sensors, geometry)
     return Course(heading, jnp.zeros_like(heading))
 
@@ -67,7 +67,7 @@ def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometr
     Args:
         course: before.
         sensors: read now.
-        bandwidth: b [rad/s]; what is faster is sway.
+        bandwidth: b [rad/s]; faster motion counts as sway.
         dt: T, since the last tick [s].
         geometry: of the robot.
     """
@@ -78,5 +78,5 @@ def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometr
 
 
 def wrapped(angle: Array) -> Array:
-    """The angle within half a turn [rad]."""
+    """The angle, wrapped to (-pi, pi] [rad]."""
     return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))

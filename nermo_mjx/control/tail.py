@@ -1,11 +1,11 @@
-"""What the tail does: it is held, swings with the gait, or moves against the sway of the body.
+"""Tail control: held still, swinging with the gait, or moving against the sway of the body.
 
 The swing is that of the author's software, min(4.5 v^2, 0.5) cos(2 pi phase) at the commanded speed v. His positive
 angle bends the tail's tip to the right (measured on his model), here it is the left: hence `tail.swing_phase` is pi.
 
-Against the yaw of the body it takes up angular momentum: where the torso turns to the left, so does the tail, whose tip
-goes right. Against the roll it is a prop, since its tip touches the ground: it goes to the side to which the torso
-leans. Its weight alone would have it go to the other side, where the simulated robot rolls more.
+Against the yaw of the body it takes up angular momentum: when the torso turns to the left, so does the tail, which
+moves its tip to the right. Against roll it acts as a prop, since its tip touches the ground: it moves to the side to
+which the torso leans. As a counterweight it would move to the other side, with which the simulated robot rolls more.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ TAIL_MOTIONS: Final = ("none", SWING, COUNTER_YAW, COUNTER_ROLL)
 
 @runtime_checkable
 class TailLike(Protocol):
-    """What the tail does: pure functions over parameters and a memory of its own, any pytree. Values are unbatched.
+    """Tail control: pure functions of parameters and their own memory, any pytree. Values are unbatched.
 
     An angle is that of the tail's servo, positive bends the tip to the left [rad].
     """
 
     def start(self, params: Any, pace: Pace) -> tuple[Any, Scalars]:
-        """Memory and angle of a robot that has read no sensor yet; the start pose is made from them."""
+        """Memory and angle before the first sensor reading; the start pose is built from them."""
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        """The memory of `start` with the first readings taken in."""
+        """The memory of `start` updated with the first readings."""
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Scalars]:
         """Memory and angle one control tick of `dt` seconds later."""
 
 
 def named_tail(name: str) -> TailLike:
-    """What a tail does, by its name in `TAIL_MOTIONS`."""
+    """The tail control of this name in `TAIL_MOTIONS`."""
     parts: dict[str, TailLike] = {
         "none": HeldTail(), SWING: TailSwing(), COUNTER_YAW: CounterYaw(), COUNTER_ROLL: CounterRoll(),
     }  # fmt: skip
@@ -73,7 +73,7 @@ class HeldTail:
 
 @dataclasses.dataclass(frozen=True)
 class TailSwing:
-    """Swings once a gait cycle about `tail.angle`, as the author's software has it."""
+    """Swings once per gait cycle about `tail.angle`, as in the author's software."""
 
     def start(self, params: ControlParameters, pace: Pace) -> tuple[Any, Scalars]:
         """See `TailLike`."""
@@ -94,7 +94,7 @@ class TailSwing:
 
 @dataclasses.dataclass(frozen=True)
 class CounterYaw:
-    """Bends to the right by `tail.yaw_gain` times the yaw to the left of the torso from the robot's course."""
+    """Bends to the right by `tail.yaw_gain` times the torso's yaw to the left of the robot's course."""
 
     def start(self, params: ControlParameters, pace: Pace) -> tuple[Course, Scalars]:
         """See `TailLike`."""

@@ -1,14 +1,14 @@
 """Foot trajectories: three control points for each half-cycle, joined by two cubics in closed form.
 
 A half-cycle is normalised to p in [0, 1] with knots at 0, 1/2 and 1. Every form is linear in its control points
-P0, P1, P2, so it is held as three weights for each coordinate. The cubic form:
+P0, P1, P2, so it is represented by three weights per coordinate. The cubic form:
 
 * y is a clamped spline (zero end velocity). Continuity of the acceleration at the mid point gives the slope there,
   m1 = 3/2 (P2 - P0).
 * z is a natural spline (zero end acceleration). Continuity of the velocity gives the second derivative there,
   M1 = 6 (P0 - 2 P1 + P2).
 
-Both are symmetric in time; so they are written once, in u = 0 at the nearer end to u = 1 at the mid point.
+Both are symmetric in time, so they are written once, from u = 0 at the nearer end to u = 1 at the mid point.
 Points have the shape (..., 4, 3, 2): limb, knot, (y, z) in the leg's frame [m].
 """
 
@@ -27,7 +27,7 @@ from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scala
 #: Weights of (nearer end, mid point, farther end) at u, for one coordinate.
 _Weights = tuple[Array, Array, Array]
 
-#: Share of the foot error left over below which the lag's power law is made linear, for a finite derivative at 1.
+#: Remaining share of the foot error below which the lag's power law is linear, for a finite derivative at 1.
 _LAG_LINEAR_BELOW: Final = 1e-6
 
 
@@ -84,11 +84,11 @@ def neutral_feet(stance: Stance) -> PlanarPerLimb:
 
 
 class Moved(NamedTuple):
-    """How far the control points of each limb are moved from where the published gait has them [m].
+    """Displacements of each limb's control points from those of the published gait [m].
 
     Attributes:
         touchdown, liftoff: the ends of swing and stance.
-        lift: upward, of the middle of the swing.
+        lift: upward, at mid-swing.
     """
 
     touchdown: PlanarPerLimb
@@ -107,11 +107,11 @@ def plan(
 
     Args:
         stance: neutral feet and amplitudes.
-        start: where it starts [m].
+        start: its first point [m].
         down: planned contact. In stance the foot moves backward (+y) and is pressed down at its mid point, in swing it
             moves forward and is raised.
         stride: length of each leg's stride [m].
-        moved: from the published gait.
+        moved: displacement from the published gait.
     """
     neutral = neutral_feet(stance)
     swing = jnp.asarray(stance.swing_amplitude)[..., None]
@@ -132,7 +132,7 @@ def nominal_points(
 def end_points(
     stance: Stance, down: Bool[Array, "*#batch 4"], stride: Float[Array, "*#batch 4"], moved: Moved | None = None
 ) -> Float[Array, "*#batch 4 2"]:
-    """Where a half-cycle ends: half a stride behind the neutral position in stance, and before it in swing [m]."""
+    """End of a half-cycle: half a stride behind the neutral position in stance, in front of it in swing [m]."""
     ends = neutral_feet(stance) + _column(jnp.where(down, 0.5, -0.5) * stride, axis=0)
     return ends if moved is None else ends + jnp.where(down[..., None], moved.liftoff, moved.touchdown)
 
@@ -146,7 +146,7 @@ def share_closed(tracking: Tracking, dt: float) -> Scalars:
     """Share of the foot error closed in one control tick; exactly 1 for `foot_gain` 1 (see `Tracking`).
 
     The published controller's velocity-space inverse kinematics closes `foot_gain` of the error per tick of 1/80 s of
-    its own clock. In a tick of `dt` simulated seconds it has made 80 dt / clock_ratio such ticks.
+    its own clock. A tick of `dt` simulated seconds corresponds to 80 dt / clock_ratio such ticks.
     """
     ticks = dt * PUBLISHED_TRACKING["rate"] / tracking.clock_ratio
     return 1.0 - signed_power(jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LAG_LINEAR_BELOW)

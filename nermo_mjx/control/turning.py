@@ -1,4 +1,4 @@
-"""Speed and turning: stride from the commanded speed, its share for each leg from the turn rate, and radii of theory.
+"""Speed and turning: stride from the commanded speed, each leg's share from the turn rate, and theoretical radii.
 
 A positive turn rate turns left, so it shortens the left legs' strides.
 """
@@ -23,10 +23,10 @@ from nermo_mjx.robot.geometry import Geometry, dh_table, geometry_of
 from nermo_mjx.robot.parameters import LIMBS, SPINE
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, Planar, Scalar, Scalars
 
-#: Turn rate below which the turning curve is a straight line (see `signed_power`).
+#: Turn rate below which the turning curve is linear (see `signed_power`).
 CURVE_LINEAR_BELOW = 1e-3
 
-#: Curvature that counts as none, where rounding of the theory and of its inversion begins [1/m].
+#: Curvature treated as zero, of the size of rounding errors in the theory and its inversion [1/m].
 STRAIGHT_BELOW = 1e-5
 
 _SIDE = tuple(1.0 if limb.endswith("left") else -1.0 for limb in LIMBS)
@@ -58,7 +58,7 @@ def turning_curve(turn_rate: Broadcastable, exponent: Broadcastable) -> Broadcas
 def stride_shares(turning: Turning, turn_rate: Scalars) -> PerLimb:
     """alpha_left = min(1 - c, 1) and alpha_right = min(1 + c, 1) for the four legs (5.38, 5.39).
 
-    Full input stops the inner legs' stride. Everywhere in [0, 1].
+    Full input stops the inner legs' stride. Both are in [0, 1].
     """
     curve = turning_curve(jnp.clip(turn_rate * turning.leg, -1.0, 1.0), jnp.asarray(turning.exponent))
     return jnp.minimum(1.0 - jnp.asarray(_SIDE, dtype=curve.dtype) * curve[..., None], 1.0)
@@ -76,7 +76,7 @@ def leg_curvature(stride: Scalars, share_difference: Scalars, diagonal: Scalars)
 
 
 def leg_radius(stride: Broadcastable, share_difference: Broadcastable, diagonal: Broadcastable) -> Broadcastable:
-    """Radius of leg-based turning without slip (5.40-5.42) [m]; infinite when both sides step alike.
+    """Radius of leg-based turning without slip (5.40-5.42) [m]; infinite when the strides of both sides are equal.
 
     r = l_s sin((pi - th)/2) / sin(th) with th = l_s |alpha_left - alpha_right| / d_diag. It equals
     l_s / (2 sin(th/2)), which is what is computed; for a small th that is d_diag / |alpha_left - alpha_right|.
@@ -97,9 +97,9 @@ def spine_radius(
     """Radii of spine-based turning without slip, from the shoulder axis (5.43) and the hip axis (5.44) [m].
 
     r_shoulder = l_sp2/th + l_sp1/tan(th) and r_hip = l_sp2/th + l_sp1/sin(th), with th = 4 theta_v as published; the
-    chain of Table 5.3 turns by 3.81 theta_v (erratum 17, `spine.yaw`). The formula has the axes of a wagon in mind,
-    whose inner wheels go a shorter way: a robot whose inner legs step as far as the outer ones does not reach this
-    radius, see `path_curvature`.
+    chain of Table 5.3 turns by 3.81 theta_v (erratum 17, `spine.yaw`). The formula describes the axles of a wagon,
+    whose inner wheels travel a shorter distance: a robot whose inner legs step as far as the outer ones does not reach
+    this radius, see `path_curvature`.
 
     Args:
         theta_v: angle of each lateral joint, not 0 [rad].
@@ -123,22 +123,23 @@ def foot_diagonals(stance: Stance, theta_v: Scalars, geometry: Geometry) -> Plan
 
 
 def smallest_radius(stride: Scalars, stance: Stance, theta_v: Scalars, geometry: Geometry) -> Scalars:
-    """Radius of theory at full lock, leg-based at theta_v = 0 and mix-based otherwise (5.40-5.42) [m].
+    """Theoretical radius at full lock, leg-based at theta_v = 0 and mix-based otherwise (5.40-5.42) [m].
 
-    The mix-based robot turns about the pair that the bent spine has brought together, the shorter diagonal.
+    The mix-based robot turns about the pair that the bent spine brings closer together, the shorter diagonal.
     """
     return leg_radius(stride, jnp.asarray(1.0), jnp.min(foot_diagonals(stance, theta_v, geometry), axis=-1))
 
 
 def path_curvature(params: ControlParameters, turn_rate: Scalars) -> Scalars:
-    """Curvature to expect of the path walked at a turn rate [1/m], at the gait's commanded speed; positive left.
+    """Expected curvature of the path at a turn rate [1/m], at the gait's commanded speed; positive left.
 
-    The legs' part is less than (5.40-5.42) say: two feet on the ground at different speeds can turn the body only by
-    what is across the line that joins them, and slip along it. With w their lateral distance, the body turns by
-    l_s |alpha_left - alpha_right| w / d_diag^2 while it walks the mean of both strides. For the same reason the spine's
-    part is less than (5.43), which has the inner feet step less: with equal strides a bent robot turns by
-    theta L / d_diag^2 a metre, L being the distance of the two feet along the body: 0.44 m at 0.4 rad of servo instead
-    of 0.28. Both parts add. What the simulated robot turns over this is the pilot's `grip`.
+    The legs' part is less than (5.40-5.42): two feet on the ground at different speeds can turn the body only by the
+    velocity component across the line that joins them, and slip along it. With w their lateral distance, the body turns
+    by l_s |alpha_left - alpha_right| w / d_diag^2 while it advances by the mean of both strides. For the same reason
+    the spine's part is less than (5.43), which assumes shorter strides of the inner feet: with equal strides a bent
+    robot turns by theta L / d_diag^2 per metre, L being the distance of the two feet along the body: 0.44 m at 0.4 rad
+    of servo instead of 0.28. Both parts add up. The ratio of the simulated robot's curvature to this is the pilot's
+    `grip`.
     """
     return _path_curvature(params, _turn_of_two_feet(params), turn_rate)
 
@@ -149,17 +150,18 @@ def walked(
     stance: Bool[Array, " 4"],
     turn_rate: Scalar,
 ) -> tuple[Scalar, Scalar]:
-    """(speed [m/s], yaw rate [rad/s, positive left]) to expect of the strides that the legs make now.
+    """(speed [m/s], yaw rate [rad/s, positive left]) expected from the legs' current strides.
 
-    As `path_curvature`, but from what the legs have taken up of the turn rates before: a leg takes up its new stride
-    when it switches, so that the legs' turn follows the command by half a gait cycle. The spine follows at once. On
-    the controller's clock.
+    As `path_curvature`, but from the strides that the legs have adopted so far: a leg adopts its new stride when it
+    switches, so the legs' turn lags the command by half a gait cycle. The spine follows at once. On the controller's
+    clock.
 
     Args:
         params: unbatched parameters.
         points: control points of the half-cycles that the legs are in [m].
-        stance: planned contact. The legs on the ground count, and on a side that has none there those in the air.
-        turn_rate: held now, for the spine.
+        stance: planned contact. Uses the legs on the ground, and those in the air on a side that has none on the
+        ground.
+        turn_rate: the current one, for the spine.
     """
     feet = _turn_of_two_feet(params)
     strides = jnp.abs(points[:, 2, 0] - points[:, 0, 0])
@@ -173,16 +175,17 @@ def walked(
     return speed, (right - left) * feet.across * per_stride + speed * _spine_part(params, feet, turn_rate)
 
 
-@jax.jit  # traced once for the four places of a walk that ask: 0.4 s of every start
+@jax.jit  # traced once for its four uses in a walk, which saves 0.4 s at every start
 def turn_rate_for(params: ControlParameters, curvature: Scalars) -> Scalars:
-    """Turn rate in [-1, 1] whose `path_curvature` is the one given [1/m]; full lock where that is out of reach.
+    """Turn rate in [-1, 1] whose `path_curvature` is the one given [1/m]; full lock if it cannot be reached.
 
-    The curvature rises with the turn rate and is odd, so its size is found in [0, 1] and given the sign.
+    The curvature is an odd, increasing function of the turn rate, so its magnitude is found in [0, 1] and gets the
+    sign.
     """
     feet = _turn_of_two_feet(params)
     full = _path_curvature(params, feet, jnp.ones_like(curvature))
     wanted = jnp.clip(jnp.abs(curvature), 0.0, full)
-    # Legs or spine alone would need more than both together; where only one of them turns, that is the root.
+    # Legs or spine alone would need more than both together; if only one of them turns, that is the root.
     start = jnp.minimum(
         _turn_rate_of_legs(params, feet, wanted),
         wanted / jnp.maximum(_spine_part(params, feet, jnp.ones_like(wanted)), 1e-9),
@@ -198,7 +201,7 @@ def turn_rate_for(params: ControlParameters, curvature: Scalars) -> Scalars:
 
 
 class _TwoFeet(NamedTuple):
-    """(w, L) / d_diag^2 of the neutral feet of a diagonal, w apart across the body and L along it [1/m]."""
+    """(w, L) / d_diag^2 of a diagonal's neutral feet, at the distances w across and L along the body [1/m]."""
 
     across: Scalars
     along: Scalars
@@ -225,7 +228,8 @@ def _spine_part(params: ControlParameters, feet: _TwoFeet, turn_rate: Scalars) -
 
 
 def _turn_rate_of_legs(params: ControlParameters, feet: _TwoFeet, curvature: Scalars) -> Scalars:
-    """Turn rate for a curvature >= 0 [1/m] without the spine, the turning curve not made linear near 0; at most 1.
+    """Turn rate for a curvature >= 0 [1/m] without the spine, ignoring the linear part of the turning curve near 0; at
+    most 1.
 
     With c = a^t the shares are 1 - c and 1, so that the curvature is k c / (1 - c / 2).
     """

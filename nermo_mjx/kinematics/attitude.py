@@ -1,4 +1,4 @@
-"""Attitude of a body as three angles, and directions as it sees them.
+"""Attitude of a body as three angles, and directions in its frame.
 
 Roll, pitch and yaw are right-handed rotations about the robot's own axes: roll about y (back; positive leans left),
 pitch about x (left; positive is nose down), yaw about z (positive turns left), with R = Rz(yaw) Rx(pitch) Ry(roll).
@@ -12,7 +12,7 @@ from nermo_mjx.shapes import Quaternion, Scalars, Spatial
 
 
 def attitude(quaternion: Quaternion) -> Spatial:
-    """(roll, pitch, yaw) of a unit quaternion (w, x, y, z) [rad]; finite derivatives everywhere but upside down."""
+    """(roll, pitch, yaw) of a unit quaternion (w, x, y, z) [rad]; derivatives are finite except upside down."""
     w, x, y, z = (quaternion[..., i] for i in range(4))
     r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
     r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
@@ -26,6 +26,6 @@ def uprightness(quaternion: Quaternion) -> Scalars:
 
 
 def turned_back(quaternion: Quaternion, direction: Spatial) -> Spatial:
-    """A direction of the world as a body of this attitude sees it, R^T d."""
+    """A direction of the world in the frame of a body with this attitude, R^T d."""
     w, axis = quaternion[..., :1], -quaternion[..., 1:]
     return direction + 2.0 * jnp.cross(axis, jnp.cross(axis, direction) + w * direction)

@@ -1,7 +1,7 @@
-"""Balance by the spine: the joint angle that puts the centre of mass where the stance feet can carry it (5.35).
+"""Balance by the spine: the joint angle that brings the centre of mass over the support of the stance feet (5.35).
 
-The line that decides joins a supporting front foot and a supporting rear foot. It moves when the spine bends, because
-the rear feet turn with the hip; so does the centre of mass.
+The balance line joins a supporting front foot and a supporting rear foot. Both the line and the centre of mass move
+when the spine bends, because the rear feet turn with the hip.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import SPINE
 from nermo_mjx.shapes import Array, Scalars, TruthPerLimb
 
-#: No leg is as long as this [m]; feet farther out are drawn in, so that all that follows is finite.
+#: Longer than any leg [m]; feet farther out are moved in, so that all results are finite.
 _FARTHEST: Final = 1.0
 #: Feet closer together than this [m] define no line.
 _COINCIDENT: Final = 1e-6
@@ -29,11 +29,11 @@ def diagonal_distance(point: ArrayLike, front_foot: ArrayLike, rear_foot: ArrayL
 
     d = (a x + b y + c) / sqrt(a^2 + b^2), a = f_y - r_y, b = r_x - f_x, c = f_x r_y - f_y r_x. Positive means right of
     the line, looking from the rear foot to the front foot. Erratum: (5.35) is printed with an absolute value, but the
-    method needs the sign. Feet that coincide have no line: 0.
+    method needs the sign. Feet that coincide have no line and give 0.
     """
     point, front, rear = (jnp.asarray(xy) for xy in (point, front_foot, rear_foot))
     a, b = front[..., 1] - rear[..., 1], rear[..., 0] - front[..., 0]
-    # c is folded into distances from the rear foot, where nothing large cancels.
+    # Distances are taken from the rear foot instead of using c, which avoids cancellation.
     product = a * (point[..., 0] - rear[..., 0]) + b * (point[..., 1] - rear[..., 1])
     squared = a**2 + b**2
     distinct = squared > _COINCIDENT**2
@@ -50,17 +50,17 @@ def balance_angle(
 ) -> Scalars:
     """Spine joint angle theta_v [rad], within +-limit, that balances the robot on its stance feet.
 
-    With one front and one rear foot on the ground, d = 0 on their line. With three, d = lift on the diagonal that
-    carries, measured towards the third foot. Where the limit does not allow that, the end that comes nearest.
-    Otherwise, with four feet or without a line from front to rear, 0.
+    With one front and one rear foot on the ground, d = 0 on their line. With three, d = lift on the supporting
+    diagonal, measured towards the third foot. Where the limit does not allow that, the closer end of the range. In all
+    other cases, with four feet or without a line from front to rear, 0.
 
     Args:
         masses: the robot's two-mass model.
         feet: (y, z) of each foot from its own axis [m], shape (..., 4, 2); rear feet turn with the hip's frame.
-        stance: which feet carry, shape (..., 4), bool or a number above 0.5.
-        geometry: of the robot.
-        lift: d_lift, how far inside the triangle the centre of mass shall lie [m]: 0 on the diagonal (dynamic), 0.009
-            as published (static).
+        stance: which feet are on the ground, shape (..., 4), bool or a number above 0.5.
+        geometry: the robot's.
+        lift: d_lift, the desired distance of the centre of mass inside the triangle [m]: 0 on the diagonal (dynamic),
+            0.009 as published (static).
         limit: largest angle [rad].
     """
     front, rear, third, supported = _support(jnp.asarray(stance) > 0.5)
@@ -86,10 +86,10 @@ def balance_angle(
 
 
 def _support(stance: TruthPerLimb) -> tuple[Array, Array, Array, Array]:
-    """Masks (..., 4) of the front foot, the rear foot and the third foot that decide, and whether there is a line.
+    """Masks (..., 4) of the line's front and rear foot and of the third foot, and whether there is a line.
 
-    Two feet in stance at the same end of the body leave the choice to the other end, whose single foot picks the one
-    diagonally opposite: of three feet, only one diagonal carries.
+    Two feet in stance at the same end of the body leave the choice to the other end, whose single foot selects the one
+    diagonally opposite: with three feet, only one diagonal supports.
     """
     fronts, rears = stance[..., :2], stance[..., 2:]
     n_front, n_rear = jnp.sum(fronts, axis=-1, keepdims=True), jnp.sum(rears, axis=-1, keepdims=True)

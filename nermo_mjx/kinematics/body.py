@@ -1,8 +1,8 @@
-"""What the spine does to the body: where the hips go, the diagonals, and the centre of mass.
+"""Effect of the spine on the body: the positions of the hips, the diagonals, and the centre of mass.
 
 Positions are relative to the spine base in the torso's frame [m]; theta_v is the angle of each lateral joint [rad], of
-any shape, positive to the left, and `vertical` that of each vertical joint of Nermo 4.1, which lifts the hip where it
-is positive; None on Nermo-Lite. Left comes before right.
+any shape, positive to the left, and `vertical` that of each vertical joint of Nermo 4.1, where positive lifts the hip;
+None on Nermo-Lite. Left comes before right.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def hip_height_offset(theta_v: ArrayLike, geometry: Geometry) -> Planar:
 
 
 def rear_foot_rise(theta_v: ArrayLike, feet: ArrayLike, vertical: ArrayLike, geometry: Geometry) -> Planar:
-    """How much higher the vertical joints put each rear foot: they lift the hip, and turn the legs with it.
+    """Rise of each rear foot due to the vertical joints, which lift the hip and turn the legs with it.
 
     Args:
         theta_v: of each lateral joint [rad].
@@ -84,13 +84,13 @@ def diagonals(theta_v: ArrayLike, geometry: Geometry) -> Planar:
 
 
 def stride_gain(theta_v: ArrayLike, geometry: Geometry) -> Scalars:
-    """What swinging the spine between -theta_v and theta_v adds to a stride [m] (5.33): 0.015 m at 0.1 rad a joint.
+    """Stride gained by swinging the spine between -theta_v and theta_v [m] (5.33): 0.015 m at 0.1 rad per joint.
 
     Seen from the heading, which bisects the bend, torso and hip yaw by half the bend, in opposite senses. While a
-    diagonal pair stands, the bend goes from one end to the other, and shoulder and hip of that pair are carried
-    backward by 2 x sin(bend / 2) each, x being half the distance from left to right; the body gains the mean of the
-    two. Negative where theta_v compresses the standing pair. The gain is monotonic, so that the maximum of (5.33) lies
-    at the limit of theta_v (erratum 7).
+    diagonal pair is on the ground, the bend goes from one extreme to the other, and shoulder and hip of that pair are
+    carried backward by 2 x sin(bend / 2) each, x being half the distance from left to right; the body gains the mean of
+    the two. Negative where theta_v compresses the standing pair. The gain is monotonic, so that the maximum of (5.33)
+    lies at the limit of theta_v (erratum 7).
     """
     hip = hips(theta_v, geometry)
     across, along = jnp.moveaxis((hip[..., 0, :] - hip[..., 1, :])[..., :2] / 2, -1, 0)
@@ -99,10 +99,11 @@ def stride_gain(theta_v: ArrayLike, geometry: Geometry) -> Scalars:
 
 
 def sagittal_stride_gain(vertical: ArrayLike, feet: ArrayLike, geometry: Geometry) -> Planar:
-    """What swinging the vertical joints between -vertical and vertical adds to a cycle of a bound [m].
+    """Travel gained per cycle of a bound by swinging the vertical joints between -vertical and vertical [m].
 
-    While the hind feet stand, the spine extends and carries the torso forward by the way that they go backward seen
-    from the spine base; it flexes again while the fore feet stand, which draws the hip forward and holds the torso.
+    While the hind feet stand, the spine extends and carries the torso forward by the distance that they move backward
+    relative to the spine base; it flexes again while the fore feet stand, which pulls the hip forward while the torso
+    stays.
 
     Args:
         vertical: of each vertical joint [rad].
@@ -124,11 +125,11 @@ def centre_of_mass(
 
 
 def _both_sides(axis: Shoulder | Hip) -> Float[Array, "*batch 2 3"]:
-    """An axis on the left, and its mirror image."""
+    """A left axis and its mirror image."""
     left = jnp.stack(jnp.broadcast_arrays(*(_constant(each) for each in (axis.x, axis.y, axis.z))), axis=-1)
     return _constant(_MIRROR) * left[..., None, :]
 
 
 def _constant(value: ArrayLike) -> Array:
-    """An array as it is, and numbers in the precision in force: JAX caches numpy constants across a change of it."""
+    """Arrays unchanged, numbers in the current precision: JAX caches numpy constants across a change of precision."""
     return value if isinstance(value, jax.Array) else jnp.asarray(value, jnp.result_type(float))

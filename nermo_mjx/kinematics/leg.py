@@ -9,8 +9,8 @@ With u(a) = (sin a, -cos a), in (y, z) from the hip or shoulder axis O, equation
 Shin, ankle and foot are one rigid link of length L, so O-A-H is a planar two-link arm and its inverse is a cosine rule.
 (The publication integrates joint velocities instead, which drifts.) The elbow is always on the knee's own side, s.
 
-Every function broadcasts over leading axes: leaves of `Leg`, angles and (..., 2) points alike. Values and first
-derivatives are finite for every finite input: outside the workspace the result is the nearest pose, and says so.
+Every function broadcasts over leading axes: leaves of `Leg`, angles and (..., 2) points. Values and first derivatives
+are finite for every finite input: outside the workspace the result is the nearest pose, flagged as not reachable.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from nermo_mjx.robot.leg_plane import check_routing, pull, shank
 from nermo_mjx.robot.parameters import LegGeometry
 from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
-#: How far outside its range a foot or tendon may be and still count as reached: rounding in float32 [m].
+#: Tolerance beyond the range within which a foot or tendon counts as reached: float32 rounding [m].
 REACH_TOLERANCE: Final = 1e-6
 #: Angles saturate here, so that sums of them stay finite [rad].
 _LARGEST_ANGLE: Final = 1e6
-#: Feet farther out than this are drawn in along their direction; nearer to O than `_NEAREST` they have none [m].
+#: Feet farther out than this are moved in along their direction; closer to O than `_NEAREST` they have none [m].
 _FARTHEST, _NEAREST = 1.0, 1e-6
 
 
@@ -71,7 +71,7 @@ class LegPoints(NamedTuple):
 
 
 class LegPose(NamedTuple):
-    """Where servo angles put a leg: foot (y, z) [m], knee angle theta_1 [rad], whether the tendon allows it."""
+    """Result of forward kinematics: foot (y, z) [m], knee angle theta_1 [rad], whether the tendon allows it."""
 
     foot: Planar
     knee_angle: Scalars
@@ -80,7 +80,7 @@ class LegPose(NamedTuple):
 
 class LegSolution(NamedTuple):
     """How to reach a foot: servo (q1, q2) and knee angle [rad], the reachable foot nearest to it [m], and whether that
-    is the foot that was asked for."""
+    is the requested foot."""
 
     servo: Planar
     knee_angle: Scalars
@@ -96,7 +96,7 @@ def leg_of(geometry: LegGeometry) -> Leg:
 def four_legs(geometry: Geometry) -> Leg:
     """A robot's legs in limb order FL, FR, RL, RR: leaves of shape (..., 4), `guide` of shape (4, 2).
 
-    Leaves of the geometry may have leading batch axes; what it does not vary has shape (4,).
+    Leaves of the geometry may have leading batch axes; leaves that it does not affect have shape (4,).
     """
     traced = any(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(geometry))
     xp: Any = jnp if traced else np
@@ -157,11 +157,11 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
 
     The workspace is a ring around O, and a foot outside it is moved in along its radius (a foot at O itself hangs
     straight down). With types 1 and 2, a knee angle that the tendon cannot hold at that hip angle, near its dead
-    centres (`knee_range`), goes to the nearest one that it can.
+    centres (`knee_range`), becomes the nearest one that it can hold.
     """
     check_routing(routing)
     leg, foot = _arrays(leg), jnp.asarray(foot)
-    # The result does not depend on the size of a foot that is out of reach, so its scale carries no derivative.
+    # The result does not depend on the distance of a foot that is out of reach, so its scale has no derivative.
     size = jnp.max(jnp.abs(foot), axis=-1, keepdims=True)
     y, z = jnp.moveaxis(foot / jax.lax.stop_gradient(jnp.maximum(size / _FARTHEST, 1.0)), -1, 0)
     undirected = y**2 + z**2 < _NEAREST**2
@@ -189,7 +189,7 @@ def inverse(leg: Leg, foot: ArrayLike, routing: str) -> LegSolution:
 def four_reaches(geometry: Geometry, routing: str) -> tuple[PerLimb, PerLimb]:
     """Least and greatest distance of the foot from O [m] at which it is in the workspace of each of the `four_legs`.
 
-    With type 3, where the knee angle follows the knee servo alone, the servo's range counts, too.
+    With type 3, where the knee angle depends on the knee servo alone, the servo's range is included.
     """
     leg = _arrays(four_legs(geometry))
     low, high = arm_range(leg)
@@ -211,7 +211,7 @@ def jacobian(leg: Leg, servo: ArrayLike, routing: str) -> Float[Array, "*batch 2
 
 
 def _arrays(leg: Leg) -> Leg:
-    """The leg with numpy leaves in the precision in force: JAX caches numpy constants across a change of it."""
+    """The leg with numpy leaves in the current precision: JAX caches numpy constants across a change of it."""
     dtype = jnp.result_type(float)
     return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, dtype), leg)
 

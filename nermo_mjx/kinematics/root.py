@@ -1,4 +1,4 @@
-"""Roots of monotonic scalar equations: safeguarded Newton steps until they are found, an implicit derivative."""
+"""Roots of monotonic scalar equations: safeguarded Newton iteration with an implicit derivative."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from jax.typing import ArrayLike
 
 from nermo_mjx.shapes import Array, Scalars
 
-#: Most steps: ten reach rounding everywhere in the workspace, in double precision; the rest is in reserve.
+#: Maximum number of steps: ten reach rounding everywhere in the workspace, in double precision; the rest is a margin.
 STEPS: Final = 14
 
 
 class _Search(NamedTuple):
-    """Steps made, the bracket's ends, the root as far as it is known, and where it is found."""
+    """Number of steps, the bracket's ends, the current estimate of the root, and where it has converged."""
 
     steps: Array
     low: Array
@@ -39,9 +39,9 @@ def bracketed_root(
             broadcasts over leading axes of x. It may close over traced arrays; derivatives flow to them by the
             implicit function theorem.
         low, high: ends of the bracket, of any shapes that broadcast with the residual's. The root's derivative does not
-            depend on them. An end that is a root costs no step.
-        slope_floor: smallest slope of the residual that counts as one; keeps the derivative finite where it is flat.
-        start: a guess in [low, high]; without one, the middle. A good one saves steps, and changes nothing else.
+            depend on them. An end that is a root takes no step.
+        slope_floor: lower limit of the residual's slope; keeps the derivative finite where it is flat.
+        start: a guess in [low, high]; without one, the middle. A good one only saves steps.
     """
     low, high = jnp.broadcast_arrays(low, high)
     value = jax.eval_shape(residual, low)
@@ -67,18 +67,18 @@ def bracketed_root(
             a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
             newton = x - divide(value, slope)
             inside = (newton >= a - slack) & (newton <= b + slack)
-            # A step out of the bracket goes to its end, where a saturated root lies, and by turns to its middle.
+            # A step out of the bracket goes to its end, where saturated roots lie, or to its middle, alternately.
             safe = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
             after = jnp.where(inside, jnp.clip(newton, a, b), safe)
-            # Newton's error after a step goes like the square of the step. What is found stays as it is, so that no
-            # element depends on the others.
+            # Newton's error after a step goes like the square of the step. Converged elements are left unchanged, so
+            # that no element depends on the others.
             near = inside & (jnp.abs(after - x) <= small * jnp.maximum(jnp.abs(x), 1e-3))
             return _Search(i + 1, a, b, jnp.where(found, x, after), found | near)
 
         at_end = (at_low == 0) | (at_high == 0)
         start = jnp.where(at_low == 0, low, jnp.where(at_high == 0, high, start))
         first = _Search(jnp.int32(0), low, high, start, at_end)
-        # The same root. On an accelerator a loop of unknown length waits for the host in each step.
+        # Gives the same root. On an accelerator a loop of unknown length waits for the host in each step.
         return jax.lax.platform_dependent(
             first,
             cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,

@@ -55,14 +55,14 @@ def transform(theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None
 
 
 def _stretched(pose: np.ndarray, more: np.ndarray, geometry: Geometry, dtype: Any) -> Array:
-    """A pose that is linear in the length of a segment: as published, and what a metre more of it adds."""
+    """A pose that is linear in a segment's length: the published one, and its slope per metre."""
     longer = jnp.asarray(geometry.spine.segment, dtype) - jnp.asarray(_SEGMENT, dtype)
     return jnp.asarray(pose, dtype) + longer[..., None, None] * jnp.asarray(more, dtype)
 
 
 @functools.cache
 def _links(moving: tuple[int, ...]) -> list[tuple[int | None, np.ndarray, np.ndarray]]:
-    """Constant links up to each moving row, and behind the last one: `_stretched` knows what the two matrices are.
+    """Constant links up to each moving row, and behind the last one; see `_stretched` for the two matrices.
 
     They are folded in numpy, in double precision.
     """
@@ -77,24 +77,24 @@ def _links(moving: tuple[int, ...]) -> list[tuple[int | None, np.ndarray, np.nda
 
 
 def _extended(fixed: np.ndarray, more: np.ndarray, row: int, link: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A pose and its slope by the segment's length, one row of the table further on."""
+    """A pose and its slope by the segment's length, after one more row of the table."""
     slope = np.zeros((4, 4))
     slope[0, 3] = 0.5 * (row in SEGMENT_ROWS)
     return fixed @ link, more @ link + fixed @ slope
 
 
 def yaw(theta_v: ArrayLike) -> Scalars:
-    """How far the torso is turned against the hip, seen from above [rad]; positive to the left.
+    """Yaw of the torso relative to the hip [rad]; positive to the left.
 
-    The lateral joints' axes are tilted by up to 25 degrees, so that four joints turn it by 3.81 theta_v, and not by the
-    4 theta_v of the text (erratum 17). Linear: at 0.1 rad a joint 0.2 % too large.
+    The lateral joints' axes are tilted by up to 25 degrees, so four joints turn it by 3.81 theta_v, not by the 4
+    theta_v of the text (erratum 17). A linear approximation: at 0.1 rad per joint it is 0.2 % too large.
     """
     return _yaw_per_joint_angle() * _floating(theta_v)
 
 
 @functools.cache
 def _yaw_per_joint_angle() -> float:
-    """Sum of the vertical parts of the lateral joints' axes, in the straight spine."""
+    """Sum of the vertical components of the lateral joints' axes, for the straight spine."""
     pose, total = np.eye(4), 0.0
     for row, link in enumerate(SPINE.dh):
         pose = pose @ _link(*link)
@@ -103,7 +103,7 @@ def _yaw_per_joint_angle() -> float:
 
 
 def max_joint_angle() -> float:
-    """Largest theta_v that the servo can ask for [rad]: there the inner tendon segment has no length left."""
+    """Largest theta_v that the servo can command [rad], where the inner tendon segment's length becomes zero."""
     return 2 * math.atan(SPINE.segment_length / (2 * SPINE.segment_offset))
 
 
@@ -112,7 +112,8 @@ def joint_angle(servo: ArrayLike, geometry: Geometry) -> Scalars:
 
     The published form, theta_v = 2 alpha_v - pi + arccos(1 - l^2 / (2 R^2)) with l = l_v + r_sp q / 4, holds for the
     side whose tendon lengthens. It is used for positive angles and made odd, so that left and right mirror each other
-    (the two antagonists differ by 1 % at 0.4 rad). Saturates at `max_joint_angle`. Of the geometry, r_sp counts.
+    (the two antagonists differ by 1 % at 0.4 rad). Saturates at `max_joint_angle`. It depends on the geometry through
+    r_sp.
     """
     servo = _floating(servo)
     radius, straight = _chord()
@@ -135,7 +136,7 @@ def servo_angle(theta_v: ArrayLike, geometry: Geometry) -> Scalars:
 def angle_for_displacement(displacement: ArrayLike, geometry: Geometry) -> Scalars:
     """Joint angle theta_v [rad] that moves the spine end sideways by `displacement` [m], positive to the left.
 
-    Inverts x of `transform`, which rises with theta_v over the whole range; saturates at `max_joint_angle`.
+    Inverts x of `transform`, which increases with theta_v over the whole range; saturates at `max_joint_angle`.
     """
     displacement = _floating(displacement)
     limit = jnp.asarray(max_joint_angle(), displacement.dtype)
@@ -183,7 +184,8 @@ def _link(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
 
 @functools.cache
 def _fixed_transform(theta_v: float) -> tuple[np.ndarray, np.ndarray]:
-    """`transform` of a constant, and its slope by the segment's length: next to nothing to trace, or to compile."""
+    """`transform` of a constant, and its slope by the segment's length: adds almost nothing to tracing and
+    compilation."""
     pose, more = np.eye(4), np.zeros((4, 4))
     for row, link in enumerate(SPINE.dh):
         pose, more = _extended(pose, more, row, _link(*link))
@@ -194,7 +196,7 @@ def _fixed_transform(theta_v: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _matmul(left: Array, right: Array) -> Array:
-    """Product of small matrices, written out: faster than a dot, and in full precision on accelerators too."""
+    """Product of small matrices, written out: faster than a dot product, and in full precision on accelerators."""
     return jnp.sum(left[..., :, :, None] * right[..., None, :, :], axis=-2)
 
 

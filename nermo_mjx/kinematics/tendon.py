@@ -1,4 +1,4 @@
-"""The three ways to lead the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
+"""The three routings of the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
 
 All three obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
 depends on hip and knee angle alone (`robot.leg_plane`); the servo angle is then (pull - l_t0) / (k r_p). As there,
@@ -19,14 +19,14 @@ from nermo_mjx.shapes import Array
 if TYPE_CHECKING:
     from nermo_mjx.kinematics.leg import Leg
 
-#: Distance kept from the singular ends of the knee's range, where the foot or the tendon loses its grip on it [rad].
+#: Margin to the singular ends of the knee's range, where the foot or the tendon no longer determines the knee [rad].
 KNEE_MARGIN: Final = 0.05
 
 
 def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Array]:
-    """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works there at all.
+    """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works there.
 
-    Two conditions bound it, each kept at a distance of `KNEE_MARGIN`. The foot must determine the knee (`arm_range`),
+    Two conditions bound it, each with a margin of `KNEE_MARGIN`. The foot must determine the knee (`arm_range`),
     and the tendon must flex it: the tendon's lever on the knee vanishes where B lies on the line from A to the hip axis
     (type 3, at 0 and pi), to the guide point (type 2) or along the tangent to the pulley (type 1). Between these two
     dead centres `pull` is monotonic. With type 3 the range is 0.05 to 2.93 rad in front and 0.54 to 3.09 rad behind.
@@ -40,7 +40,8 @@ def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Arr
 
 
 def arm_range(leg: Leg) -> tuple[Array, Array]:
-    """Lowest and highest knee angle [rad] at which the foot's distance from O determines the knee, whatever the tendon.
+    """Lowest and highest knee angle [rad] at which the foot's distance from O determines the knee, independent of the
+    tendon.
 
     From knee and arm O-A-H both stretched to both folded; they differ because the ankle turns H by gamma off the shin.
     """
