@@ -2,10 +2,10 @@
 
 `step` and `forward` take the place of `mjx.step` and `mjx.forward`, `checkpointed_scan` that of `jax.lax.scan` where a
 long run is differentiated in reverse mode, `check_gradient` compares a gradient with differences, and `MassConstants`
-and `PlaceConstants` are what MuJoCo derives from masses, and from masses and places. Nothing here knows of the robot.
-docs/howto/step.md starts from any model.
+and `PlaceConstants` compute the constants that MuJoCo derives from masses, and from masses and positions. Nothing here
+depends on the robot. docs/howto/step.md shows the use with any model.
 
-Names are imported on first use: `precision`, for one, can do without MJX.
+Names are imported on first use: `precision`, for example, works without MJX.
 """
 
 from __future__ import annotations

@@ -18,21 +18,21 @@ from nermo_mjx.dynamics.integration import positions
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Scalar
 
-#: Half-widths of the differences; each point is moved by that share of its unit (m, rad, m/s, ...; 1 for factors).
+#: Half-widths of the differences; each entry is moved by that multiple of its unit (m, rad, m/s, ...; 1 for factors).
 WIDTHS: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
-#: Most entries of each group that are moved, evenly chosen.
+#: Maximum number of entries moved per group, evenly spaced.
 MOST: Final = 12
-#: A group whose differences are below this share of all is compared with that share.
+#: Floor of a group's differences in comparisons, as a share of all differences.
 FLOOR: Final = 1e-6
 
 
 class Point(NamedTuple):
-    """What is differentiated: changes, zero at the state itself.
+    """The inputs of the derivative: changes, zero at the state itself.
 
     Attributes:
         position, velocity: of the state, in the tangent space, (nv,) each.
         activation, control: `act` and `ctrl`.
-        factors: masses and inertias, and frictions, are taken 1 + so much.
+        factors: masses and inertias, and frictions, are multiplied by 1 + factor.
     """
 
     position: Array
@@ -44,10 +44,10 @@ class Point(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class GradientCheck:
-    """What `check_gradient` found; arrays over the entries that were moved, in the order of `Point`.
+    """The result of `check_gradient`; arrays over the entries that were moved, in the order of `Point`.
 
     Attributes:
-        group: which field of `Point` each entry is of.
+        group: field of `Point` that each entry belongs to.
         gradient: by reverse mode.
         differences: central differences by width, (len(WIDTHS), n).
         end: positions and velocities after the last step.
@@ -60,17 +60,17 @@ class GradientCheck:
 
     @property
     def is_finite(self) -> bool:
-        """Whether gradient and end are."""
+        """Whether the gradient and the end state are finite."""
         return bool(np.isfinite(self.gradient).all() and np.isfinite(self.end).all())
 
     @property
     def errors(self) -> list[float]:
-        """Of the gradient against the differences of each width, see `distance`."""
+        """Error of the gradient against the differences of each width, see `distance`."""
         return [distance(self.group, self.gradient, each) for each in self.differences]
 
     @property
     def chosen(self) -> int:
-        """Which width counts: its differences are closest to those of a neighbour; the gradient has no say."""
+        """The width to compare with: its differences are closest to a neighbour's; independent of the gradient."""
         apart = self._apart
         first = int(np.argmin(apart))
         outer = apart[first - 1] if first > 0 else np.inf
@@ -78,12 +78,12 @@ class GradientCheck:
 
     @property
     def error(self) -> float:
-        """Of the gradient against the differences that count."""
+        """Error of the gradient against the differences of the chosen width."""
         return self.errors[self.chosen]
 
     @property
     def spread(self) -> float:
-        """By how much the differences of neighbouring widths differ at least: what can be known of the error."""
+        """Smallest distance between the differences of neighbouring widths: the resolution of the error."""
         return min(self._apart)
 
     @property
@@ -93,14 +93,14 @@ class GradientCheck:
 
 
 def distance(group: np.ndarray, found: np.ndarray, expected: np.ndarray) -> float:
-    """Of two vectors: |found - expected| / |expected| in the group where it is largest; inf where one is not finite.
+    """|found - expected| / |expected| in the group where it is largest; inf if one of them is not finite.
 
     >>> group = np.array([0, 0, 1])
     >>> round(distance(group, np.array([3.0, 4.0, 1.0]), np.array([3.0, 4.0, 2.0])), 3)
     0.5
 
     Args:
-        group: of each entry; units within one are alike.
+        group: of each entry; all entries of a group have the same unit.
         found, expected: the vectors.
     """
     if not (np.isfinite(found).all() and np.isfinite(expected).all()):
@@ -120,7 +120,7 @@ def check_gradient(
     steps: int = 5,
     options: dict[str, Any] | None = None,
 ) -> GradientCheck:
-    """Reverse mode through some steps of a model, against central differences, in float64.
+    """Compare reverse mode through several steps of a model with central differences, in float64.
 
     >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><body><joint axis="0 1 0" range="-1 1"/>
     ... <geom size=".1" pos="0 0 -1"/></body></worldbody></mujoco>''')
@@ -129,15 +129,15 @@ def check_gradient(
     >>> check_gradient(model, data).error < 1e-6
     True
 
-    One number is differentiated, a sum of the last positions, velocities and activations with fixed weights, by all
-    that `Point` names. Whether differences mean anything is seen in `spread`: where a contact opens or closes within
-    the width, they do not.
+    Differentiates a scalar, a sum of the last positions, velocities and activations with fixed weights, with respect to
+    the fields of `Point`. `spread` shows whether the differences are meaningful: they are not if a contact opens or
+    closes within the width.
 
     Args:
         model: that MJX-JAX can step.
-        data: the state to start from, and `ctrl`; the model's own start if None.
-        steps: how many.
-        options: of the compiler.
+        data: the state to start from, and `ctrl`; the model's initial state if None.
+        steps: number of steps.
+        options: compiler options.
     """
     with jax.enable_x64(True):
         run = trial(model, data, steps)
@@ -147,11 +147,11 @@ def check_gradient(
 
 
 class Trial(NamedTuple):
-    """What is differentiated.
+    """The function to differentiate.
 
     Attributes:
-        value: point -> the number, and the last positions and velocities.
-        zero: where.
+        value: point -> the scalar, and the last positions and velocities.
+        zero: the point at which to differentiate.
     """
 
     value: Callable[[Point], tuple[Scalar, Array]]
@@ -168,7 +168,7 @@ def trial(
 
     Args:
         model, data, steps: as there.
-        step: whose steps.
+        step: the step function.
     """
     start = mujoco.MjData(model) if data is None else data
     device = mjx.put_model(model)
@@ -180,7 +180,7 @@ def trial(
     zero = Point(*(jnp.zeros(size, width) for size in (model.nv, model.nv, model.na, model.nu, 2)))
 
     def value(point: Point) -> tuple[Array, Array]:
-        heavier, rougher = 1.0 + point.factors  # what MuJoCo derives from masses for its constraints stays
+        heavier, rougher = 1.0 + point.factors  # constants that MuJoCo derives from masses are not updated
         changed = device.replace(
             body_mass=device.body_mass * heavier, body_inertia=device.body_inertia * heavier,
             body_subtreemass=device.body_subtreemass * heavier,
@@ -196,7 +196,7 @@ def trial(
             return (after.qpos, after.qvel, after.act, after.qacc_warmstart), None
 
         (qpos, qvel, act, _), _ = jax.lax.scan(advance, (*first, jnp.zeros_like(qvel)), None, length=steps)
-        # Weights without a pattern of their own.
+        # Weights without a regular pattern.
         ends = jnp.concatenate([qpos, qvel, act])
         return ends @ jnp.cos(1.0 + jnp.arange(ends.size)), ends[: model.nq + model.nv]
 
@@ -204,10 +204,10 @@ def trial(
 
 
 def compared(run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Array]]) -> GradientCheck:
-    """A gradient beside differences.
+    """A gradient compared with differences.
 
     Args:
-        run: what was differentiated.
+        run: the differentiated function.
         slopes: the gradient.
         value: `run.value`, compiled.
     """
@@ -222,7 +222,7 @@ def compared(run: Trial, slopes: Point, value: Callable[[Point], tuple[Array, Ar
 
 
 def entries(point: Point) -> tuple[np.ndarray, np.ndarray]:
-    """Which entries of a point are moved: the field each is of, and its place in all of them."""
+    """The entries of a point that are moved: each one's field, and its index among all entries."""
     fields, places, first = [], [], 0
     for field, size in enumerate(each.size for each in point):
         chosen = np.unique(np.linspace(0, size - 1, min(size, MOST)).round().astype(int)) if size else np.zeros(0, int)

@@ -1,4 +1,4 @@
-"""A scan whose reverse mode stores little, and computes little twice."""
+"""A scan whose reverse mode stores little and recomputes little."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import Any, Final
 
 import jax
 
-#: Name of what the backward run keeps of every step instead of computing it again: where the constraint solver came to,
-#: which is as small as the state and took a third of a step's time.
+#: Name of the values that the backward pass stores for every step instead of recomputing them: the constraint solver's
+#: result, which is as small as the state and takes a third of a step's time.
 KEPT: Final = "solution"
 
-#: Results of one step over its carry, in bytes; decides the length of a segment. The order of magnitude of a tick of
-#: the robot (a megabyte over some kilobytes).
+#: Ratio of the size of a step's results to its carry, in bytes; determines the length of a segment. The order of
+#: magnitude of a tick of the robot (a megabyte over some kilobytes).
 _RESULTS_OVER_CARRY: Final = 256
 
-#: What only moves numbers about: the backward run does it again rather than keep its results. Gathers made half of all
-#: that was kept of a step of the robot.
+#: Operations that only move data: the backward pass repeats them instead of storing their results. Gathers made up half
+#: of what was stored for a step of the robot.
 _MOVES: Final = frozenset(
     {"broadcast_in_dim", "concatenate", "convert_element_type", "dynamic_slice", "gather", "iota", "neg", "pad",
      "reshape", "rev", "select_n", "slice", "split", "squeeze", "transpose"}
@@ -25,24 +25,25 @@ _MOVES: Final = frozenset(
 
 
 def keeping_little(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function; its reverse mode keeps what was computed on the way, and not what was only moved about."""
+    """The function; its reverse mode stores computed intermediate results, but not those that were only moved."""
     return jax.checkpoint(function, policy=lambda primitive, *_, **__: primitive.name not in _MOVES, prevent_cse=False)
 
 
 def checkpointed_scan(body: Callable[[Any], tuple[Any, Any]], carry: Any, length: int) -> tuple[Any, Any]:
-    """Apply `body` at least `length` times; in reverse mode memory grows with the square root of `length`.
+    """Apply `body` at least `length` times; in reverse mode, memory grows with the square root of `length`.
 
-    The forward run keeps the carry before each segment of steps; the backward run repeats one segment at a time and
-    keeps its intermediate results meanwhile (checkpointing; Griewank and Walther, Evaluating Derivatives, 2008, chapter
-    12). With r the ratio of a step's results to its carry, both parts are alike with sqrt(length / r) steps a segment,
-    which is one step up to hundreds of them. Whatever `body` marks with `jax.ad_checkpoint.checkpoint_name(x, KEPT)` is
-    kept as well. It then meets states that are computed anew, and equal only up to rounding: a result of the solver in
-    float32, 5e-3 off as MJX's was, made the gradient of a walk wrong by its own size, until a Newton step followed it.
+    The forward pass stores the carry before each segment of steps; the backward pass recomputes one segment at a time
+    and holds its intermediate results meanwhile (checkpointing; Griewank and Walther, Evaluating Derivatives, 2008,
+    chapter 12). With r the ratio of a step's results to its carry, both parts are equal at sqrt(length / r) steps per
+    segment, which ranges from one step to hundreds. Values that `body` marks with `jax.ad_checkpoint.checkpoint_name(x,
+    KEPT)` are stored as well. They are then combined with recomputed states, which are equal only up to rounding: a
+    solver result in float32, with MJX's error of 5e-3, made the gradient of a walk wrong by 100 %, until a Newton step
+    was added.
 
     Args:
         body: carry -> (new carry, output).
         carry: the first.
-        length: number of steps that are wanted, 1 or more. A few more are made where the segments do not divide it.
+        length: number of steps, at least 1. A few more are made if it is not a multiple of the segment's length.
 
     Returns:
         The last carry, and the outputs of the first `length` steps, stacked.

@@ -37,7 +37,7 @@ def hessian(layout: Layout, problem: Problem, qacc: Dofs) -> Float[Array, "nv nv
     for first, dim, apart, stiffness, scale in _contacts(layout, problem, at):
         slopes = jax.vmap(_cone_slope)(apart, stiffness, scale)
         rows = jacobian[first : first + apart.size].reshape(-1, dim, jacobian.shape[1])
-        # Sums of products and not a product of matrices, which XLA would hand to a library for each contact.
+        # Sums of products instead of a matrix product, which XLA would turn into a library call for each contact.
         weighted = sum(slopes[:, :, k, None] * rows[:, None, k] for k in range(dim))
         parts.append(jnp.reshape(weighted, (apart.size, jacobian.shape[1])))
     return problem.inertia + jacobian.T @ jnp.concatenate(parts)
@@ -52,8 +52,8 @@ def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
     """Constraint force f of each row at the residual r.
 
     Equalities are two-sided springs, f = -D r. Dry friction is a spring that yields at +-frictionloss. Limits,
-    frictionless contacts and the edges of pyramids only push: f = -D r where r < 0. An elliptic contact lies in one of
-    three zones, see `_cone`.
+    frictionless contacts and the edges of pyramids can only push: f = -D r where r < 0. An elliptic contact lies in one
+    of three zones, see `_cone`.
     """
     springs, loss = _simple(layout, problem, residual)
     spring = -problem.stiffness * residual
@@ -64,7 +64,7 @@ def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
 
 
 def zones(layout: Layout, problem: Problem, residual: Efc) -> Int[Array, " zones"]:
-    """In which of its linear or smooth pieces the force of each row, or of each contact with a cone, is."""
+    """The linear or smooth piece of the force that each row, or each contact with a cone, is in."""
     springs, _ = _simple(layout, problem, residual)
     parts = [springs[: _first_cone(layout, residual)].astype(int)]
     for _, _, apart, _, scale in _contacts(layout, problem, residual):
@@ -74,10 +74,10 @@ def zones(layout: Layout, problem: Problem, residual: Efc) -> Int[Array, " zones
 
 
 def _simple(layout: Layout, problem: Problem, residual: Efc) -> tuple[Array, Array]:
-    """Whether each row, were it none of a cone's, is a spring; and the force it keeps to in both directions if not."""
+    """For rows outside cones: whether each is a spring, and otherwise its constant force in either direction."""
     row = np.arange(residual.shape[0])
     dry = (row >= layout.equality) & (row < layout.equality + layout.frictionloss)
-    # To MuJoCo a row of dry friction without loss, which a batch may contain, is a spring.
+    # MuJoCo treats a row of dry friction without loss, which a batch may contain, as a spring.
     loss = jnp.where(dry, problem.frictionloss, 0.0)
     holds = (loss <= 0.0) | (jnp.abs(problem.stiffness * residual) < loss)
     return jnp.where(row < layout.equality + layout.frictionloss, holds, residual < 0.0), loss
@@ -100,7 +100,7 @@ def _contacts(layout: Layout, problem: Problem, residual: Efc) -> Iterator[tuple
 def _cone(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"], scale: Float[Array, " dim"]) -> Array:
     """Force of one contact with an elliptic cone.
 
-    With u = scale * r, n = u_0 and t = |u_1..|: it sticks where mu n + t <= 0 (f = -D r), is apart where n >= mu t
+    With u = scale * r, n = u_0 and t = |u_1..|: it sticks where mu n + t <= 0 (f = -D r), is separated where n >= mu t
     (f = 0), and slides between them, with the force on the surface of the cone.
     """
     zone = _zone(residual, scale)
@@ -123,7 +123,7 @@ def _cone_slope(residual: Float[Array, " dim"], stiffness: Float[Array, " dim"],
 
 
 class _Zone(NamedTuple):
-    """Where a contact's u = scale * r lies: n - mu t, the length t (1 for 0) and the direction of u_1.. ."""
+    """Zone quantities of a contact's u = scale * r: n - mu t, the length t (1 for 0) and the direction of u_1.. ."""
 
     apart: Array
     sticks: Array
@@ -134,7 +134,7 @@ class _Zone(NamedTuple):
 
 def _zone(residual: Float[Array, " dim"], scale: Float[Array, " dim"]) -> _Zone:
     mu, u = scale[0], scale * residual
-    # Added up one by one: a sum over an axis would be a launch of its own on a GPU.
+    # Added one by one: a sum over an axis would be a separate kernel launch on a GPU.
     n, square = u[0], sum(each * each for each in u[1:])
     moves = square > 0.0
     t = jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)

@@ -1,17 +1,17 @@
 """A step of MJX with exact derivatives: replaces `mjx.step` for any model that MJX-JAX can run.
 
-`mjx.solve` iterates in a `while_loop`. Reverse mode refuses more than one iteration of it, and forward mode
-differentiates an iteration that was stopped before its end. Here `solver` runs with no derivative, and the derivative
-of its result is that of the fixed point it has found (implicit function theorem): with g(a, p) = 0 for the acceleration
-a and all that it depends on, p,
+`mjx.solve` iterates in a `while_loop`. Reverse mode rejects more than one iteration of it, and forward mode
+differentiates an iteration that was stopped before convergence. Here `solver` runs without derivatives, and the
+derivative of its result is that of the fixed point it has found (implicit function theorem): with g(a, p) = 0 for the
+acceleration a and all that it depends on, p,
 
     H da = -(dg/dp) dp,    H = dg/da = M - J^T f'(r) J.
 
-The rule is linear in dp, so that JAX transposes it: it serves forward and reverse mode and `vmap`, for any number of
-iterations. Every kind of row that MJX has is written out.
+The rule is linear in dp, so JAX can transpose it: it works in forward and reverse mode and under `vmap`, for any number
+of iterations. It covers every kind of row that MJX has.
 
-One more step of Newton's method ends at rounding. It is taken from what the solver came to, which reverse mode keeps,
-and from the problem of the state that reverse mode makes anew.
+One more step of Newton's method converges to rounding. It starts from the solver's result, which reverse mode stores,
+and uses the problem of the state, which reverse mode recomputes.
 """
 
 from __future__ import annotations
@@ -50,16 +50,15 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
     Derivatives flow from the new state to the old one (`qpos`, `qvel`, `act`), to `ctrl`, applied forces and mocap
     poses, and to the real fields of the model that MJX's step reads, except the impedances of rows that are not
-    contacts and the exponents of those that are. None flows through the warm start, on which the solution does not
-    depend. `solver`, `iterations` and `tolerance` of the model do not count: the solution is always that of the
-    whole problem.
+    contacts and the exponents of those that are. None flows through the warm start, since the solution does not depend
+    on it. The model's `solver`, `iterations` and `tolerance` are ignored: the problem is always solved to convergence.
 
     Args:
         model: MJX model of `impl="jax"`, with any solver, integrator, cone and constraint that `mjx.put_model` takes.
         data: of one world; use `jax.vmap` for a batch.
 
     Raises:
-        ValueError: a model or data of another kind, an integrator that MJX has not, a model that cannot move, a batch.
+        ValueError: a model or data of another kind, an integrator that MJX lacks, a model without joints, a batch.
     """
     after = integrate(model, forward(model, data), forward)
     return after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
@@ -83,7 +82,7 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 
 def _check(model: mjx.Model, data: mjx.Data) -> None:
-    """Refuse, while the program is traced, what would fail far inside of MJX."""
+    """Reject, at trace time, inputs that would fail deep inside MJX."""
     for name, given, kind, maker in (
         ("model", model, mjx.Model, "mjx.put_model"), ("data", data, mjx.Data, "mjx.make_data or mjx.put_data"),
     ):  # fmt: skip
@@ -108,9 +107,9 @@ def _check(model: mjx.Model, data: mjx.Data) -> None:
 
 
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.solve`, after `stages.acceleration`, to the last digit and with the derivative of the solution.
+    """As `mjx.solve`, after `stages.acceleration`, converged to the last digit, with the derivative of the solution.
 
-    `rows.solver_rounds` of the result is more than `solver.ROUNDS` where the solver did not come to its end.
+    `rows.solver_rounds` of the result is more than `solver.ROUNDS` if the solver did not converge.
     """
     if rows.is_unconstrained(data):
         return data.replace(qacc=data.qacc_smooth)
@@ -126,7 +125,7 @@ def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _solution(layout: Layout, qacc: Dofs, problem: Problem) -> Dofs:
-    """The solution `qacc` of a problem, as it is; its derivative is that of the problem's solution."""
+    """`qacc` unchanged, with the derivative of the problem's solution."""
     return qacc
 
 

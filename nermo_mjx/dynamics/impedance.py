@@ -1,8 +1,8 @@
 """Constraint rows whose derivative with respect to the contacts' impedance is finite.
 
 MJX computes the impedance of a contact as a power of its depth over `width`, with an exponent that is data. The
-derivative of x^n with respect to n is NaN for x < 0, which occurs at depths past `width`, and a NaN times the zero
-tangent of the exponent is a NaN. So the rows are made from constant impedances, and the missing part of their
+derivative of x^n with respect to n is NaN for x < 0, which occurs at depths beyond `width`, and a NaN times the zero
+tangent of the exponent is a NaN. So the rows are computed from constant impedances, and the missing part of their
 derivative is added here: D = imp / (w (1 - imp)) and aref = -b J v - k imp d (MuJoCo's documentation, "Modeling: Solver
 parameters") depend on the impedance through imp, k and b.
 """
@@ -20,7 +20,7 @@ from nermo_mjx.dynamics import rows
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Scalar
 
-#: Impedances of rows other than contacts; no derivative flows to them.
+#: Impedances of rows other than contacts; they have no derivatives.
 OTHERS: Final = ("jnt_solimp", "dof_solimp", "tendon_solimp_lim", "tendon_solimp_fri", "eq_solimp")
 
 
@@ -38,7 +38,7 @@ def make_constraint(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     shortest = 0.0 if model.opt.disableflags & mjx.DisableBit.REFSAFE else 2.0 * model.opt.timestep
     constants = contacts.solref, contacts.distance, distance, jacobian[others:] @ data.qvel, shortest
     changed = _with_impedance(stiffness[others:], aref[others:], contacts.solimp, *jax.lax.stop_gradient(constants))
-    # Joined and not written into place: XLA makes a loop of what is written on a CPU.
+    # Concatenated instead of updated in place, which XLA compiles to a loop on a CPU.
     joined = (jnp.concatenate([old[:others], new]) for old, new in zip((stiffness, aref), changed, strict=True))
     return rows.with_row_arrays(made, *joined)
 
@@ -54,7 +54,7 @@ def _with_impedance(
     velocity: Array,
     shortest: Array,
 ) -> tuple[Array, Array]:
-    """D and aref of the contacts' rows as they are; their derivatives also follow the impedance."""
+    """D and aref of the contacts' rows, unchanged; their derivatives include those by the impedance."""
     return stiffness, aref
 
 
@@ -79,7 +79,7 @@ def reference(
         solref: time constant [s] and damping ratio, or minus stiffness and minus damping.
         solimp: (dmin, dmax, width, mid, power).
         distance: of the surfaces, negative in contact [m].
-        shortest: time constant that counts for one below it [s]: two time steps, or 0 without MuJoCo's `refsafe`.
+        shortest: lower limit of the time constant [s]: two time steps, or 0 without MuJoCo's `refsafe`.
     """
     low, high = (jnp.clip(limit, mjMINIMP, mjMAXIMP) for limit in solimp[:2])
     mid, power = jax.lax.stop_gradient((jnp.clip(solimp[3], mjMINIMP, mjMAXIMP), jnp.maximum(solimp[4], 1.0)))

@@ -1,7 +1,7 @@
-"""MJX's integrators with derivatives that also hold for a body that does not turn.
+"""MJX's integrators with derivatives that are also correct for a body that does not rotate.
 
-MJX normalises the angular velocity to turn a quaternion. Its safe norm is constant at zero, so that a body at rest
-would keep its orientation in the derivative whatever spins it up. The positions are integrated here instead, with the
+MJX normalises the angular velocity to turn a quaternion. Its safe norm is constant at zero, so in the derivative a body
+at rest would keep its orientation under any torque. The positions are integrated here instead, with the
 exponential map, whose derivative is smooth; the values are the same to rounding.
 """
 
@@ -19,7 +19,7 @@ from nermo_mjx.dynamics.linear import solve_definite
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Dofs
 
-#: What `integrate` can do; MJX's enumeration also has DISCRETE, with which it cannot step.
+#: Integrators that `integrate` supports; MJX's enumeration also has DISCRETE, with which it cannot step.
 INTEGRATORS: Final = (mjx.IntegratorType.EULER, mjx.IntegratorType.RK4, mjx.IntegratorType.IMPLICITFAST)
 
 #: Nodes a and weights b of the classical Runge-Kutta method of fourth order.
@@ -78,7 +78,7 @@ def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Dat
     velocity, acceleration, activation = (
         _RK4_WEIGHTS[0] * one + weight @ rest for one, rest in zip(first, others, strict=True)
     )
-    # Euler's step advances activation and time in the same way.
+    # Activation and time advance as in an Euler step.
     after = mjx.euler(model, start.replace(act_dot=activation))
     return after.replace(qpos=positions(model, start.qpos, dt * velocity), qvel=start.qvel + dt * acceleration)
 

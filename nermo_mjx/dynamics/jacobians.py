@@ -1,8 +1,8 @@
-"""Jacobians of points on bodies, with the tree known when a program is traced.
+"""Jacobians of points on bodies, with the tree known at trace time.
 
-`mjx.jac` finds out on the device, level by level, which velocities move a body, for each end of a tendon and each
-contact: for this robot 130 of a step's launches on a GPU, and nothing that depends on the state. What else MJX derives
-badly deep in its stages is put in its place with them.
+`mjx.jac` determines on the device, level by level, which velocities move a body, for each end of a tendon and each
+contact: for this robot 130 of a step's launches on a GPU, though none of it depends on the state. Other functions deep
+in MJX's stages with bad derivatives are replaced together with it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nermo_mjx.shapes import Array, Count, Scalar
 
 P = ParamSpec("P")
 T = TypeVar("T")
-#: Held while MJX's own function is replaced: of two threads that trace, neither must restore the other's.
+#: Held while MJX's functions are replaced, so that two tracing threads do not restore each other's.
 _TRACING: Final = threading.RLock()
 
 
@@ -42,7 +42,7 @@ def point_jacobian(
 def muscle_time_constant(excess: Scalar, rising: Scalar, falling: Scalar, width: Scalar) -> Scalar:
     """As MJX's `muscle_dynamics_timescale`: from one time constant to the other over a width of excess excitation.
 
-    MJX takes the fifth power of excess over width first, which is 0 unless it is given: too much for float32.
+    MJX takes the fifth power of excess over width first, which is 0 by default: it overflows in float32.
     """
     share = jnp.clip(excess / jnp.maximum(width, mjMINVAL) + 0.5, 0.0, 1.0)
     smooth = falling + (rising - falling) * share**3 * (3.0 * share * (2.0 * share - 5.0) + 10.0)
@@ -50,7 +50,7 @@ def muscle_time_constant(excess: Scalar, rising: Scalar, falling: Scalar, width:
 
 
 def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
-    """A function that calls stages of MJX, which take what it derives badly from here while it is traced."""
+    """A function that calls stages of MJX, with the replacements of this module in place while it is traced."""
     ours = {
         (support, "jac"): point_jacobian, (support, "wrap_circle"): wrapping.circle,
         (support, "wrap_inside"): wrapping.inside, (support, "_length_circle"): wrapping.arc,

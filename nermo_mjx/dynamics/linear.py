@@ -1,4 +1,4 @@
-"""Solution of a linear system whose derivative costs no more than itself."""
+"""Solution of a linear system whose derivative costs no more than the solution."""
 
 from __future__ import annotations
 

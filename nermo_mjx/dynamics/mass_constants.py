@@ -1,9 +1,9 @@
-"""Constants that MuJoCo derives from masses and places in `mj_setConst`, as differentiable functions of them.
+"""Constants that MuJoCo derives from masses and positions in `mj_setConst`, as differentiable functions of them.
 
-MJX reads them, in the regularisation of its constraints among others, but cannot make them. All follow from the inertia
-matrix in the reference pose. It is linear in masses and inertias: where nothing else varies, its coefficients are taken
-from MuJoCo's Jacobians once, so that a batch, or a gradient, needs no second kinematics (`MassConstants`). Where places
-vary, `place_constants` finds the Jacobians anew.
+MJX reads them, for example in the regularisation of its constraints, but cannot compute them. All follow from the
+inertia matrix in the reference pose. It is linear in masses and inertias: where nothing else varies, its coefficients
+are taken from MuJoCo's Jacobians once, so that a batch, or a gradient, needs no second kinematics (`MassConstants`).
+Where positions vary, `place_constants` recomputes the Jacobians.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _GROUPED = {int(mujoco.mjtJoint.mjJNT_FREE): 2, int(mujoco.mjtJoint.mjJNT_BALL):
 
 
 class Jacobians(NamedTuple):
-    """Of everything that the constants follow from, in the reference pose, by velocities.
+    """The Jacobians, in the reference pose, that the constants depend on.
 
     Attributes:
-        linear, angular: of the bodies' centres of mass, and of the bodies' turning, in the world.
-        principal: the same turning, about the bodies' principal axes.
+        linear, angular: of the bodies' centres of mass, and of their rotation, in the world.
+        principal: of the same rotation, about the bodies' principal axes.
         tendon, moment: of tendons and actuators.
     """
 
@@ -77,7 +77,7 @@ class Constants:
 
 
 class MassConstants:
-    """Maps the masses and inertias of a model's bodies to the constants; the rest of the model stays."""
+    """Maps the masses and inertias of a model's bodies to the constants; the rest of the model is constant."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         data = mujoco.MjData(model)

@@ -1,7 +1,7 @@
-"""Constants that MuJoCo derives in `mj_setConst`, as differentiable functions of where things are and what they weigh.
+"""Constants that MuJoCo derives in `mj_setConst`, as differentiable functions of positions and masses.
 
-The Jacobians of the reference pose come from MJX's kinematics of the model's own fields; what follows from them is
-`mass_constants`'.
+The Jacobians of the reference pose come from MJX's kinematics with the given fields; `mass_constants` computes the
+rest.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from nermo_mjx.dynamics.mass_constants import Constants, Jacobians
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array
 
-#: How the names of fields begin that the reference pose depends on.
+#: Prefixes of the fields that the reference pose depends on.
 _PLACES: Final = ("body_", "site_", "geom_")
 
 
 class PlaceConstants:
-    """Maps fields of a model that say where things are, and masses, to the constants, by MJX's own kinematics."""
+    """Maps a model's fields of positions and masses to the constants, with MJX's kinematics."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = mjx.put_model(model)
@@ -36,7 +36,7 @@ class PlaceConstants:
         """The fields of `DERIVED_FIELDS`, shaped as in `mujoco.MjModel`.
 
         Args:
-            fields: those of bodies, sites and geoms that are not the model's.
+            fields: those of bodies, sites and geoms that differ from the model's.
         """
         model = self._model.tree_replace({name: each for name, each in fields.items() if name.startswith(_PLACES)})
         data = mjx.make_data(self._model)

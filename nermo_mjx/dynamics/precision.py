@@ -13,11 +13,11 @@ T = TypeVar("T")
 
 
 def full_precision(function: Callable[P, T]) -> Callable[P, T]:
-    """The function, with matrix products of all that is traced in it in the precision of their arguments.
+    """The function, with all matrix products traced in it in the precision of their arguments.
 
     JAX's default on NVIDIA GPUs from Ampere on is TF32, which keeps 10 bits of float32's 23: residuals of the
     constraint solver would be wrong by 2.5e-3 instead of 6e-7. A product keeps its precision under `vmap` and in
-    derivatives, but for those of rules of ours (`custom_jvp`), which JAX may trace later: they are wrapped themselves.
+    derivatives, except in custom rules (`custom_jvp`), which JAX may trace later: those are wrapped themselves.
     """
 
     @functools.wraps(function)

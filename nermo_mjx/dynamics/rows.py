@@ -1,7 +1,7 @@
-"""The rows of a constraint problem in MJX's data, and inertias: the one place that touches what MJX keeps private.
+"""The rows of a constraint problem in MJX's data, and inertias: the only module that accesses MJX's private data.
 
-MJX makes J, aref and the rows' other numbers in `mjx.make_constraint`, and keeps them, like the contacts, in
-`data._impl`. It has no public way to them.
+MJX computes J, aref and the rows' other values in `mjx.make_constraint`, and stores them, like the contacts, in
+`data._impl`, without public access.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from nermo_mjx.shapes import Array, Dofs, Efc
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Which rows are what; known when a program is traced.
+    """The types of the rows; known at trace time.
 
     Attributes:
         equality, frictionloss: number of rows of each; they come first, in this order.
-        cones: dimension of the contacts with elliptic cones, and how many there are of it, in the order of their rows,
-            which come last; empty with pyramidal cones.
+        cones: (dimension, number) of the contacts with elliptic cones, in the order of their rows, which come last;
+            empty with pyramidal cones.
     """
 
     equality: int
@@ -56,7 +56,7 @@ class Problem(NamedTuple):
 
 
 class ContactRows(NamedTuple):
-    """What the contacts' rows are made of, the last n rows of the problem.
+    """The inputs of the contacts' rows, the last n rows of the problem.
 
     Attributes:
         distance: of the contact, less its margin; negative when it touches [m].
@@ -77,13 +77,13 @@ def is_unconstrained(data: mjx.Data) -> bool:
 
 
 def capacity(model: mujoco.MjModel) -> tuple[int, int]:
-    """Most contacts and constraint rows that MJX keeps of one world."""
+    """Maximum numbers of contacts and constraint rows that MJX stores for one world."""
     sized: Any = mjx.make_data(model, impl="jax")._impl
     return int(sized.ncon), int(sized.nefc)
 
 
 def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
-    """The constraint problem of data that went through position, velocity, actuation and acceleration."""
+    """The constraint problem of data after the position, velocity, actuation and acceleration stages."""
     rows: Any = data._impl
     contact, dims = _in_row_order(rows.contact)
     chosen = dims[(dims > 1) & _elliptic(model)]
@@ -153,7 +153,7 @@ def with_velocities(data: mjx.Data) -> mjx.Data:
 
 
 def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Array, rounds: Array) -> mjx.Data:
-    """Data with the acceleration, the constraint forces by row and by joint, and the rounds that the solver needed."""
+    """Data with the acceleration, the constraint forces by row and by joint, and the number of rounds of the solver."""
     solved: mjx.Data = data.tree_replace({
         "qacc": qacc, "qfrc_constraint": joint_force, "_impl.efc_force": row_force, "_impl.solver_niter": rounds
     })  # fmt: skip
@@ -161,7 +161,7 @@ def with_solution(data: mjx.Data, qacc: Array, row_force: Array, joint_force: Ar
 
 
 def solver_rounds(data: mjx.Data) -> Array:
-    """Rounds that the solver needed, as `with_solution` was told."""
+    """Number of rounds of the solver, as set by `with_solution`."""
     inner: Any = data._impl
     rounds: Array = inner.solver_niter
     return rounds

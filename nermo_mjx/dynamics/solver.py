@@ -1,11 +1,11 @@
-"""The constraint solver: Newton's method with a fixed number of rounds, each of known length.
+"""The constraint solver: Newton's method with a fixed number of rounds, each of fixed length.
 
-`mjx.solve` makes every round of its line search in every iteration until the slowest world of a batch ends, in loops
-whose length only the device knows, and compares costs, which near the minimum are equal to the last digit while the
-acceleration is still off by the root of that digit. Here a round is: gradient and Hessian in closed form (see
-`constraint`), one Cholesky decomposition, and the full step; where the slope of the cost along it says that it went too
-far, the step to where the slope vanishes, looked up among shares of it that are evaluated at once. A world whose last
-step was so small that one more would end at rounding takes no more; `differentiable` takes that one.
+`mjx.solve` runs every round of its line search in every iteration until the slowest world of a batch has converged, in
+loops whose length only the device knows, and compares costs, which near the minimum are equal to the last digit while
+the acceleration is still off by the square root of that digit. Here a round is: gradient and Hessian in closed form
+(see `constraint`), one Cholesky decomposition, and the full step; where the slope of the cost along it shows that it
+went too far, the step to where the slope vanishes, interpolated between shares of it that are evaluated at once. A
+world whose last step was so small that one more would converge to rounding stops; `differentiable` takes that one.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ from nermo_mjx.dynamics import constraint
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Count, Dofs, Scalar, Truth
 
-#: Most rounds. Walks, falls and impacts need 3.5 in the mean and 10 at most; at the ends of the contacts'
+#: Maximum number of rounds. Walks, falls and impacts need 3.5 on average and 10 at most; at the ends of the contacts'
 #: ranges 1 to 3 states in 1,000 need more than 20.
 ROUNDS: Final = 20
-#: Rounds on an accelerator, where a loop that ends when all worlds have would wait for the host in each round.
+#: Rounds on an accelerator, where a loop with a stopping criterion would wait for the host in each round.
 FIXED: Final = 10
-#: Shares of a step at which the slope along it is evaluated, all at once: each more finely than the step before would
-#: need it. Fewer make more rounds.
+#: Shares of a step at which the slope along it is evaluated, all at once, on a finer grid than a single step would
+#: need. Fewer shares need more rounds.
 SHARES: Final = (0.0, *(2.0 ** (-k / 2) for k in range(24, -1, -1)))
-#: A full step is kept if it leaves no more than this share of the slope that it began with.
+#: A full step is accepted if it leaves no more than this share of the initial slope.
 ACCEPTED: Final = 0.25
 
 
 class Solution(NamedTuple):
-    """What the solver came to.
+    """The solver's result.
 
     Attributes:
         qacc: acceleration.
-        converged: whether the last step was so small that another ends at rounding.
-        small: whether it was small; a row that changed its zone may ask for another all the same.
-        rounds: how many were made.
+        converged: whether the last step was so small that another one converges to rounding.
+        small: whether it was small; a row that changed its zone may still require another one.
+        rounds: number of rounds.
     """
 
     qacc: Dofs
@@ -50,7 +50,7 @@ class Solution(NamedTuple):
 
     @property
     def needed(self) -> Count:
-        """Rounds that were needed; `ROUNDS` + 1 where it has not converged."""
+        """Number of rounds; `ROUNDS` + 1 where it has not converged."""
         return jnp.where(self.converged, self.rounds, ROUNDS + 1)
 
 
@@ -59,7 +59,7 @@ def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
 
     Args:
         layout, problem: the constraint problem.
-        start: where to begin; the solution does not depend on it.
+        start: initial guess; the solution does not depend on it.
     """
     no = jnp.zeros((), bool)
     first = Solution(start, no, no, jnp.zeros((), jnp.int32))
@@ -75,14 +75,14 @@ def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
     def until_all_have_converged(solution: Solution) -> Solution:
         return jax.lax.while_loop(lambda each: ~each.converged & (each.rounds < ROUNDS), next_round, solution)
 
-    # The same numbers where `FIXED` rounds suffice. Only a processor that runs the loop itself knows for nothing that
-    # all worlds have ended.
+    # Gives the same result where `FIXED` rounds suffice. Only on a CPU does checking whether all worlds have finished
+    # cost nothing.
     found: Solution = jax.lax.platform_dependent(first, cpu=until_all_have_converged, default=to_the_end)
     return found
 
 
 def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, Array]:
-    """The next acceleration, whether the step to it was small, and whether all rows kept their zones along it."""
+    """The next acceleration, whether the step to it was small, and whether all rows stayed in their zones."""
     factor = cho_factor(constraint.hessian(layout, problem, qacc))
     gradient = constraint.gradient(layout, problem, qacc)
     step = -cho_solve(factor, gradient)
@@ -97,16 +97,16 @@ def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, 
     shares = jnp.asarray(SHARES, qacc.dtype)
     held, zones = jax.vmap(at)(shares)
     slopes = before + shares * energy - (held - held[0])
-    # Newton's method squares the error, so that another step would end at rounding, unless a row changes its zone on
-    # the way: behind the change the next step may be longer. A world that lost its numbers, which compare as false,
-    # has nothing to wait for.
+    # Newton's method squares the error, so another step would converge to rounding, unless a row changes its zone on
+    # the way: beyond the change the next step may be longer. A world with NaNs, which compare as false, need not
+    # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
     full = small | (slopes[-1] <= -ACCEPTED * before)
     return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
 
 
 def _zero(shares: Float[Array, " n"], slopes: Float[Array, " n"]) -> Scalar:
-    """Where a rising function is about zero: on the chord over the change of its sign.
+    """Approximate zero of a rising function, by the chord across its change of sign.
 
     Args:
         shares, slopes: where it was evaluated, and its values; below zero at the first.

@@ -1,7 +1,7 @@
 """Rotations and spatial vectors, in arrays of any leading shape.
 
 A spatial vector (..., 6) has its angular part first. A spatial inertia (..., 10) is xx, yy, zz, xy, xz, yz of the
-moments about a point, the mass times its centre's way from there, and the mass.
+moments about a point, the mass times the offset of its centre from there, and the mass.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Matrix = Float[Array, "*#n 3 3"]
 Motion = Float[Array, "*#n 6"]
 Inertia = Float[Array, "*#n 10"]
 
-# Indices of 32 bits: JAX keeps what it made of an array, and 64 bits would be what it was first asked for, in any mode.
+# 32-bit indices: JAX caches its conversion of an array, and would keep the precision of the first use in any mode.
 _NEXT: Final = np.array([1, 2, 0], np.int32)
 _LAST: Final = np.array([2, 0, 1], np.int32)
 #: Rows and columns of the moments in an inertia, and which moment stands where in the matrix.
@@ -61,7 +61,7 @@ def matrix(q: Quaternion) -> Matrix:
 
 
 def normalized(q: Quaternion) -> Quaternion:
-    """A quaternion of unit length; zero, whose direction nobody knows, is no turn."""
+    """The normalised quaternion; zero, which has no direction, becomes the identity."""
     square = jnp.sum(q * q, -1, keepdims=True)
     is_zero = square <= 0.0
     none = np.array([1.0, 0.0, 0.0, 0.0], q.dtype)
@@ -105,13 +105,13 @@ def moved_force(velocity: Motion, force: Motion) -> Motion:
 
 
 def cylinder_distance(point: Vector, size: Vector) -> Float[Array, "*#n"]:
-    """Of a point from a cylinder along z, negative inside, as MJX's `_cylinder`; it can be derived twice everywhere.
+    """Of a point from a cylinder along z, negative inside, as MJX's `_cylinder`; twice differentiable everywhere.
 
-    MJX's has a derivative of its own, whose derivative is NaN inside, and none along the size.
+    MJX's has a custom derivative, whose own derivative is NaN inside, and none by the size.
 
     Args:
         point: in the frame of the cylinder.
-        size: radius, half of the length, and a number that is not read.
+        size: radius, half-length, and an unused number.
     """
     across, along = length(point[..., :2]) - size[..., 0], jnp.abs(point[..., 2]) - size[..., 1]
     out = jnp.stack([jnp.maximum(across, 0.0), jnp.maximum(along, 0.0)], -1)
@@ -119,7 +119,7 @@ def cylinder_distance(point: Vector, size: Vector) -> Float[Array, "*#n"]:
 
 
 def length(vector: Float[Array, "*#n d"]) -> Float[Array, "*#n"]:
-    """Of a vector; its derivative is zero where it is."""
+    """Length of a vector; at zero its derivative is zero."""
     square = jnp.sum(vector * vector, -1)
     is_zero = square <= 0.0
     return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))

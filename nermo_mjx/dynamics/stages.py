@@ -1,6 +1,6 @@
-"""The stages of MJX's forward dynamics, without what is known to be zero when a program is traced.
+"""The stages of MJX's forward dynamics, without terms that are known to be zero at trace time.
 
-MJX computes the inertia and the bias of tendons with armature, and the joint forces of wrenches on bodies, also where
+MJX computes the inertia and the bias of tendons with armature, and the joint forces of wrenches on bodies, even if
 there are none; for this robot that is a third of the operations. XLA cannot know that a product with zero is zero.
 """
 
@@ -53,5 +53,5 @@ def acceleration(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 
 def is_zero(array: Array | np.ndarray) -> bool:
-    """Whether an array is known to be zero: it is not traced, and it is."""
+    """Whether an array is known to be zero: it is concrete and all zeros."""
     return not isinstance(array, jax.core.Tracer) and not np.any(np.asarray(array))

@@ -1,9 +1,9 @@
 """MJX's passes over the kinematic tree, for all bodies at once.
 
-MJX goes through the tree level by level, and on each by kind of joint: some 170 small operations in a row, which are
-most of what XLA compiles and of what a GPU launches. What is summed up or down the tree is a product with a constant
-matrix of zeros and ones; orientations, which do not sum, are joined to those of ever further ancestors, twice as far
-each time. The numbers are MJX's to rounding.
+MJX goes through the tree level by level, and on each by kind of joint: some 170 small sequential operations, which
+dominate XLA's compile time and a GPU's launches. Here sums up or down the tree are products with a constant matrix of
+zeros and ones; orientations, which do not add up, are composed with those of ancestors at twice the distance each time.
+The results equal MJX's up to rounding.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FREE, BALL, SLIDE, HINGE = (mjx.JointType[name] for name in ("FREE", "BALL", "SL
 
 
 class Tree(NamedTuple):
-    """What is constant of a model's tree, as matrices of zeros and ones.
+    """The structure of a model's tree, as constant matrices of zeros and ones.
 
     Attributes:
         below: (nbody, nbody), which bodies are in the subtree of each, itself among them.
@@ -46,7 +46,7 @@ def tree_of(model: mjx.Model) -> Tree:
     before = moves[body_of] * (joint_of[None, :] < joint_of[:, None])
     for joint in np.flatnonzero(np.asarray(model.jnt_type) == FREE):
         first = int(np.asarray(model.jnt_dofadr)[joint])
-        before[first + 3 : first + 6, first : first + 3] = 1.0  # it turns about a point that moves
+        before[first + 3 : first + 6, first : first + 3] = 1.0  # it rotates about a moving point
     return Tree(below, moves, before)
 
 
@@ -73,7 +73,7 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
             axis = jnp.where(free, np.array([0.0, 0.0, 1.0]), axis)
         anchors, axes = anchors.at[joints].set(anchor), axes.at[joints].set(axis)
         position, orientation = position.at[at].set(moved), orientation.at[at].set(after)
-    if model.nmocap:  # they hang on the world, and have no joints
+    if model.nmocap:  # children of the world, without joints
         led = np.flatnonzero(np.asarray(model.body_mocapid) >= 0)
         chosen = np.asarray(model.body_mocapid)[led]
         position = position.at[led].set(data.mocap_pos[chosen])
@@ -104,7 +104,7 @@ def kinematics(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 def _joint_turns(
     model: mjx.Model, qpos: Float[Array, " nq"]
 ) -> tuple[Float[Array, "njnt 4"], Float[Array, " njnt"], Float[Array, " nq"]]:
-    """By how much each joint turns, and slides [m]; and the positions with quaternions of unit length."""
+    """Rotation and displacement [m] of each joint, and the positions with normalised quaternions."""
     kinds, first = np.asarray(model.jnt_type), np.asarray(model.jnt_qposadr)
     if not len(kinds):
         return jnp.zeros((0, 4), qpos.dtype), jnp.zeros(0, qpos.dtype), qpos
@@ -120,13 +120,13 @@ def _joint_turns(
 
 
 def _by_place(bodies: np.ndarray) -> list[np.ndarray]:
-    """Joints that are the first of their bodies, then those that are the second, and so on."""
+    """The first joints of all bodies, then the second ones, and so on."""
     place = np.array([np.sum(bodies[:joint] == body) for joint, body in enumerate(bodies)], int)
     return [np.flatnonzero(place == each) for each in range(place.max(initial=-1) + 1)]
 
 
 def _in_the_world(parents: np.ndarray, position: Array, orientation: Array) -> tuple[Array, Array]:
-    """Poses in their parents' frames, as poses in the world, whose own is that of no turn and no way."""
+    """Poses in their parents' frames, converted to poses in the world."""
     ancestor = parents
     while ancestor.any():
         turn = orientation[ancestor]
@@ -154,7 +154,7 @@ def _axes(model: mjx.Model, data: mjx.Data, centre: Float[Array, "nbody 3"]) -> 
     kind = np.asarray(model.jnt_type)[joint]
     place = np.arange(model.nv) - np.asarray(model.jnt_dofadr)[joint]  # in its joint
     shifts = (kind == SLIDE) | ((kind == FREE) & (place < 3))
-    # One table of all axes there are: the joints', the bodies' own, and the world's.
+    # One table of all axes: those of joints, of bodies, and of the world.
     table = jnp.concatenate(
         [data.xaxis, jnp.swapaxes(data.xmat, 1, 2).reshape(-1, 3), jnp.eye(3, dtype=data.qpos.dtype)]
     )
@@ -183,7 +183,7 @@ def com_vel(model: mjx.Model, data: mjx.Data) -> mjx.Data:
 
 
 def rne(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.rne`: the forces that gravity and velocities ask of the joints."""
+    """As `mjx.rne`: the joint forces due to gravity and velocities."""
     tree, inertia = tree_of(model), rows.inertias(data)
     falls = jnp.concatenate([jnp.zeros(3, inertia.dtype), -model.opt.gravity])
     if model.opt.disableflags & mjx.DisableBit.GRAVITY:

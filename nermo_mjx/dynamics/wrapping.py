@@ -1,9 +1,9 @@
-"""Where a tendon touches what it is wound round, with derivatives that are finite also where it does not touch.
+"""Wrapping of tendons around geoms, with derivatives that are finite even without contact.
 
-MJX computes the wrap of every tendon and takes what it needs afterwards. Where a tendon runs past its cylinder, or
-begins within it, that is the arcsine of a number above one, and its NaN comes back through the choice as a zero times
-NaN. Here such a tendon is given ends for which all is finite, before; what is chosen stays as it is. The angle on the
-circle is an arctangent: the arccosine has no derivative where the points meet, and half of float32's digits nearby.
+MJX computes the wrap of every tendon and selects afterwards. Where a tendon runs past its cylinder, or begins within
+it, that is the arcsine of a number above one, and its NaN propagates through the selection as zero times NaN. Here such
+a tendon first gets ends for which everything is finite; the selected values do not change. The angle on the circle is
+an arctangent: the arccosine has no derivative where the points meet, and loses half of float32's digits nearby.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mujoco.mjx._src import support
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 _circle: Final = support.wrap_circle
-#: Ends that a wrap of radius 1 has a solution for, from inside and from outside.
+#: Ends for which a wrap of radius 1 has a solution, from inside and from outside.
 _ROUND: Final = (2.0, -0.5, -2.0, -0.5)
 _THROUGH: Final = (2.0, 1.5, -2.0, 1.5)
 
@@ -41,8 +41,8 @@ def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Arra
 def inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Array, Array]:
     """As MJX's `wrap_inside`: length (-1 without a wrap, else about 0), (1,), and the one point, twice.
 
-    The tangent point solves asin(A z) + asin(B z) - 2 asin(z) + G = 0, with the radius over both distances, A and B,
-    and the angle between the ends, G. Its derivative is that of the solution, not of Newton's rounds to it.
+    The tangent point solves asin(A z) + asin(B z) - 2 asin(z) + G = 0, with A and B the radius over both distances, and
+    G the angle between the ends. Its derivative is that of the solution, not of the Newton iterations.
     """
     between, straight = 0.5 * (ends[:2] + ends[2:]), ends[2:] - ends[:2]
     cosine = ends[:2] @ ends[2:] / jnp.maximum(_length(ends[:2]) * _length(ends[2:]), mjMINVAL)
@@ -57,7 +57,7 @@ def inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: flo
     angle = jnp.arctan2(jnp.abs(kept[0] * kept[3] - kept[1] * kept[2]), kept[:2] @ kept[2:])
 
     z, lost = _root(ring / one, ring / other, angle, rounds, tolerance, first)
-    # MJX takes the middle of the ends, on the circle, where it knows no better.
+    # MJX's fallback is the middle of the ends, on the circle.
     middle = radius * between / jnp.maximum(_length(between), mjMINVAL)
     begins = kept[0] * kept[3] - kept[1] * kept[2] > 0.0
     from_, away = jnp.where(begins, kept[:2], kept[2:]), jnp.where(begins, one, other)
@@ -65,7 +65,7 @@ def inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: flo
     cos, sin = jnp.cos(turn), jnp.sin(turn)
     touched = ring / away * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
     point = jnp.where(free, 0.0, jnp.where(parallel | lost, middle, touched))
-    # The length of a point is not zero: MJX takes the root of its square.
+    # The length of a single point is not exactly zero: MJX takes the root of its square.
     return jnp.where(free, -1.0, mjMINVAL)[None], jnp.tile(point, 2)
 
 
@@ -74,7 +74,7 @@ def _apart(z: Array, a: Array, b: Array, angle: Array) -> Array:
 
 
 def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Scalar, Truth]:
-    """z at which `_apart` vanishes, and whether MJX would give up on the way there."""
+    """z at which `_apart` vanishes, and whether MJX's iteration would fail."""
     fixed = jax.lax.stop_gradient((a, b, angle))
 
     def slope(z: Array) -> Array:
@@ -97,17 +97,17 @@ def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, fi
 
 
 def _length(vector: Point) -> Scalar:
-    """Of a vector, at least 1e-15, so that it has a derivative everywhere."""
+    """Length of a vector, at least 1e-15, so that it has a derivative everywhere."""
     return jnp.sqrt(jnp.maximum(vector @ vector, mjMINVAL**2))
 
 
 def _or_else(replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scalar) -> tuple[Ends, Scalar]:
-    """What was given, or such ends about a circle of radius 1."""
+    """The given ends, or valid ends around a circle of radius 1."""
     return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(replace, 1.0, radius)
 
 
 def arc(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:
-    """As MJX's `_length_circle`: length of the arc from one point to the other, the way round that `index` says."""
+    """As MJX's `_length_circle`: length of the arc from one point to the other, in the direction given by `index`."""
     cross = one[1] * other[0] - one[0] * other[1]
     angle = jnp.arctan2(jnp.abs(cross), one @ other)
     far = ((cross > 0.0) & (index != 0)) | ((cross < 0.0) & (index == 0))

@@ -1,4 +1,4 @@
-"""The real robot: servo tables of a gait, the channels that servos hang on, and sending to it."""
+"""The real robot: servo tables of a gait, the servos' channels, and sending angles to the robot."""
 
 from nermo_mjx.hardware.channels import Channel, Channels, read_channels
 from nermo_mjx.hardware.live import connected, play

@@ -1,4 +1,4 @@
-"""Which servo hangs on which channel of a servo board, and how its angle is turned into that of the gait.
+"""Mapping of servos to the channels of a servo board, and conversion of their angles.
 
 A file names the servos that are connected:
 
@@ -8,9 +8,9 @@ A file names the servos that are connected:
 
     servo degrees = zero + direction * angle of the controller in degrees
 
-Channels go up from 0; direction is 1 or -1; `zero` is what the servo is given where the controller says 0; `low` and
-`high` are what it may be given; `missing` is given where the simulated robot has no such servo. `rate` is how often
-they are given angles, and `whole_degrees` how these become whole.
+Channels go up from 0; direction is 1 or -1; `zero` is the servo angle for 0 from the controller; `low` and `high` are
+its limits; `missing` is sent if the simulated robot has no such servo. `rate` is the rate at which angles are sent, and
+`whole_degrees` how they are rounded.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from nermo_mjx.specs.values import Finite, Whole
 
 #: The order of the author's software, by its name.
 PUBLISHED: Final = "published"
-#: How angles become whole degrees.
+#: How angles are rounded to whole degrees.
 WHOLE: Final = {"rounded": np.rint, "truncated": np.trunc}
 
 
 class ChannelFields(Fields):
-    """A servo, as it stands in a file."""
+    """A servo's entry in a file."""
 
     what: ClassVar = "a field of a channel"
     expected: ClassVar = "a mapping such as {channel: 0, direction: 1, zero: 90}"
@@ -72,9 +72,9 @@ class Channel:
         servo: of `SERVOS`.
         number: of the channel, from 0.
         direction: 1 or -1.
-        zero: servo angle where the controller says 0 [deg].
-        low, high: what the servo may be given [deg].
-        missing: servo angle where the simulated robot has no such servo [deg]; None where that is an error.
+        zero: servo angle for 0 from the controller [deg].
+        low, high: limits of the servo angle [deg].
+        missing: servo angle if the simulated robot has no such servo [deg]; None if that is an error.
     """
 
     servo: str
@@ -88,12 +88,12 @@ class Channel:
 
 @dataclasses.dataclass(frozen=True)
 class Channels:
-    """The connected servos, and how they are given their angles.
+    """The connected servos, and the rate and rounding of their angles.
 
     Attributes:
         servos: in the order of their channels.
-        rate: how often they are given angles [Hz]; None where nothing says it.
-        whole_degrees: `rounded` or `truncated`; None for angles that are not made whole.
+        rate: at which angles are sent [Hz]; None if not specified.
+        whole_degrees: `rounded` or `truncated`; None for angles that are not rounded.
     """
 
     servos: tuple[Channel, ...]
@@ -104,7 +104,7 @@ class Channels:
         return iter(self.servos)
 
     def given(self, degrees: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
-        """Angles as the servos are given them [deg]."""
+        """Angles as sent to the servos [deg]."""
         return degrees if self.whole_degrees is None else WHOLE[self.whole_degrees](degrees) + 0.0
 
 

@@ -1,8 +1,8 @@
-"""A gait sent to the robot as time goes by: over MQTT, as the author's software does, or to ROS 2 through rosbridge.
+"""Sending a gait to the robot in real time: over MQTT, as the author's software does, or to ROS 2 through rosbridge.
 
 A message holds one angle for each channel, in their order. Over MQTT it is a JSON list of degrees, whole ones where the
 channels say so, without acknowledgement; to ROS it is a `std_msgs/Float32MultiArray` in radians, as the author's node
-published it. Messages that are late are left out, so that the gait keeps its time.
+published it. Late messages are skipped, so that the gait stays in time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from nermo_mjx.robot.quantity import ParameterError
 
 #: The topic of the author's software.
 TOPIC: Final = "q_values"
-#: How long a broker or bridge may take to answer [s].
+#: Timeout for the answer of a broker or bridge [s].
 PATIENCE: Final = 5.0
 ROS_TYPE: Final = "std_msgs/msg/Float32MultiArray"
 _PORTS: Final = {"mqtt": 1883, "ws": 9090, "wss": 443}
@@ -37,20 +37,20 @@ class SendError(ParameterError):
 
 
 class Sender(Protocol):
-    """Sends the angles of one moment."""
+    """Sends the angles of one row."""
 
     def __call__(self, angles: Float[np.ndarray, " channels"], given: Float[np.ndarray, " channels"]) -> None:
-        """Send the angles [deg], for those who take whole degrees `given`; raises `SendError` where nobody is there."""
+        """Send the angles [deg], or `given`, in whole degrees, if required; raises `SendError` without a connection."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Sent:
-    """How it went.
+    """Statistics of a transmission.
 
     Attributes:
-        messages: sent, and `skipped`, left out because they would have been late.
-        seconds: it took [s].
-        latest: that any message was late [s].
+        messages: number sent; `skipped`: number left out because they would have been late.
+        seconds: duration [s].
+        latest: maximum delay of a message [s].
     """
 
     messages: int
@@ -67,16 +67,16 @@ def play(
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
 ) -> Sent:
-    """Send the rows of a table at their times, again and again, in real time.
+    """Send the rows of a table at their times, repeatedly, in real time.
 
     Args:
         table: of whole gait cycles; after the last row comes the first.
-        send: what takes a row, see `connected`.
-        seconds: for how long; None until a `KeyboardInterrupt`, which ends it like any other end.
-        clock, wait: the time, and how to let it pass [s].
+        send: function that sends a row, see `connected`.
+        seconds: duration; None to send until a `KeyboardInterrupt`, which ends it normally.
+        clock, wait: functions for the time and for waiting [s].
 
     Raises:
-        SendError: the connection is gone.
+        SendError: the connection is lost.
     """
     given, rows = table.given, len(table.time)
     begun, row, messages, latest = clock(), 0, 0, 0.0
@@ -97,15 +97,15 @@ def play(
 
 @contextlib.contextmanager
 def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
-    """A connection to the robot, for as long as the context lasts.
+    """A connection to the robot, as a context manager.
 
     Args:
         url: `mqtt://[USER:PASSWORD@]HOST[:1883]` of a broker, or `ws://HOST[:9090]` of a rosbridge server.
         topic: to which angles are published.
 
     Raises:
-        ParameterError: it is no such URL, or the package for it is missing.
-        SendError: nobody answers, or refuses.
+        ParameterError: the URL is invalid, or the required package is missing.
+        SendError: no answer, or the connection is refused.
     """
     parts = urlsplit(url)
     if parts.scheme not in _PORTS or not parts.hostname:
@@ -137,8 +137,8 @@ def _mqtt(url: SplitResult, topic: str) -> Iterator[Sender]:
             raise SendError(f"{where}: the MQTT broker refuses the connection ({answer[0]}).")
 
         def send(angles: np.ndarray, given: np.ndarray) -> None:
-            # Angles that are not acknowledged: an old one is worth nothing. Where the broker is gone for a while, the
-            # client's thread looks for it, and what was meant for the meantime is left out.
+            # Without acknowledgement: outdated angles are useless. If the broker is away for a while, the client's
+            # thread reconnects, and the messages in between are dropped.
             values = [int(angle) if angle == int(angle) else round(float(angle), 3) for angle in given.tolist()]
             client.publish(topic, json.dumps(values), qos=0)
 

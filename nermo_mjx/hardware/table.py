@@ -26,18 +26,18 @@ from nermo_mjx.robot import ParameterError, Sensors
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.parameters import WorldParameters
 
-#: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate is every so manyth of its ticks.
+#: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate contains every nth of its ticks.
 CONTROL_RATE: Final = 100.0
-#: Rate of a table where nothing says another one [Hz].
+#: Default rate of a table [Hz].
 DEFAULT_RATE: Final = 50.0
 #: Highest rate of a table, and longest table [Hz, rows].
 HIGHEST_RATE: Final = 1000.0
 MOST_ROWS: Final = 1_000_000
 #: A table is periodic when no angle differs more than this between one of its cycles and the next [rad].
 _ALIKE: Final = 1e-6
-#: What head and tail do in answer to sensors.
+#: Head and tail controls that use sensors.
 _ANSWERING: Final = (GAZE, COUNTER_YAW, COUNTER_ROLL, "pitch_balance")
-#: Gait cycles after which a controller that has not settled is given up.
+#: Maximum number of gait cycles for the controller to settle.
 _PATIENCE: Final = 200
 
 
@@ -48,13 +48,14 @@ class ServoTable:
     Attributes:
         names: servos, in the order of their channels.
         time: of each row, from 0, on the controller's clock [s].
-        angles: (rows, servos), before they are made whole [deg].
-        rate: rows a second [Hz]; it differs from the one asked for by so little that the cycles are whole rows.
+        angles: (rows, servos), before rounding [deg].
+        rate: rows per second [Hz]; adjusted slightly from the requested one, so that the cycles are whole numbers of
+        rows.
         cycles: gait cycles in the table.
         frequency: of the gait [Hz].
-        channels: where the servos hang.
+        channels: of the servos.
         speed: highest speed of each servo, (servos,) [deg/s].
-        servo_speed: what the model's servos can do, `servo.speed` [deg/s]; commands are not held back to it.
+        servo_speed: limit of the model's servos, `servo.speed` [deg/s]; commands are not limited to it.
     """
 
     names: tuple[str, ...]
@@ -69,7 +70,7 @@ class ServoTable:
 
     @property
     def given(self) -> Float[np.ndarray, "rows servos"]:
-        """The angles as the servos are given them, in whole degrees where the channels say so [deg]."""
+        """The angles as sent to the servos, rounded to whole degrees if the channels require it [deg]."""
         return self.channels.given(self.angles)
 
     @property
@@ -79,7 +80,7 @@ class ServoTable:
 
     @property
     def too_fast(self) -> str:
-        """Which servos are asked for more than the model's can do, in a sentence; empty if none is."""
+        """A sentence on the servos that exceed the speed of the model's; empty if there are none."""
         names = [f"{name} ({speed:.0f})" for name, speed in zip(self.names, self.speed, strict=True)
                  if speed > self.servo_speed]  # fmt: skip
         what = f"asked for more than the {self.servo_speed:.0f} deg/s that the model's servos can do: "
@@ -89,7 +90,7 @@ class ServoTable:
         """The table as text: comments that begin with #, a line of headings with units, then the rows.
 
         Args:
-            about: what the first comment says of the gait.
+            about: description of the gait, for the first comment.
         """
         lines = [
             *([about] if about else []),
@@ -119,20 +120,21 @@ def servo_table(
     >>> servo_table(Setup(gait="lat"), {"frequency": 0.5}, rate=20.0).angles.shape
     (40, 10)
 
-    The pilot is `open_loop`, whatever the setup says: the turn rate is `pilot.turn_rate`. The table begins at the phase
-    `start.phase`, long after the start, so that filters have settled.
+    The pilot is always `open_loop`, with the turn rate `pilot.turn_rate`. The table begins at the phase `start.phase`,
+    long after the start, so that filters have settled.
 
     Args:
         setup: gait, spine mode, steering, profile, tail.
         values: parameters by name, as for `Simulator.run`, one number each.
-        rate: rows a second of the controller's clock [Hz]; by default the channels' own, or else 50.
+        rate: rows per second of the controller's clock [Hz]; by default that of the channels, or else 50.
         cycles: gait cycles in the table.
-        channels: where the servos hang, see `nermo_mjx.hardware.channels`, or "published", the order of the author's
+        channels: of the servos, see `nermo_mjx.hardware.channels`, or "published", the order of the author's
             software; by default all servos in the order of `SERVOS`, in the controller's convention: hip 0 straight
             down, positive backward; spine positive to the left.
 
     Raises:
-        ParameterError: a wrong argument or parameter, or an angle beyond a servo's limit; the message is one sentence.
+        ParameterError: an invalid argument or parameter, or an angle beyond a servo's limit; the message is one
+        sentence.
     """
     setup = setup or Setup()
     if setup.controller is not None:
@@ -189,7 +191,7 @@ def _check(rate: float, cycles: int) -> None:
 def _steady(
     setup: Setup, params: ControlParameters, phase: float, rows: int, cycles: int, rate: float
 ) -> Float[np.ndarray, "rows servos"]:
-    """Angles [rad] of `rows` rows at `rate`, once one run through them is like the next."""
+    """Angles [rad] of `rows` rows at `rate`, once they repeat from one pass to the next."""
     # Ticks are counted in simulated time, which the controller's own clock may outrun.
     ratio = float(np.asarray(params.tracking.clock_ratio))
     within = max(1, math.ceil(CONTROL_RATE * ratio / rate - 1e-9))
@@ -200,7 +202,7 @@ def _steady(
     # In double precision, so that the phase is exact after many cycles.
     with jax.enable_x64(True):
         exact = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), params)
-        state = _begin(made, servos, exact, phase)  # which no rate changes
+        state = _begin(made, servos, exact, phase)  # the rate does not affect it
         before = None
         for _ in range(max(2, math.ceil(_PATIENCE / cycles))):
             state, angles = _run(controller, servos, exact, state, rows, within)
@@ -213,7 +215,7 @@ def _steady(
 
 @jax.jit(static_argnums=(0, 1))
 def _begin(controller: Controller, servos: tuple[str, ...], params: ControlParameters, phase: float) -> Any:
-    """The state at the start; operation by operation it would take seconds."""
+    """The state at the start, compiled: op by op it would take seconds."""
     return controller.init(params, _still(len(servos)), phase)
 
 
@@ -221,7 +223,7 @@ def _begin(controller: Controller, servos: tuple[str, ...], params: ControlParam
 def _run(
     controller: Controller, servos: tuple[str, ...], params: ControlParameters, state: Any, rows: int, within: int
 ) -> tuple[Any, Any]:
-    """The next rows: before each, the angles as they are, then `within` ticks."""
+    """The next rows: each is the current angles, followed by `within` ticks."""
     sensors = _still(len(servos))
 
     def tick(state: Any, _: None) -> tuple[Any, None]:
@@ -235,7 +237,7 @@ def _run(
 
 
 def _still(n_servos: int) -> Sensors:
-    """What an open loop reads of the robot, which does not matter to it."""
+    """Placeholder sensor readings, which an open loop ignores."""
     shapes = {
         "orientation": 4, "servo_angle": n_servos, "servo_velocity": n_servos, "servo_torque": n_servos,
         "knee_angle": 4, "foot_force": 4, "foot_position": (4, 3), "foot_velocity": (4, 3), "tail_force": (),
@@ -246,7 +248,7 @@ def _still(n_servos: int) -> Sensors:
 def _column(
     channel: Channel, servos: tuple[str, ...], angles: Float[np.ndarray, "rows servos"]
 ) -> Float[np.ndarray, " rows"]:
-    """What a servo is given, from the controller's angles of the robot's servos [deg]."""
+    """The angle sent to a servo, from the controller's angles of the robot's servos [deg]."""
     if channel.servo not in servos:
         assert channel.missing is not None
         return np.full(len(angles), channel.missing)

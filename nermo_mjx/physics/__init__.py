@@ -1,7 +1,7 @@
-"""Physics: engines behind one small protocol, variation of the body within a batch, and a step that can be derived.
+"""Physics: engines behind one small protocol, variation of the body within a batch, and a differentiable step.
 
-Names are imported on first use: `step` and `forward`, which are `nermo_mjx.dynamics`', know nothing of the robot, and
-bring nothing of it; the engine `c` can do without MJX.
+Names are imported on first use: `step` and `forward`, from `nermo_mjx.dynamics`, do not depend on the robot and do not
+import it; the engine `c` works without MJX.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Worlds of the C engine that are driven from outside, a few ticks at a time, and started anew one by one."""
+"""Worlds of the C engine that are driven from outside, a few ticks at a time, and reset individually."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class CDriven(CSession):
             block.params = np.array(block.params)
 
     def observe(self) -> Any:
-        """What all worlds see: leaves (n, ...)."""
+        """Observations of all worlds: leaves (n, ...)."""
         return _joined(self._each(_observed))
 
     def drive(self, inputs: np.ndarray, ticks: int) -> Any:
-        """Run all worlds for some ticks under inputs (n, k); what they see after them, leaves (n, ...)."""
+        """Run all worlds for some ticks with inputs (n, k); returns their observations afterwards, leaves (n, ...)."""
         given = {id(block): inputs[span] for span, block in zip(self._spans, self._blocks, strict=True)}
 
         def run(block: _Block) -> Any:
@@ -36,14 +36,14 @@ class CDriven(CSession):
         return _joined(self._each(run))
 
     def restart(self, worlds: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
-        """Start some worlds anew, at rest.
+        """Reset some worlds, at rest.
 
         Args:
-            worlds: which, (k,), in their order.
+            worlds: indices (k,), in increasing order.
             params, qpos, fields: as for `CSession`, of these worlds.
 
         Returns:
-            What they see, leaves (k, ...).
+            Their observations, leaves (k, ...).
         """
         parts = []
         for span, block in zip(self._spans, self._blocks, strict=True):

@@ -1,9 +1,9 @@
-"""MuJoCo's C engine on all cores, the jitted controller between ticks: CPU batches, and the reference of the others.
+"""MuJoCo's C engine on all cores, with the jitted controller between ticks: CPU batches, and the reference engine.
 
-A batch is cut into blocks. Each core takes one block after the other through all ticks, so that no core waits for
-another between two ticks, nor for the controller. The controller is always compiled for `LANES` worlds, and in that
-shape a world's numbers depend neither on its place nor on its neighbours: results are the same, bit for bit, whatever
-the batch, its order, or the number of cores.
+A batch is cut into blocks. Each core takes one block after the other through all ticks, so no core waits for another
+one, or for the controller, between ticks. The controller is always compiled for `LANES` worlds, and in that shape a
+world's results depend neither on its position nor on its neighbours: they are bit-identical for any batch, order and
+number of cores.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import start_jax, thread_count
 from nermo_mjx.shapes import Array
 
-#: Worlds of every call of the compiled loop; what is missing is filled up. XLA rounds by the shape of a batch.
+#: Number of worlds in every call of the compiled loop, padded if necessary: XLA's rounding depends on the batch's
+#: shape.
 LANES: Final = 32
-#: Fewest worlds for which a block of their own pays, its call of the loop included.
+#: Minimum number of worlds for which a separate block pays off, including its call of the loop.
 LEAST: Final = 8
 
 Result = TypeVar("Result")
@@ -38,7 +39,7 @@ Result = TypeVar("Result")
 
 @contextlib.contextmanager
 def _warnings_logged() -> Iterator[None]:
-    """Log what MuJoCo warns of, at level debug; by itself it prints, and leaves a file in the working directory."""
+    """Log MuJoCo's warnings at level debug; by default it prints them, and writes a file to the working directory."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(logging.getLogger(__name__).debug)
     try:
@@ -55,8 +56,8 @@ class CEngine:
     def __init__(self, robot: Robot, loop: Loop, threads: int | None = None) -> None:
         """
         Args:
-            robot, loop: what runs.
-            threads: processors that share a batch; None for `$NERMO_MJX_THREADS`, or all of them.
+            robot, loop: to simulate.
+            threads: processors that share a batch; None for `$NERMO_MJX_THREADS`, or else all.
 
         Raises:
             ParameterError: fewer than one thread.
@@ -74,7 +75,7 @@ class CEngine:
         return CSession(self, params, qpos, fields)
 
     def packed(self, params: Any, sensordata: np.ndarray) -> PackedLoop:
-        """The loop for parameters like these; compiled once."""
+        """The loop for parameters of this structure; compiled once."""
         leaves, structure = jax.tree.flatten(params)
         kind = (
             structure,
@@ -87,7 +88,7 @@ class CEngine:
 
     @functools.cached_property
     def pool(self) -> ThreadPoolExecutor:
-        """The threads, one a core."""
+        """The threads, one per core."""
         return ThreadPoolExecutor(self.threads, thread_name_prefix="nermo_mjx")
 
 
@@ -104,7 +105,7 @@ class CSession:
             lanes = np.pad(span, (0, LANES - len(span)), mode="edge")
             part = jax.tree.map(lambda leaf, lanes=lanes: np.asarray(leaf)[lanes], params)
             self._blocks.append(_Block(engine, part, qpos[span], {k: v[span] for k, v in fields.items()}, threads))
-        self.loop.step(*self.arguments)  # compiled before several threads want it at once
+        self.loop.step(*self.arguments)  # compiled before several threads need it at the same time
 
     @property
     def loop_state(self) -> Any:
@@ -114,7 +115,7 @@ class CSession:
 
     @property
     def unsolved(self) -> np.ndarray:
-        """See `Session.unsolved`; C's own solver does not say."""
+        """See `Session.unsolved`; the C solver does not report it."""
         return np.zeros(sum(map(len, self._spans)), int)
 
     @property
@@ -124,7 +125,7 @@ class CSession:
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
-        """Of a call of `loop.step`: `LANES` worlds, whatever the batch."""
+        """Worlds in a call of `loop.step`: always `LANES`."""
         return self._blocks[0].arguments
 
     @property
@@ -152,10 +153,10 @@ class CSession:
             block.moving = np.flatnonzero(~done[span])
 
     def _each(self, work: Callable[[_Block], Result]) -> list[Result]:
-        """What `work` returns for each block, the blocks side by side on all cores."""
+        """The results of `work` for each block, with the blocks in parallel on all cores."""
 
         def run(block: _Block) -> Result:
-            with jax.enable_x64(self._x64):  # a setting of each thread
+            with jax.enable_x64(self._x64):  # a thread-local setting
                 return work(block)
 
         with _warnings_logged():
@@ -165,7 +166,7 @@ class CSession:
 
 
 class _Block:
-    """Some worlds of a batch: n in MuJoCo, and the loop beside them in `LANES` lanes of which the first n count."""
+    """Some worlds of a batch: n in MuJoCo, and their loop in `LANES` lanes, of which the first n are used."""
 
     def __init__(
         self, engine: CEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray], threads: int
@@ -192,7 +193,7 @@ class _Block:
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
-        """Of the next call of `loop.step`."""
+        """Time at the next call of `loop.step`."""
         return self.loop.once, self.params, self._state, self._sensordata
 
     def advance(self, ticks: int) -> None:
@@ -221,7 +222,7 @@ class _Block:
         try:
             self.batch.rollout(self.steps, record=("sensordata",), ids=ids, out={"sensordata": out})
         except SimulationError as error:
-            # The worlds that failed kept their state; the loop sees them as diverged, the others are not touched.
+            # Failed worlds keep their state and are marked as diverged for the loop; the others are unaffected.
             lost = error.ids
         if ids is not None:
             readings[ids] = out
@@ -233,7 +234,7 @@ class _Block:
 
 
 def _spans(worlds: int, threads: int) -> list[np.ndarray]:
-    """Worlds of each block: alike many, as many blocks as keep all threads busy to the end."""
+    """Worlds of each block: of equal size, and enough blocks to keep all threads busy to the end."""
     fewest = math.ceil(worlds / LANES)
     even = math.ceil(fewest / threads) * threads
     return np.array_split(np.arange(worlds), min(even, max(fewest, worlds // LEAST)))

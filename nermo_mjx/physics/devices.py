@@ -1,7 +1,7 @@
-"""The local devices that a batch of worlds is divided among.
+"""Sharding of a batch of worlds over the local devices.
 
-Each device runs its own worlds and never waits for another one: the program is divided with `jax.shard_map`. Under
-JAX's automatic partition the end of the solver's loop would be agreed upon by all devices in each of its iterations.
+Each device runs its own worlds and never waits for another one: the program is sharded with `jax.shard_map`. With JAX's
+automatic partitioning all devices would synchronise in each iteration of the solver's loop.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runtime import cpu_batch_limit, start_jax
 
-#: Environment variable with the number of devices, where a caller does not say.
+#: Environment variable with the default number of devices.
 VARIABLE: Final = "NERMO_MJX_DEVICES"
-#: Where the worlds of an argument or a result are: along the first axis, along the second, or nowhere.
+#: World axis of an argument or a result: the first axis, the second, or none.
 FIRST: Final = PartitionSpec("worlds")
 SECOND: Final = PartitionSpec(None, "worlds")
 NOWHERE: Final = PartitionSpec()
@@ -28,31 +28,31 @@ NOWHERE: Final = PartitionSpec()
 
 @dataclasses.dataclass(frozen=True)
 class Devices:
-    """Devices among which a batch is divided by worlds.
+    """Devices over which the worlds of a batch are sharded.
 
     Attributes:
-        mesh: of one axis, `worlds`; None for one device, where nothing is divided.
+        mesh: of one axis, `worlds`; None for a single device.
     """
 
     mesh: Mesh | None = None
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of devices."""
         return 1 if self.mesh is None else int(self.mesh.size)
 
     def padded(self, worlds: int) -> int:
-        """Worlds of a batch that has as many for each device, `worlds` or a few more."""
+        """`worlds`, rounded up to a multiple of the number of devices."""
         return -(-worlds // self.count) * self.count
 
     def put(self, tree: Any) -> Any:
-        """Arrays (n, ...) with their worlds on the devices, (padded(n), ...); the last world fills up."""
+        """Arrays (n, ...) sharded over the devices, (padded(n), ...); the last world is repeated as padding."""
         if self.mesh is None:
             return jax.device_put(tree)
         return jax.device_put(jax.tree.map(self._filled, tree), NamedSharding(self.mesh, FIRST))
 
     def take(self, tree: Any, worlds: int) -> Any:
-        """The arrays of what `put` and a divided function gave, without the worlds that filled up; on the host."""
+        """Arrays from `put` or a sharded function without the padding, on the host."""
         if self.mesh is None:
             return tree
         return jax.tree.map(lambda leaf: leaf[:worlds], jax.device_get(tree))
@@ -66,7 +66,7 @@ class Devices:
         """
         if self.mesh is None:
             return function
-        # Without JAX's check of what differs between devices, which loops of other libraries do not pass.
+        # Without JAX's check of varying values, which loops in other libraries fail.
         return jax.shard_map(function, mesh=self.mesh, in_specs=arguments, out_specs=results, check_vma=False)
 
     def _filled(self, leaf: Any) -> np.ndarray:
@@ -75,25 +75,25 @@ class Devices:
 
 
 def choose_devices(wanted: int | None = None) -> Devices:
-    """The local devices that this process computes on.
+    """The local devices that this process uses.
 
     Args:
-        wanted: how many; None for `$NERMO_MJX_DEVICES`, or all of them.
+        wanted: number of devices; None for `$NERMO_MJX_DEVICES`, or else all.
 
     Raises:
-        ParameterError: there are not as many.
+        ParameterError: there are fewer devices.
     """
     start_jax()
     local = jax.local_devices()
     count = _wanted(wanted, len(local))
-    # Where batches must stay small, so that no program hangs, they run in parts on one device.
+    # Where batches must stay small to keep programs from hanging, they run in parts on one device.
     if count == 1 or batch_limit() is not None:
         return Devices()
     return Devices(Mesh(np.array(local[:count]), ("worlds",)))
 
 
 def batch_limit() -> int | None:
-    """Most worlds of one program on this backend; see `runtime.cpu_batch_limit`."""
+    """Maximum number of worlds in one program on this backend; see `runtime.cpu_batch_limit`."""
     return cpu_batch_limit() if jax.default_backend() == "cpu" else None
 
 

@@ -1,7 +1,7 @@
-"""The protocol of the physics engines, and the choice of one.
+"""The protocol of the physics engines, and their selection.
 
 An engine advances a batch of worlds by control ticks. In each tick the *loop* (controller and metrics, pure functions
-that know nothing of engines) reads the sensors of the tick before and sets the servos; then the physics runs
+that do not depend on the engine) reads the sensors of the previous tick and sets the servos; then the physics runs
 `steps_per_tick` steps. The loop is the same code in every engine: traced into the scan (`mjx`, `warp`), or jitted and
 called between ticks (`c`).
 """
@@ -22,14 +22,14 @@ ENGINES = ("auto", "c", "mjx", "warp")
 
 @runtime_checkable
 class Loop(Protocol):
-    """What runs between two ticks of physics, in one world; pure, jittable functions over pytrees."""
+    """Computation between two ticks of physics, in one world; pure, jittable functions of pytrees."""
 
     @property
     def steps_per_tick(self) -> int:
-        """Physics steps in a control tick."""
+        """Physics steps per control tick."""
 
     def init(self, params: Any, sensordata: Any) -> Any:
-        """First state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
+        """Initial state of the loop, from the parameters and the sensors (n_sensordata,) at rest."""
 
     def step(self, params: Any, state: Any, sensordata: Any) -> tuple[Any, Any]:
         """New state and `ctrl` (n_servos,) from the last tick's sensors, (steps_per_tick, n_sensordata)."""
@@ -37,18 +37,18 @@ class Loop(Protocol):
 
 @runtime_checkable
 class DrivenLoop(Loop, Protocol):
-    """A loop that is told something anew before some of its ticks, and says what it sees after them."""
+    """A loop that receives inputs before some of its ticks, and returns observations after them."""
 
     def input(self, params: Any) -> Any:
-        """The array (k,) among the parameters that is told."""
+        """The input array (k,) among the parameters."""
 
     def observe(self, params: Any, state: Any, sensordata: Any) -> Any:
-        """What is seen after a tick, any pytree, from the state before its `step` and the tick's sensors."""
+        """Observations after a tick, any pytree, from the state before its `step` and the tick's sensors."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """What a recorded run leaves, world first, one entry a tick.
+    """The data of a recorded run, world first, one entry per tick.
 
     Attributes:
         qpos, qvel: state at the end of each tick, (n, ticks, nq) and (n, ticks, nv).
@@ -64,7 +64,7 @@ class Trace:
 
 @runtime_checkable
 class Session(Protocol):
-    """A batch of worlds in motion."""
+    """A batch of worlds being simulated."""
 
     @property
     def loop_state(self) -> Any:
@@ -72,21 +72,22 @@ class Session(Protocol):
 
     @property
     def unsolved(self) -> np.ndarray:
-        """Steps so far of each world (n,) in which the constraint solver did not come to its end, where it says so."""
+        """Number of steps of each world (n,) in which the constraint solver did not converge, if the solver reports
+        it."""
 
     def advance(self, ticks: int) -> None:
         """Run all worlds for `ticks` control ticks."""
 
     def record(self, ticks: int) -> Trace:
-        """Like `advance`, and return what happened."""
+        """Like `advance`, and return the recorded data."""
 
     def retire(self, done: np.ndarray) -> None:
-        """Nothing more is wanted of the worlds in the mask (n,): their physics may stand still from now on."""
+        """Declare the worlds in the mask (n,) finished: their physics need not be stepped from now on."""
 
 
 @runtime_checkable
 class Engine(Protocol):
-    """Opens sessions for one robot and one loop; programs compiled for it are shared by its sessions."""
+    """Opens sessions for one robot and one loop, which share compiled programs."""
 
     name: str
 
@@ -101,13 +102,13 @@ class Engine(Protocol):
 
 
 def resolve_engine(name: str) -> str:
-    """The engine that a name stands for on this machine.
+    """The engine that a name selects on this machine.
 
     `auto` is `c` on a CPU, `warp` on an NVIDIA GPU where Warp is installed, and `mjx` on any other accelerator.
 
     Raises:
-        ParameterError: an unknown name, or an engine that cannot run here; the message has the remedy.
-        BackendUnavailable: JAX cannot compute where `JAX_PLATFORMS` wants it to.
+        ParameterError: an unknown name, or an engine that cannot run here; the message names the remedy.
+        BackendUnavailable: JAX cannot use the platform in `JAX_PLATFORMS`.
     """
     if name not in ENGINES:
         raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
@@ -138,11 +139,11 @@ def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None,
     Args:
         name: see `resolve_engine`.
         robot, loop: what runs.
-        devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or all of them.
-        threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
+        devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
+        threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or else all.
 
     Raises:
-        ParameterError: an unknown engine, one that cannot run here, not as many devices, or no thread.
+        ParameterError: an unknown engine, one that cannot run here, too many devices, or no thread.
     """
     chosen = resolve_engine(name)
     if chosen == "c":

@@ -1,9 +1,9 @@
-"""Geometry within a batch: from lengths and places to the fields of MuJoCo's model.
+"""Geometry within a batch: from lengths and positions to the fields of MuJoCo's model.
 
-All places in the model are linear in the geometry, because its zero pose keeps its angles (`robot.assembly`). Their
-slopes are therefore read off models that assembly has compiled at both ends of a parameter's range, so that a world has
-what its own model would have, by construction. What is not linear has a closed form here: inertias, bounding spheres,
-and the limits of tendons.
+All positions in the model are linear in the geometry, because its zero pose keeps its angles (`robot.assembly`). Their
+slopes are therefore computed from models compiled at both ends of a parameter's range, so that a world's fields equal
+those of its own model, by construction. The nonlinear ones have a closed form here: inertias, bounding spheres, and the
+limits of tendons.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class GeometryFields:
     def __init__(self, robot: Robot, named: Iterable[str]) -> None:
         """
         Args:
-            robot: whose models are compiled, two for each name.
+            robot: to compile models of, two for each name.
             named: names such as `geometry.hip.x`.
         """
         self.names = tuple(sorted(named))
@@ -69,7 +69,8 @@ class GeometryFields:
 
     @functools.cached_property
     def _turning(self) -> dict[int, int]:
-        """Bodies whose principal axes turn, and about which one: the hip, with the tail that is fixed to it."""
+        """Bodies whose principal axes turn, and the axis that they turn about: the hip, with the tail that is fixed to
+        it."""
         _, slope, curve = self._inertia
         change = np.abs(np.einsum("bji,pbjk,bkl->pbil", self._turn, np.concatenate([slope, curve]), self._turn))
         found: dict[int, int] = {}
@@ -113,7 +114,7 @@ class GeometryFields:
     def _inertias(self, more: Float[Array, " p"], com: Float[Array, "nbody 3"]) -> dict[str, Float[Array, ...]]:
         """Principal moments, and the axes that turn, from inertia tensors about the bodies' origins.
 
-        Those are parabolas of the parameters: masses stay, and places are linear.
+        The tensors are quadratic in the parameters: masses are constant, and positions linear.
         """
         base, slope, curve = (jnp.asarray(each, float) for each in self._inertia)
         about_origin = base + jnp.tensordot(more, slope, 1) + jnp.tensordot(more**2, curve, 1)
@@ -157,10 +158,10 @@ def _geometry(name: str, value: float) -> Geometry:
 
 @dataclasses.dataclass(frozen=True)
 class _Read:
-    """What is read off a model in its zero pose.
+    """Quantities of a model in its zero pose.
 
     Attributes:
-        linear: fields, and places of sites and geoms in the world.
+        linear: fields, and world positions of sites and geoms.
         inertia: tensors about the bodies' origins, in the bodies' frames (nbody, 3, 3).
         turn: principal axes in the bodies' frames (nbody, 3, 3).
     """
@@ -186,26 +187,26 @@ class _Read:
 
 
 def _of_point(mass: Any, place: Any, xp: Any) -> Any:
-    """Inertia tensors (n, 3, 3) about the origin of point masses (n,) at places (n, 3)."""
+    """Inertia tensors (n, 3, 3) about the origin of point masses (n,) at positions (n, 3)."""
     square = xp.sum(place**2, axis=-1)[:, None, None] * xp.eye(3)
     return mass[:, None, None] * (square - place[:, :, None] * place[:, None, :])
 
 
 def _parabola(a: float, at_a: np.ndarray, b: float, at_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slope and curvature at 0 of parabolas through 0 there, from their values at a < 0 and at b > 0."""
+    """Slope and curvature at 0 of parabolas through the origin, from their values at a < 0 and b > 0."""
     curve = (at_b / b - at_a / a) / (b - a)
     return at_a / a - curve * a, curve
 
 
 def _principal(own: Float[Array, "3 3"], fixed: int) -> tuple[np.ndarray, Float[Array, " 2"], Array]:
-    """Principal moments of an inertia tensor of which one axis is principal already.
+    """Principal moments of an inertia tensor with one principal axis known.
 
     Returns:
-        The numbers of the other two axes, their moments, and the angle about the fixed one to the principal axes.
+        The indices of the other two axes, their moments, and the angle about the fixed one to the principal axes.
     """
     first, second = (fixed + 1) % 3, (fixed + 2) % 3
     a, b, c = own[first, first], own[first, second], own[second, second]
-    # The axes keep their order, and turn by less than 45 degrees.
+    # The axes keep their order and turn by less than 45 degrees.
     angle = 0.5 * jnp.arctan2(2.0 * b * jnp.sign(a - c), jnp.abs(a - c))
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     moments = jnp.stack([
@@ -224,16 +225,16 @@ def _turned(quat: Float[Array, " 4"], axis: int, angle: Array) -> Float[Array, "
 
 @dataclasses.dataclass(frozen=True)
 class _Antagonist:
-    """A tendon through sites that wraps around one pulley: its length while all is straight.
+    """A tendon through sites that wraps around one pulley: its length with all joints straight.
 
     Attributes:
         id: of the tendon.
         sites: ids in order.
         pulley: its geom.
-        span: number of the first of the two sites between which the pulley is.
+        span: index of the first of the two sites on either side of the pulley.
         frame: axes of the pulley in the world, columns.
-        turn: +1 or -1, the sense about the pulley's axis in which the tendon runs around it.
-        places: of all sites and geoms of the published robot in the world.
+        turn: +1 or -1, the sense about the pulley's axis in which the tendon wraps around it.
+        places: world positions of all sites and geoms of the published robot.
     """
 
     id: int
@@ -260,7 +261,7 @@ class _Antagonist:
         return min(both, key=lambda each: abs(float(each.length(places, size, np)) - model.tendon_length0[tendon]))
 
     def length(self, places: Mapping[str, Any], size: Any, xp: Any = jnp) -> Any:
-        """[m], of places in the world and the geoms' sizes."""
+        """Length [m] from world positions and the geoms' sizes."""
         points = places["site_xpos"][self.sites]
         spans = xp.sqrt(xp.sum((points[1:] - points[:-1]) ** 2, axis=-1))
         ends = (points[self.span : self.span + 2] - places["geom_xpos"][self.pulley]) @ xp.asarray(self.frame)
@@ -268,6 +269,6 @@ class _Antagonist:
         angle = xp.arctan2(ends[:, 1], ends[:, 0])
         arc = (self.turn * (angle[1] - angle[0]) - xp.sum(xp.arccos(radius / distance))) % (2.0 * np.pi)
         flat = xp.sum(xp.sqrt(distance**2 - radius**2)) + radius * arc
-        # Unrolled, the way around a cylinder is straight.
+        # Unrolled, the path around a cylinder is straight.
         wrapped = xp.sqrt(flat**2 + (ends[1, 2] - ends[0, 2]) ** 2)
         return xp.sum(spans) - spans[self.span] + wrapped

@@ -32,7 +32,7 @@ from nermo_mjx.shapes import Array, Count, Dofs, Truth
 
 
 class MjxState(NamedTuple):
-    """What the physics carries from step to step in one world."""
+    """The physics' carry of one world from step to step."""
 
     qpos: Float[Array, " nq"]
     qvel: Dofs
@@ -41,13 +41,13 @@ class MjxState(NamedTuple):
 
 
 class Carry(NamedTuple):
-    """What the scan carries in one world.
+    """The scan's carry of one world.
 
     Attributes:
         physics: state.
         loop: the loop's state.
         sensordata: readings of the last tick's steps.
-        unsolved: steps so far in which the constraint solver did not come to its end.
+        unsolved: number of steps in which the constraint solver did not converge.
     """
 
     physics: MjxState
@@ -64,11 +64,11 @@ class MjxEngine:
     def __init__(self, robot: Robot, loop: Loop, devices: int | None = None) -> None:
         """
         Args:
-            robot, loop: what runs.
-            devices: local devices that share a batch; None for `$NERMO_MJX_DEVICES`, or all of them.
+            robot, loop: to simulate.
+            devices: local devices that share a batch; None for `$NERMO_MJX_DEVICES`, or else all.
 
         Raises:
-            ParameterError: there are not as many devices.
+            ParameterError: there are fewer devices.
         """
         self.robot, self.loop = robot, loop
         self.devices = choose_devices(devices)
@@ -79,12 +79,12 @@ class MjxEngine:
         self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3, compiler_options=options)
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
-        """The model for MJX, and data of a world alone."""
+        """The model for MJX, and data of a single world."""
         ours = mjx.put_model(model)
         return ours, mjx.make_data(ours)
 
     def data_among(self, worlds: int) -> mjx.Data:
-        """Data of one of so many worlds that a device runs together."""
+        """Data of one of the worlds that a device runs together."""
         return self.data
 
     def open(self, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> MjxSession:
@@ -96,7 +96,7 @@ class MjxEngine:
         return differentiable.step(model, data)
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
-        """Whether the constraint solver did not come to its end in the step that gave the data."""
+        """Whether the constraint solver did not converge in the step that produced the data."""
         return rows.solver_rounds(data) > ROUNDS
 
     @full_precision
@@ -112,9 +112,9 @@ class MjxEngine:
         """One control tick of one world: the new carry, and the servos' targets.
 
         Args:
-            params, fields: of the loop, and what differs from the model.
+            params, fields: of the loop, and fields that differ from the model's.
             carry: before the tick.
-            shown: whether all sensors are wanted, also those that the loop does not read.
+            shown: whether to compute all sensors, including those that the loop does not read.
         """
         return self._tick(False, shown, self.data, params, fields, carry)
 
@@ -124,11 +124,11 @@ class MjxEngine:
     ) -> tuple[Carry, Array]:
         """`tick` of one world, or of all worlds of a device.
 
-        Inside the loop over the steps, `vmap` meets the physics as it is traced, and not once more afterwards.
+        With `vmap` inside the loop over the steps, the physics is batched while it is traced, not in a second pass.
 
         Args:
-            batched: whether there are several worlds.
-            shown: whether all sensors are wanted, also those that the loop does not read.
+            batched: whether there is more than one world.
+            shown: whether to compute all sensors, including those that the loop does not read.
             blank, params, fields, carry: data of one of them, and as in `tick`.
         """
 
@@ -166,7 +166,7 @@ class MjxEngine:
     def _ticks(
         self, params: Any, fields: dict[str, Array], shown: bool = False
     ) -> Callable[[Carry], tuple[Carry, Array]]:
-        """`tick` for all worlds of a device; with all sensors where what they read is shown."""
+        """`tick` for all worlds of a device; computes all sensors if their readings are returned."""
         return lambda carry: self._tick(True, shown, self.data_among(len(carry.physics.qpos)), params, fields, carry)
 
     def _open_worlds(self, params: Any, qpos: Array, qvel: Array, sensordata: Array) -> Carry:
@@ -229,7 +229,7 @@ class MjxSession:
         return Trace(*(column[: self.worlds] for column in joined))
 
     def retire(self, done: np.ndarray) -> None:
-        """See `Session.retire`; all worlds are one program here, so there is nothing to save."""
+        """See `Session.retire`; all worlds run in one program here, so nothing can be saved."""
 
     def _part(self, span: slice) -> tuple[Any, Any, Any]:
         if len(self.slices) == 1:

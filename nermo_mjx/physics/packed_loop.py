@@ -1,7 +1,7 @@
-"""A loop for a batch of worlds, with its parameters and its state as one row of numbers a world.
+"""A loop for a batch of worlds, with its parameters and its state packed into one row per world.
 
-Each array that goes into a compiled program or comes out of it costs a microsecond or two. The loop has a hundred,
-which for a few worlds is half of a call.
+Each input and output array of a compiled program costs a microsecond or two. The loop has a hundred, which is half the
+time of a call with few worlds.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from nermo_mjx.shapes import Array
 class PackedLoop:
     """`Loop.init` and `Loop.step` over rows, jitted.
 
-    Whole numbers and flags are held as floats, exactly up to 2^24: control ticks of 46 hours.
+    Integers and flags are stored as floats, exact up to 2^24: the control ticks of 46 hours.
     """
 
     def __init__(self, loop: Loop, params: Any, sensordata: np.ndarray) -> None:
         """
         Args:
             loop: of one world.
-            params: of a batch like those to come, leaves (n, ...).
+            params: of an example batch, leaves (n, ...).
             sensordata: readings of that batch (n, n_sensordata).
         """
         one = jax.eval_shape(lambda params: jax.tree.map(lambda leaf: leaf[0], params), params)
-        # Jitted, what is used twice is traced once.
+        # Jitted, so that functions used twice are traced once.
         start = jax.jit(full_precision(loop.init), inline=True)
         state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], sensordata.dtype))
         unpack_params, unpack_state = _unpacking(one), _unpacking(state)
@@ -54,10 +54,11 @@ class PackedLoop:
             return ravel_pytree(after)[0], ctrl
 
         def step_once(once: Any, params: Array, state: Array, sensordata: Array) -> tuple[Array, Array]:
-            """One step, as a loop of one round that XLA makes a single function of (`runtime.EXTRA_OPTIONS`)."""
+            """One step, as a loop with one iteration that XLA compiles to a single function
+            (`runtime.EXTRA_OPTIONS`)."""
 
             def body(round_: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-                # Tied to the round, or else what depends on them alone would be moved out of the loop.
+                # Made to depend on the iteration, or else computations on them alone would be hoisted out of the loop.
                 _, given, readings = jax.lax.optimization_barrier((round_, params, sensordata))
                 return step(given, carry[0], readings)
 
@@ -72,23 +73,24 @@ class PackedLoop:
         self.step = jax.jit(step_once, compiler_options=options)
         if isinstance(loop, DrivenLoop):
             self._observe(loop, unpack_params, unpack_state, one)
-        #: First argument of `step`: not a constant, or XLA would see that the loop is none.
+        #: First argument of `step`: not a constant, or XLA would remove the loop.
         self.once = jax.device_put(np.int32(1))
 
     def _observe(self, loop: DrivenLoop, unpack_params: Any, unpack_state: Any, one: Any) -> None:
-        """What a loop has that is told and asked."""
+        """The additional interface of a driven loop."""
 
         def observe(params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]) -> Any:
             return loop.observe(unpack_params(params), unpack_state(state), sensordata)
 
         self.observe = jax.jit(full_precision(jax.vmap(observe)), compiler_options=compiler_options())
         places = np.arange(sum(leaf.size for leaf in jax.tree.leaves(one)))
-        #: Columns of the packed parameters that are told.
+        #: Columns of the packed parameters that hold the inputs.
         self.input = np.asarray(loop.input(unpack_params(jnp.asarray(places, float)))).astype(int)
 
 
 def _unpacking(tree: Any) -> Callable[[Array], Any]:
-    """What makes a tree of such shapes of its row; found without computing one, which compiles many small programs."""
+    """Function from a row to a tree of these shapes; built without computing one, which would compile many small
+    programs."""
     found: list[Callable[[Array], Any]] = []
     jax.eval_shape(lambda tree: found.append(ravel_pytree(tree)[1]), tree)
     return found[0]

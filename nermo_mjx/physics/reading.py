@@ -1,4 +1,4 @@
-"""Sensors that nobody reads are not computed: an accelerometer alone is a pass over the whole tree and back."""
+"""Skips sensors that are not read: an accelerometer alone takes a pass over the whole tree and back."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from nermo_mjx.dynamics.mjx_import import mjx
 
 
 def read_entries(program: ClosedJaxpr, size: int) -> Bool[np.ndarray, " size"]:
-    """Which entries of its last argument a program reads for what it returns.
+    """The entries of its last argument that a program's results depend on.
 
     Args:
-        program: its last argument is (..., size); a part of it that is not taken by slices counts as all of it.
+        program: its last argument is (..., size); any use other than slicing counts as reading all of it.
         size: length of that argument's last axis.
     """
     last, read = program.jaxpr.invars[-1], np.zeros(size, bool)
@@ -33,7 +33,7 @@ def read_entries(program: ClosedJaxpr, size: int) -> Bool[np.ndarray, " size"]:
 
 
 def with_sensors(model: mjx.Model, read: Bool[np.ndarray, " nsensordata"]) -> mjx.Model:
-    """The model with those sensors alone that fill entries which are read; the entries stay where they are."""
+    """The model with only the sensors whose entries are read; the entries keep their positions."""
     if read.all():
         return model
     kept = np.array(

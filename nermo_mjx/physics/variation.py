@@ -31,7 +31,7 @@ from nermo_mjx.shapes import Array
 if TYPE_CHECKING:
     from nermo_mjx.dynamics.place_constants import PlaceConstants
 
-#: Model fields that each group of body parameters reaches.
+#: Model fields that each group of body parameters affects.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
@@ -43,11 +43,11 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "geometry": ("body_pos", "body_ipos", "body_iquat", "body_inertia", "site_pos", "geom_pos", "geom_size",
                  "geom_rbound", "tendon_range"),
 }  # fmt: skip
-#: What a model has that is built with its geometry.
+#: Model fields that depend on the geometry.
 _BUILT: Final = frozenset(("body_pos", "body_ipos", "body_iquat", "site_pos", "tendon_range"))
-#: Of these follow the constants below.
+#: Fields that the constants below are derived from.
 _MASSES_AND_PLACES: Final = frozenset(("body_mass", "body_inertia", "body_pos", "body_ipos", "body_iquat", "site_pos"))
-#: Constants that MuJoCo derives from masses and places (`mj_setConst`) and that MJX's step reads.
+#: Constants that MuJoCo derives from masses and positions (`mj_setConst`) and that MJX's step reads.
 DERIVED_FIELDS: Final = (
     "body_subtreemass",
     "body_invweight0",
@@ -93,7 +93,7 @@ class Variation:
             lengths: names of the parameters of its geometry that may differ from the published ones.
         """
         p, model = parameters, self.model
-        # Each array with its type: JAX remembers which one it gave an array of NumPy's, also under another precision.
+        # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
         gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(p.servo.kp)
         bias = jnp.asarray(model.actuator_biasprm, float).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
         limit = jnp.asarray(p.servo.torque_limit)
@@ -136,7 +136,7 @@ class Variation:
         }  # fmt: skip
 
     def _shaped(self, shape: TerrainShape, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
-        """Fields of the geoms that a terrain's shape moves, beside those of the robot; none in another scene."""
+        """Fields of the geoms that a terrain's shape moves, merged with those of the robot; none in other scenes."""
         model, geoms = self.model, self._terrain
         if not len(geoms):
             return {}
@@ -144,7 +144,7 @@ class Variation:
         pos, quat, size = (jnp.asarray(each, float) for each in kind.layout(shape, jnp))
         moved = {"geom_pos": pos, "geom_quat": quat}
         if kind.geom == mujoco.mjtGeom.mjGEOM_HFIELD:
-            # As shares of the height that was compiled: MJX knows that one when it traces.
+            # As shares of the compiled height, which MJX knows at trace time.
             highest = model.hfield_size[model.geom_dataid[geoms[0]], 2]
             moved.pop("geom_quat")
             heights = {"hfield_data": jnp.asarray(field_shares().ravel(), float) * (shape.height / highest)}
@@ -162,20 +162,20 @@ class Variation:
         return {}
 
     def _geometry(self, lengths: tuple[str, ...]) -> GeometryFields:
-        """Made once for each combination of names."""
+        """Created once for each combination of names."""
         if lengths not in self._geometries:
             self._geometries[lengths] = GeometryFields(self._robot, lengths)
         return self._geometries[lengths]
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
-        """The fields that the named parameters reach, (worlds, ...) each; the others keep the model's values.
+        """The fields that the named parameters affect, (worlds, ...) each; the others keep the model's values.
 
         Which fields are returned depends on the names alone, so that new values never change a compiled program.
 
         Args:
             parameters: leaves of shape () or (worlds,).
             worlds: size of the batch.
-            named: names such as `contact.friction`; those that are not body parameters are passed over.
+            named: names such as `contact.friction`; those that are not body parameters are ignored.
         """
         named = tuple(named)
         reached = _reached(named)
@@ -188,7 +188,7 @@ class Variation:
         return {name: np.asarray(fields[name], float) for name in reached if name in fields}
 
     def differentiable(self, parameters: ModelParameters, named: Iterable[str]) -> dict[str, Float[Array, ...]]:
-        """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses and places.
+        """The same fields of one world in pure JAX, and the constants that MuJoCo derives from masses and positions.
 
         Args:
             parameters: leaves of shape ().
@@ -209,7 +209,7 @@ class Variation:
 
     @functools.cached_property
     def _place_constants(self) -> PlaceConstants:
-        from nermo_mjx.dynamics.place_constants import PlaceConstants  # MJX takes a second to start
+        from nermo_mjx.dynamics.place_constants import PlaceConstants  # importing MJX takes a second
 
         return PlaceConstants(self.model)
 
@@ -222,7 +222,7 @@ class Variation:
 
 
 def _reached(named: Iterable[str]) -> list[str]:
-    """Model fields that the named parameters reach."""
+    """Model fields that the named parameters affect."""
     groups = {name.split(".")[0] for name in named} & set(FIELDS)
     return list(dict.fromkeys(name for group in sorted(groups) for name in FIELDS[group]))
 
@@ -233,7 +233,7 @@ def _lengths(named: Iterable[str]) -> tuple[str, ...]:
 
 
 def moves_constants(fields: Iterable[str]) -> bool:
-    """Whether one of some model fields is one that `DERIVED_FIELDS` follow."""
+    """Whether `DERIVED_FIELDS` depend on any of these model fields."""
     return not _MASSES_AND_PLACES.isdisjoint(fields)
 
 
@@ -243,13 +243,13 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     standing = mass_values(robot.config.robot) | terrain_values(str(robot.config.scene))
     parameters = replace_quantities(ModelParameters(), standing | dict(values))
     lengths = _lengths(values)
-    # Built with its geometry, so that its meshes have it, too.
+    # Built with its geometry, so that its meshes match.
     model = robot.with_geometry(parameters.geometry) if lengths else copy.copy(robot.model)
     for name, field in variation.batch(parameters, 1, values).items():
         if name in _BUILT:
             continue
         if name.startswith("geom_"):
-            # Geoms have other ids than in the model that engines step; all else has the same.
+            # Geoms have different ids than in the model that engines step; all other ids are the same.
             names = geom_names(str(robot.config.scene))
             ours, theirs = ([one.geom(each).id for each in names] for one in (model, variation.model))
             getattr(model, name)[ours] = field[0][theirs]
@@ -262,12 +262,12 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
 
 
 def set_heights(model: mujoco.MjModel, compiled: mujoco.MjModel, data: Float[np.ndarray, " points"]) -> None:
-    """Write the heights of the only height field: MuJoCo expects contacts up to the height that the field has.
+    """Write the heights of the only height field: MuJoCo looks for contacts up to the field's height.
 
     Args:
-        model: to write into.
-        compiled: the model that it is a copy of.
-        data: shares of the height in that one.
+        model: to modify.
+        compiled: the model that it was copied from.
+        data: shares of the height in `compiled`.
     """
     highest = max(float(data.max()), 1e-9)
     model.hfield_data[:] = data / highest
@@ -281,17 +281,17 @@ def vary(
     models: list[mujoco.MjModel] | None = None,
     worlds: np.ndarray | None = None,
 ) -> list[mujoco.MjModel] | None:
-    """Give worlds of a batch of MuJoCo's C engine their own fields, and the constants that follow from them.
+    """Set the fields of single worlds in a batch of MuJoCo's C engine, and the constants derived from them.
 
     Args:
         batch: of n worlds.
         model: of the batch.
         fields: (k, ...) each.
-        models: what this function returned before for the same batch.
-        worlds: which, (k,); all of them by default.
+        models: this function's previous result for the same batch.
+        worlds: indices (k,); all by default.
 
     Returns:
-        The worlds' own models, where a field is one that a batch does not have for each world; else None.
+        The worlds' own models, if a field cannot be set per world in a batch; else None.
     """
     chosen = np.arange(batch.nsim) if worlds is None else worlds
     if "hfield_data" not in fields:

@@ -48,7 +48,7 @@ class WarpEngine(MjxEngine):
         """See `MjxEngine.put`."""
         _silence()
         self._reference = copy.copy(model)
-        # Warp does not know the flag, and never resets a world by itself.
+        # Warp does not support the flag, and never resets a world by itself.
         self._reference.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
         self._capacity = rows.capacity(self._reference)
         self._among: dict[int, mjx.Data] = {}
@@ -58,7 +58,7 @@ class WarpEngine(MjxEngine):
         """See `MjxEngine.data_among`; all worlds of a device share one list of contacts, whose length is fixed."""
         if worlds not in self._among:
             contacts, constraints = self._capacity
-            with jax.ensure_compile_time_eval():  # also called while a program is traced
+            with jax.ensure_compile_time_eval():  # also called during tracing
                 data = mjx.make_data(self._reference, impl="warp", naconmax=worlds * contacts, njmax=constraints)
             self._among[worlds] = data
         return self._among[worlds]
@@ -76,7 +76,7 @@ class WarpEngine(MjxEngine):
         return np.full(self.model.nsensordata, True)
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
-        """See `MjxEngine.is_unsolved`; Warp's own solver does not say."""
+        """See `MjxEngine.is_unsolved`; Warp's solver does not report it."""
         return jnp.zeros((), bool)
 
 
@@ -91,7 +91,7 @@ def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
 
 
 def _silence() -> None:
-    """Keep what Warp says of its start and its kernels off standard output."""
+    """Keep Warp's messages about its start and its kernels off standard output."""
     import warp
 
     warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)

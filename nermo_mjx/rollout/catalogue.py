@@ -1,4 +1,4 @@
-"""The metrics that every run has: name, unit, meaning, and which side is better."""
+"""The built-in metrics of every run: name, unit, meaning, and which direction is better."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Final
 from nermo_mjx.robot import LIMBS
 
 ANGLES: Final = ("roll", "pitch", "yaw")
-#: Pairs of feet, and their places in `LIMBS`.
+#: Pairs of feet, and their indices in `LIMBS`.
 PAIRS: Final = {"front": slice(0, 2), "rear": slice(2, 4)}
 
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """Unit and meaning of a metric, and which side of it is better: `high`, `low`, or None where neither is."""
+    """Unit and meaning of a metric, and which direction is better: `high`, `low`, or None if neither is."""
 
     unit: str
     doc: str

@@ -1,4 +1,4 @@
-"""Value and gradient of a scalar function of a few or many parameters, in the mode that costs least."""
+"""Value and gradient of a scalar function of few or many parameters, in the cheaper mode."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from nermo_mjx.shapes import Array, Scalar
 MODES: Final = ("auto", "forward", "reverse")
 #: Up to this many parameters forward mode is cheaper by the costs below, and it compiles faster.
 MOST_FORWARD: Final = 4
-#: What value and gradient are taken to cost over the value alone: in forward mode one run, and one more for each
+#: Assumed cost of value and gradient relative to the value alone: in forward mode one run, and one more for each
 #: parameter (2.6 runs were measured for two); in reverse mode five runs for any number (4.5 were measured).
 FORWARD_COST: Final = 1.0
 REVERSE_COST: Final = 5.0
 
-#: A scalar function of a point (p,), with whatever else it finds on the way.
+#: A scalar function of a point (p,), with auxiliary output.
 Function = Callable[[Float[Array, " p"]], tuple[Scalar, Any]]
 
 
@@ -38,7 +38,7 @@ def cost(parameters: int, mode: str) -> float:
 def value_and_gradient(
     function: Function, mode: str
 ) -> Callable[[Float[Array, " p"]], tuple[Scalar, Float[Array, " p"], Any]]:
-    """The function's value, its gradient, and the rest of its result, in one pass.
+    """The function's value, its gradient, and its auxiliary output, in one pass.
 
     Args:
         function: point (p,) -> (value, anything).
@@ -50,7 +50,7 @@ def value_and_gradient(
             value, slope, rest = jax.jvp(function, (point,), (way,), has_aux=True)
             return value, slope, rest
 
-        # Value and rest do not depend on the way, so that they are computed once.
+        # Value and auxiliary output do not depend on the direction, so they are computed once.
         return jax.vmap(along, out_axes=(None, 0, None))(jnp.eye(point.shape[0], dtype=point.dtype))
 
     def reverse(point: Array) -> tuple[Array, Array, Any]:

@@ -31,7 +31,7 @@ from nermo_mjx.shapes import Array, Scalar
 
 
 class Path(NamedTuple):
-    """What a walk leaves, one row per control tick.
+    """The trajectory of a walk, one row per control tick.
 
     Attributes:
         qpos, qvel: state at the end of each tick, (ticks, nq) and (ticks, nv).
@@ -44,7 +44,7 @@ class Path(NamedTuple):
 
 
 class Rollout:
-    """One walk as a pure function, for `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jvp` and all that is made of them.
+    """One walk as a pure function, for `jax.jit`, `jax.vmap`, `jax.grad`, `jax.jvp` and their combinations.
 
         rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=4, warmup_cycles=1))
         speed = lambda amplitude: rollout({"spine.amplitude": amplitude})["speed"]
@@ -52,9 +52,9 @@ class Rollout:
 
     Derivatives are exact: of controller, metrics, start pose and body in JAX, of the physics by
     `physics.differentiable`. In reverse mode memory grows with the square root of the run's length. The precision is
-    JAX's own when the rollout is made (`jax.enable_x64`). What it runs is what the engine `mjx` runs, except that
-    forces and accelerations read zero before the first tick, which a controller may feel. The compiler's options halve
-    the time that it takes on a CPU, and can be left out.
+    JAX's at the time the rollout is created (`jax.enable_x64`). It runs the same computation as the engine `mjx`,
+    except that forces and accelerations read zero before the first tick, which may affect a controller. The compiler
+    options halve its run time on a CPU, and can be left out.
     """
 
     def __init__(
@@ -68,17 +68,17 @@ class Rollout:
     ) -> None:
         """
         Args:
-            setup: what is chosen by name.
+            setup: static choices.
             run: length and warm-up, the same for all worlds; without `distance`, which has no derivative.
             slowest: lowest frequency that a traced value may have [Hz], if the run is given in gait cycles and its
-                frequency is traced: the number of ticks is fixed when a program is made. Of another controller, the
+                frequency is traced: the number of ticks is fixed when a program is traced. For a custom controller, the
                 lowest rate of gait cycles.
             controller: instead of the setup's, see `Setup.controller`.
-            metrics: beside the setup's, see `Setup.metrics`.
+            metrics: in addition to the setup's, see `Setup.metrics`.
 
         Raises:
-            ParameterError: a run that ends by distance, or with one length for each world; what is no controller, or a
-                metric that cannot be computed.
+            ParameterError: a run that ends by distance, or has one length per world; an object that is not a
+                controller, or a metric that cannot be computed.
         """
         self.setup, self.length = with_own(setup, controller, metrics), run or Run()
         if self.length.distance is not None:
@@ -97,7 +97,7 @@ class Rollout:
 
     @property
     def identity(self) -> str | None:
-        """All that decides this walk, beside what it is called with; None where code of the user's has a part in it."""
+        """Everything that determines this walk, except its arguments; None if user code is involved."""
         if self.setup.controller is not None or self.setup.command is not None or self.setup.metrics:
             return None
         chosen = self.setup.fields(), self.setup.waypoints, self.robot.config, self.robot.fingerprint
@@ -114,11 +114,11 @@ class Rollout:
         """The metrics of one world, as named in `all_metrics(setup)`.
 
         Args:
-            values: parameter name -> number or array of shape (); what is not named has the setup's default.
-            qpos: first positions (nq,); by default the pose in which the gait starts.
-            qvel: first velocities (nv,); by default at rest.
+            values: parameter name -> number or array of shape (); unnamed ones have the setup's default. qpos: initial
+            positions (nq,); by default the gait's start pose.
+            qvel: initial velocities (nv,); by default at rest.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`, traced or
-                not. Named values come into it.
+                not. Named values override it.
 
         Raises:
             ParameterError: an unknown name; a value out of range, if it is not traced; a traced frequency without
@@ -152,7 +152,7 @@ class Rollout:
 
         carry, path = checkpointed_scan(tick, carry, ticks)
         mass = jnp.asarray(params.model.mass.front + params.model.mass.rear, float)
-        # A traced frequency below `slowest` does not get through its run: no number is better than a wrong one.
+        # A traced frequency below `slowest` would not finish its run: NaN is better than a wrong result.
         complete = loop.window.end <= (ticks - 1 + 1e-3) * self.controller.dt
         measured = measures.result(carry.loop.metrics, mass, params.model.ground.gravity, self.setup.own_metrics)
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
@@ -177,7 +177,7 @@ class Rollout:
         return loop, math.ceil(seconds / self.controller.dt - 1e-6) + 1
 
     def seconds(self, values: Mapping[str, ArrayLike], policy: Any = None) -> float:
-        """Simulated time of a run with these values [s]; of the slowest that is allowed, if the frequency is traced.
+        """Simulated time of a run with these values [s]; of the slowest allowed one, if the frequency is traced.
 
         Raises:
             ParameterError: it depends on a traced value, and no `slowest` is given.
@@ -185,7 +185,7 @@ class Rollout:
         if self.length.duration is not None:
             return float(self.length.duration)
         traced = [name for name in self.setup.timing if _traced(values.get(name))]
-        # What is not known yet is NaN, and so is a rate that depends on it.
+        # Traced values become NaN, and so does a rate that depends on them.
         known = {name: values[name] for name in self.setup.timing if name in values} | dict.fromkeys(traced, math.nan)
         if traced == ["frequency"] and self.slowest is not None:
             known["frequency"] = self.slowest
@@ -203,11 +203,11 @@ class Rollout:
 
 
 def _traced(tree: Any) -> bool:
-    """Whether any leaf is known only to the program."""
+    """Whether any leaf is traced."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def _real(leaf: Any) -> Array:
-    """Numbers in JAX's default precision; whole numbers and flags stay what they are."""
+    """Floats in JAX's default precision; integers and flags are unchanged."""
     array = jnp.asarray(leaf)
     return jnp.asarray(array, float) if jnp.issubdtype(array.dtype, jnp.floating) else array

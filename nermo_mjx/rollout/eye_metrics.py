@@ -1,8 +1,8 @@
-"""What the robot's eyes go through: yaw and pitch of its head, and how fast the image moves; part of the metrics.
+"""Motion of the robot's eyes: yaw and pitch of its head, and the speed of the image; part of the metrics.
 
-The head's attitude is the torso's, turned by the neck, and on Nermo 4.1 tilted by the head's servo. Far away things
-move across the middle of an image as fast as the head turns about its own vertical and its lateral axis; a head that
-rolls turns the image about its middle.
+The head's attitude is the torso's, turned by the neck, and on Nermo 4.1 tilted by the head's servo. Distant objects
+move across the centre of an image as fast as the head turns about its own vertical and lateral axes; a head that
+rolls rotates the image about its centre.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class EyeState:
     """Accumulators of one world.
 
     Attributes:
-        angles: pitch and yaw of the head at the last tick [rad]; yaw goes on beyond half a turn.
+        angles: pitch and yaw of the head at the last tick [rad]; yaw is unwrapped.
         mean, square: Welford's running mean and sum of squared deviations of the angles.
         motion: integral of the squared angular speed of the image [rad^2/s].
     """
@@ -53,7 +53,7 @@ def update(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> 
     Args:
         state: accumulators so far.
         sensors: readings of the tick's physics steps, leading axis (steps,).
-        weight: length of the measured part of the tick [s], and `share` of it in all that is measured so far.
+        weight: length of the measured part of the tick [s]; `share`: its share of the time measured so far.
     """
     last = jax.tree.map(lambda leaf: leaf[-1], sensors)
     angles = state.angles + wrapped(attitude(head_orientation(last))[1:] - state.angles)
@@ -64,7 +64,7 @@ def update(state: EyeState, sensors: Sensors, weight: Scalar, share: Scalar) -> 
 
 
 def result(state: EyeState, time: Scalar) -> dict[str, Scalar]:
-    """The metrics by name; `time` is what was measured [s]."""
+    """The metrics by name; `time` is the measured time [s]."""
     metrics = {"picture_motion": root(state.motion / time)}
     for i, angle in enumerate(("pitch", "yaw")):
         metrics |= {f"head_{angle}_mean": state.mean[i], f"head_{angle}_std": root(state.square[i] / time)}
@@ -87,13 +87,13 @@ def head_orientation(sensors: Sensors) -> Quaternion:
 
 
 def _tilt_servo(sensors: Sensors) -> int | None:
-    """Which servo tilts the head; None where none does."""
+    """Index of the servo that tilts the head; None if there is none."""
     names = servos_by_count(sensors.servo_angle.shape[-1])
     return names.index("head") if "head" in names else None
 
 
 def picture_speed(sensors: Sensors) -> Scalars:
-    """Angular speed of what is far away across the middle of the image [rad/s]."""
+    """Angular speed of distant objects across the centre of the image [rad/s]."""
     rate = head_rate(sensors)
     return jnp.sqrt(rate[..., 0] ** 2 + rate[..., 2] ** 2 + 1e-12)
 

@@ -1,6 +1,6 @@
 """A function of one world, for batches of any size, with results that do not depend on the batch.
 
-XLA's rounding depends on an array's shape, not on the position in it: work is divided into pieces of one shape.
+XLA's rounding depends on an array's shape, not on the position in it, so work is divided into chunks of one shape.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.runtime import compiler_options
 
-#: Worlds of a piece; the last one is filled up.
+#: Worlds per chunk; the last one is padded.
 LANES: Final = 256
 
 

@@ -73,7 +73,7 @@ class Run:
         [2.5, 10.0]
 
         Args:
-            cycle_rate: gait cycles a simulated second [1/s].
+            cycle_rate: gait cycles per simulated second [1/s].
         """
         length, warmup = self._lengths()
         period = 1.0 / cycle_rate if self.duration is None else cycle_rate**0

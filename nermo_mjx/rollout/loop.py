@@ -1,4 +1,4 @@
-"""What runs between ticks of physics in one world: controller and metrics, joined. Pure; the same in every engine."""
+"""Controller and metrics, joined: the loop between ticks of physics in one world. Pure; the same in every engine."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class LoopParameters:
     Attributes:
         control: of the controller.
         start, window: of the run.
-        servo_speed: how fast a servo's target may change [rad/s].
-        terrain: shape of the ground, in a scene that has one; None for the ground that was compiled.
+        servo_speed: maximum rate of change of a servo's target [rad/s].
+        terrain: shape of the ground, in a scene that has one; None for the compiled ground.
     """
 
     control: Any
@@ -42,13 +42,13 @@ class LoopParameters:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopState:
-    """What the loop carries from tick to tick in one world.
+    """The loop's state in one world.
 
     Attributes:
         tick, time: control ticks, and simulated time [s], since the start.
         control: the controller's state.
         metrics: accumulators.
-        ctrl: what the servos aim at [rad].
+        ctrl: the servos' targets [rad].
     """
 
     tick: Count
@@ -60,7 +60,7 @@ class LoopState:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Implements `physics.engine.Loop` for a robot and a controller, with custom metrics beside the others."""
+    """Implements `physics.engine.Loop` for a robot and a controller, with built-in and custom metrics."""
 
     robot: Robot
     controller: ControllerLike
@@ -68,7 +68,7 @@ class ClosedLoop:
 
     @property
     def steps_per_tick(self) -> int:
-        """Physics steps in a control tick."""
+        """Physics steps per control tick."""
         return round(self.controller.dt / self.robot.config.timestep)
 
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
@@ -82,7 +82,7 @@ class ClosedLoop:
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> tuple[LoopState, Float[Array, " n_servos"]]:
-        """See `Loop.step`. Metrics see the tick that has just ended, the controller its last reading."""
+        """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
         measured = self.measure(params, state, sensordata)
         controller, own = self.controller, params.control
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
@@ -95,7 +95,7 @@ class ClosedLoop:
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
     ) -> metrics.MetricState:
-        """The metrics with the tick that has just ended."""
+        """The metrics updated with the tick that has just ended."""
         sensors = self.robot.sensors(sensordata)
         controller, own = self.controller, params.control
         path, stance = None, None
@@ -110,19 +110,19 @@ class ClosedLoop:
         )  # fmt: skip
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:
-        """What a controller is told of a tick.
+        """The readings that a controller receives for a tick.
 
-        A world that lost its numbers walks on in place on readings of zero: nothing non-finite enters the controller.
+        A diverged world continues with readings of zero, so that nothing non-finite enters the controller.
         """
         sensors = self.robot.sensors(sensordata)
         return jax.tree.map(lambda leaf: jnp.where(measured.lost | ~jnp.isfinite(leaf[-1]), 0.0, leaf[-1]), sensors)
 
 
 def check_controller(robot: Robot, controller: ControllerLike) -> None:
-    """Refuse a controller whose functions do not fit together, before anything is compiled.
+    """Reject a controller whose functions are inconsistent, before anything is compiled.
 
     Raises:
-        ParameterError: its state changes its form from tick to tick, or its servo angles are none.
+        ParameterError: its state changes its structure from tick to tick, or it does not return servo angles.
     """
     if isinstance(controller, Controller):
         return  # its parts are checked by its tests, and tracing it takes half a second

@@ -1,7 +1,7 @@
-"""Which part of a control tick is measured, and where in it a gait cycle ends.
+"""The measured part of a control tick, and where in it a gait cycle ends.
 
-The warm-up, the run and the gait cycles end between two ticks. If whole ticks counted, a metric would jump whenever a
-small change of a parameter carries such an end into the next tick, and a gradient would not know.
+The warm-up, the run and the gait cycles end between two ticks. If only whole ticks were counted, a metric would jump
+whenever a small change of a parameter moves such an end into the next tick, and a gradient would miss it.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import jax.numpy as jnp
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.shapes import Scalar, Truth
 
-#: A tick that begins less than this share of it before the run's end is one after it: so exact is time in float32 for
-#: two minutes. Only so it does not matter how far beyond its end a world is simulated, for others in its batch.
+#: A tick that begins less than this share of its length before the run's end counts as after it: the accuracy of
+#: float32 time within two minutes. With this, results do not depend on how far beyond its end a world is simulated for
+#: others in its batch.
 _ROUNDING: Final = 1e-3
 
 
@@ -23,12 +24,12 @@ class MeasuredPart(NamedTuple):
 
     Attributes:
         elapsed: measured time until its end [s].
-        weight: its length [s]; rest: what of it belongs to the next gait cycle already [s].
-        begin, end: where in the tick measuring begins and ends: 0 is its start, 1 its end; `begin` is negative where it
-            began in a tick before, and 1 where it has not begun.
-        inside: whether anything of the tick is measured.
+        weight: its length [s]; rest: the part of it that belongs to the next gait cycle [s].
+        begin, end: where in the tick measuring begins and ends: 0 is its start, 1 its end; `begin` is negative if it
+            began in an earlier tick, and 1 if it has not begun.
+        inside: whether any part of the tick is measured.
         cycle_ends: whether a gait cycle ends in it, counted from where measuring began.
-        arrived: whether measuring ends with that cycle, since the wanted distance is covered.
+        arrived: whether measuring ends with that cycle, since the requested distance is covered.
     """
 
     elapsed: Scalar
@@ -60,12 +61,12 @@ def measured_part(
         time: at the end of the tick [s].
         dt: length of the tick [s].
         cycle_rate: gait cycles per simulated second.
-        goes_on: false from what ends the measuring: a fall, a divergence, the wanted distance.
-        far_enough: whether the wanted distance is covered.
+        goes_on: false once measuring has ended: by a fall, a divergence or the requested distance.
+        far_enough: whether the requested distance is covered.
     """
     since = time - window.begin
-    # Time is limited, not accumulated, and the weights are its differences: they sum to the window to the last digit.
-    # And by `where`, not `clip`: on a tick's boundary all metrics have their derivatives of the same side.
+    # Time is clamped, not accumulated, and the weights are its differences, so they sum to the window to the last
+    # digit. `where` instead of `clip`: on a tick's boundary all metrics have one-sided derivatives of the same side.
     limited = jnp.where(time >= window.end, window.end - window.begin, since)
     now = jnp.where(goes_on & (since > 0.0) & begins_in_run(window, time, dt), limited, elapsed)
     inside = now > elapsed
@@ -74,7 +75,7 @@ def measured_part(
     # A window of whole cycles ends with one, whatever the rounding of its ends.
     cycle_ends = inside & (past >= -16 * jnp.finfo(now.dtype).eps * time * cycle_rate)
     rest = jnp.where(cycle_ends, past / jnp.where(cycle_ends, cycle_rate, 1.0), 0.0)
-    # A discrete event and not differentiable: runs that are tuned go without a distance.
+    # A discrete event that is not differentiable: tunings run without a distance.
     arrived = cycle_ends & far_enough
     now, rest = now - jnp.where(arrived, rest, 0.0), jnp.where(arrived, 0.0, rest)
     return MeasuredPart(

@@ -1,14 +1,14 @@
-"""Gait metrics, reduced as the run goes: a pair `init`, `update` over one world, and `result` at the end.
+"""Gait metrics, accumulated during the run: `init` and `update` for one world, and `result` at the end.
 
 Angles are defined in `attitude`. Measuring starts after the warm-up and stops at the end of the run, at the end of the
-gait cycle in which the wanted distance is covered, or when the robot falls or diverges; what was measured until then
-stays. A fall or a divergence counts only as long as the run is measured or warms up: how long a world moves on after
-that depends on the others of its batch.
+gait cycle in which the requested distance is covered, or when the robot falls or diverges; measurements until then are
+kept. A fall or a divergence counts only during the warm-up and the measured run: how long a world continues after that
+depends on the others in its batch.
 
-The warm-up and the run end between two ticks: a tick counts by the part of it that is measured, positions go straight
-within a tick, and other readings stand for the tick before them. So every metric is continuous in both ends, and its
-derivatives are finite. Not differentiable are the discrete events: the gait cycle in which the distance is covered,
-a fall, a divergence.
+The warm-up and the run end between two ticks: a tick is weighted by its measured part, positions are interpolated
+linearly within a tick, and other readings are constant over the tick before them. So every metric is continuous in both
+ends, and its derivatives are finite. Discrete events are not differentiable: the gait cycle in which the distance is
+covered, a fall, a divergence.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.rollout.path_metrics import root
 from nermo_mjx.shapes import Array, Scalar, Truth
 
-#: A foot bears nothing below the first force and is loaded above the second [N], with a smooth share between. 3 % of
+#: A foot is unloaded below the first force and loaded above the second [N], with a smooth transition. 3 % of
 #: the robot's weight on one foot of four, which is halfway, is far below any stance.
 LOADED: Final = (0.01, 0.03)
-#: Loads below this bear nothing, and times below it are none [N s, s].
+#: Loads and times below this count as zero [N s, s].
 SHORTEST_LOAD: Final = 1e-6
-#: Below this way there is no cost of transport [m].
+#: Below this distance the cost of transport is undefined [m].
 SHORTEST_WAY: Final = 1e-3
 #: The robot has fallen when its torso tilts by more than 60 degrees or its IMU comes this near to the ground [m].
 FALLEN_COSINE: Final = 0.5
 FALLEN_HEIGHT: Final = 0.025
-#: Faster than this, the numbers are no longer those of a robot [m/s].
+#: Speed above which the simulation counts as diverged [m/s].
 DIVERGED_SPEED: Final = 50.0
 GRAVITY: Final = 9.81
 
 
 class Ending(enum.Enum):
-    """How a world's run ended: a member's name stands in tables, and its value is the sentence.
+    """How a world's run ended: tables contain a member's name, and its value is the sentence for it.
 
     >>> Ending["fell"].value
     'The robot fell.'
@@ -62,7 +62,7 @@ class Ending(enum.Enum):
 
 
 def endings(fell: np.ndarray, diverged: np.ndarray, unsolved: np.ndarray) -> np.ndarray:
-    """The name of each world's `Ending` (n,), from its flags; the graver one if there are several."""
+    """The name of each world's `Ending` (n,), from its flags; the most severe one if there are several."""
     flags = {Ending.diverged: diverged > 0, Ending.fell: fell > 0, Ending.unsolved: unsolved}
     return np.select(list(flags.values()), [ending.name for ending in flags], Ending.ok.name)
 
@@ -73,23 +73,24 @@ class MetricState:
     """Accumulators of one world.
 
     Attributes:
-        time, work, way: measured time [s], positive servo work [J], way along the smoothed heading [m].
-        travelled: way since the start, warm-up included [m].
+        time, work, way: measured time [s], positive servo work [J], distance along the smoothed heading [m].
+        travelled: distance since the start, including the warm-up [m].
         mean, square: Welford's running mean and sum of squared deviations of (roll, pitch, yaw).
         readings: (roll, pitch, yaw, cross-track error) at the last tick [rad, m]; yaw is unwrapped.
         low, high: extremes of the readings.
         course, turning: smoothed yaw [rad] and its rate [rad/s].
-        position: IMU at the last tick; origin, end: where measuring began and ended (3,) each.
+        position: IMU at the last tick; origin, end: positions where measuring began and ended, (3,) each.
         heading: yaw where measuring began and ended (2,) [rad].
-        loaded, slid: time each foot was loaded [s], and the way it slid meanwhile [m], (4,) each.
-        swing, swing_loaded: time of each foot's commanded swing, and how much of it the foot was loaded (4,) each [s].
+        loaded, slid: time each foot was loaded [s], and the distance it slid meanwhile [m], (4,) each.
+        swing, swing_loaded: time of each foot's commanded swing, and the part of it with the foot loaded, (4,) each
+        [s].
         load: force on each foot over time (4,), and on the tail [N s].
         tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
-        eyes: what the eyes went through.
+        eyes: motion of the eyes.
         own: accumulators of custom metrics; None without any.
         on_path: whether the pilot has a path.
-        lost: whether the readings mean nothing any more, also after the run's end.
+        lost: whether the readings have become invalid, including after the run's end.
         failure_time: end of the tick in which the run failed [s]; 0 until then.
         fell, diverged, begun, finished: flags of the run.
     """
@@ -165,16 +166,16 @@ def update(
         time: at the end of the tick [s]; 0 at the first call, whose readings are those at rest.
         dt: length of the tick [s].
         cycle_rate: gait cycles per simulated second, the bandwidth of the smoothed heading [rad/s].
-        path: point of the pilot's path beside the torso, where it follows one.
-        stance: feet that were commanded to stand during the tick; all of them where nothing is commanded.
+        path: point of the pilot's path beside the torso, if it follows one.
+        stance: feet in planned contact during the tick; all of them if nothing is planned.
         ground: height of the ground beneath the torso [m].
         own: custom metrics, the same as for `init`.
     """
-    # If the accelerometer is non-finite, so are the velocities a step later; leaving it out saves computing it.
+    # If the accelerometer is non-finite, so are the velocities one step later; not reading it saves computing it.
     told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
     finite = jnp.stack([jnp.isfinite(leaf).all() for leaf in told]).all()
     lost = state.lost | ~finite | (jnp.abs(sensors.linear_velocity).max() > DIVERGED_SPEED)
-    # Readings that mean nothing are replaced, so that no NaN reaches the accumulators.
+    # Invalid readings are replaced, so that no NaN reaches the accumulators.
     sensors = jax.tree.map(lambda leaf: jnp.where(lost | ~jnp.isfinite(leaf), 0.0, leaf), sensors)
     last = jax.tree.map(lambda leaf: leaf[-1], sensors)
 
@@ -185,7 +186,7 @@ def update(
     angles = attitude(last.orientation)
     angles = angles.at[2].add(-2 * jnp.pi * jnp.round((angles[2] - state.readings[2]) / (2 * jnp.pi)))
 
-    # Critically damped tracking of yaw and its rate: no lag in a steady turn, little of the spine's sway.
+    # Critically damped tracking of yaw and its rate: no lag in a steady turn, and little of the spine's sway remains.
     expected = state.course + dt * state.turning
     surprise = jnp.where(lost, 0.0, dt * cycle_rate * (angles[2] - expected))
     course, turning = expected + 2.0 * surprise, state.turning + cycle_rate * surprise
@@ -252,10 +253,10 @@ def update(
 
 
 def _extremes(state: MetricState, readings: Array, part: MeasuredPart) -> tuple[Array, Array]:
-    """Lowest and highest readings until now.
+    """Lowest and highest readings so far.
 
     Readings stand for the tick before them, so their extremes are those since the end of the first tick. Where only a
-    part of the first tick is measured, its reading gives way to the second's as the part becomes nothing.
+    part of the first tick is measured, its reading is blended into the second's as that part vanishes.
     """
     start = part.begin + 1.0
     first = _between(state.readings, readings, jnp.where((start >= 0.0) & (start < part.end), start, part.end))
@@ -270,14 +271,14 @@ def _between(before: Array, now: Array, share: Array) -> Array:
 
 
 def _share_loaded(force: Array) -> Array:
-    """0 for a foot without load, 1 for a loaded one, and smooth between."""
+    """0 for an unloaded foot, 1 for a loaded one, with a smooth transition."""
     none, full = LOADED
     share = jnp.clip((force - none) / (full - none), 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def _share(part: Array, whole: Array) -> Array:
-    """`part` over `whole`; NaN where there is next to nothing of the whole. The derivative is finite in any case."""
+    """`part` over `whole`; NaN if the whole is close to zero. The derivative is always finite."""
     some = whole > SHORTEST_LOAD
     return jnp.where(some, part / jnp.where(some, whole, 1.0), jnp.nan)
 
@@ -287,12 +288,12 @@ def result(
 ) -> dict[str, Scalar]:
     """The metrics of one world, named as in `METRICS`, and the custom ones. A metric that was never measured is NaN.
 
-    Derivatives are finite, also beside metrics that are NaN.
+    Derivatives are finite even if other metrics are NaN.
 
     Args:
         state: accumulators at the end.
         mass: of the robot [kg].
-        gravity: that makes it a weight [m/s^2].
+        gravity: for the robot's weight [m/s^2].
         own: custom metrics, the same as for `init`.
     """
     begun = state.begun

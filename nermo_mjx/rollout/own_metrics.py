@@ -1,4 +1,4 @@
-"""Custom metrics: pure functions of the sensors, how they are declared, named, loaded and tried out."""
+"""Custom metrics: declaring, naming, loading and checking pure functions of the sensors."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
 from nermo_mjx.rollout.catalogue import Metric
 from nermo_mjx.runtime import start_jax
 
-#: What a function's values may be reduced to, and how a message explains it.
+#: Reductions of a function's values, with their explanations for messages.
 REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last", "integral")
 SIDES: Final = ("high", "low")
-#: How a text names metrics; without a name, it is all that the file or module has.
+#: How a text names metrics; without a name, all in the file or module.
 FORM: Final = "FILE.py, FILE.py:NAME, MODULE or MODULE:NAME"
-#: What a function meets that is no function of tracers.
+#: Errors of functions that cannot be traced.
 _NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
                         jax.errors.TracerBoolConversionError, jax.errors.TracerIntegerConversionError)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
 class OwnMetric(Metric):
-    """A custom metric; `metric` makes it, and called it is the function.
+    """A custom metric, created by `metric`; calling it calls the function.
 
     Attributes:
         name: of the function, and of the column.
-        function: from `Sensors` of one moment to a number; pure JAX.
+        function: from `Sensors` at one time to a number; pure JAX.
         reduce: one of `REDUCTIONS`.
     """
 
@@ -48,7 +48,7 @@ class OwnMetric(Metric):
 
     @property
     def place(self) -> str:
-        """Where the function is, for messages: `yaw_shake (my_metrics.py:4)`."""
+        """Location of the function, for messages: `yaw_shake (my_metrics.py:4)`."""
         code = getattr(self.function, "__code__", None)
         return self.name if code is None else f"{self.name} ({Path(code.co_filename).name}:{code.co_firstlineno})"
 
@@ -56,7 +56,7 @@ class OwnMetric(Metric):
 def metric(
     *, unit: str, better: str | None = None, reduce: str = "mean"
 ) -> Callable[[Callable[[Sensors], Any]], OwnMetric]:
-    """Make a metric of a pure function of the sensors, for simulators, rollouts, sweeps, tunings and searches.
+    """Turn a pure function of the sensors into a metric, for simulators, rollouts, sweeps, tunings and searches.
 
     >>> @metric(unit="rad/s", better="low", reduce="rms")
     ... def yaw_shake(sensors):
@@ -65,13 +65,13 @@ def metric(
     >>> yaw_shake.name, yaw_shake.doc
     ('yaw_shake', 'Turning of the torso about its own axis')
 
-    The function gets `Sensors` of one world at one moment, in SI units, once a physics step while the run is measured,
-    and gives one number. It is compiled: `jax.numpy` instead of NumPy, `jnp.where` instead of `if`. Its name is the
-    column's, and the first line of its docstring the column's description.
+    The function is called with the `Sensors` of one world at one time, in SI units, once per physics step while the run
+    is measured, and returns one number. It is compiled: use `jax.numpy` instead of NumPy, `jnp.where` instead of `if`.
+    Its name becomes the column's, and the first line of its docstring the column's description.
 
     Args:
-        unit: of the reduced number; "1" where it has none.
-        better: `high`, `low`, or None where neither is.
+        unit: of the reduced number; "1" for a pure number.
+        better: `high`, `low`, or None if neither is.
         reduce: `mean`, `rms` (root mean square), `std`, `min`, `max`, `peak` (largest magnitude), `range` (between the
             extremes), `last` (where measuring ends), or `integral` (over the measured seconds).
 
@@ -98,13 +98,13 @@ def metric(
 
 
 def load_metrics(where: str) -> tuple[OwnMetric, ...]:
-    """The metrics that a text names, in the order of their file; the same ones as long as the file stays the same.
+    """The metrics that a text names, in the order of their file; the same objects as long as the file does not change.
 
     Args:
         where: `FILE.py`, `FILE.py:NAME`, `MODULE` or `MODULE:NAME`.
 
     Raises:
-        ParameterError: there is no such file, module or name, it cannot be imported, or has no metric.
+        ParameterError: the file, module or name does not exist, cannot be imported, or contains no metric.
     """
     source, name = parts_of(where)
     module = module_of(f"metrics has {where!r}", source, FORM)
@@ -134,7 +134,7 @@ def parts_of(where: str) -> tuple[str, str]:
     """The file or module of a text that names metrics, and the name; "" without one.
 
     Raises:
-        ParameterError: it is no such text.
+        ParameterError: the text has another form.
     """
     source, colon, name = where.rpartition(":") if not where.endswith(".py") else (where, "", "")
     source, name = (source, name) if colon else (where, "")
@@ -149,16 +149,16 @@ def _first_line(function: Any) -> str:
 
 @functools.lru_cache(maxsize=32)
 def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
-    """Refuse functions that cannot be compiled, or do not give one finite number, before anything is simulated.
+    """Reject functions that cannot be compiled, or do not return one finite number, before anything is simulated.
 
-    They are tried with the readings of the robot put down at rest: no forces, no velocities.
+    They are called with the readings of the robot at rest: no forces, no velocities.
 
     Args:
         config: of the robot.
         metrics: all of them.
 
     Raises:
-        ParameterError: with function, file and what is wrong.
+        ParameterError: names the function, its file and what is wrong.
     """
     if not metrics:
         return
@@ -176,7 +176,7 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
 
 
 def _tried(robot: Robot, each: OwnMetric, reading: np.ndarray) -> np.ndarray:
-    """What a function gives for a reading, compiled."""
+    """A function's result for a reading, compiled."""
     sensors = robot.sensors(jnp.asarray(reading))
     try:
         given = jax.jit(each.function)(sensors)

@@ -13,7 +13,7 @@ from nermo_mjx.robot.quantity import flat, group, parameter_tree, quantity
 
 @parameter_tree
 class Start:
-    """Where, and in which phase of its gait, the robot starts."""
+    """Position, heading and gait phase at the start."""
 
     x: Any = quantity(0.0, unit="m", low=-100.0, high=100.0, doc="start to the left of the path")
     y: Any = quantity(0.0, unit="m", low=-100.0, high=100.0, doc="start behind the origin")
@@ -32,7 +32,8 @@ class Window:
 
 @parameter_tree
 class WorldParameters:
-    """What a sweep can name: controller, body and start. The parameters of another controller may be any pytree."""
+    """The parameters that a sweep can name: controller, body and start. The parameters of another controller may be any
+    pytree."""
 
     control: Any = flat(ControlParameters)
     model: ModelParameters = flat(ModelParameters)

@@ -1,7 +1,8 @@
-"""How well a path was followed, and the circle that was walked; part of the metrics, in the same form.
+"""Path error, and the circle that was walked; part of the metrics, with the same interface.
 
-The torso sways by about a centimetre in each gait cycle. So an error is given twice: of any moment, and of the mean
-position of a gait cycle, which is where the robot walks. A tick in which a cycle ends is shared between both cycles.
+The torso sways by about a centimetre in each gait cycle. So the error is reported twice: at any time, and for the mean
+position over a gait cycle, which is the path that the robot walks. A tick in which a cycle ends is split between both
+cycles.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from jaxtyping import Float
 
 from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
 
-#: Flatter than this, the fit of a circle means nothing: smallest share of the path's spread across its main direction.
+#: The fit of a circle is meaningless for flatter paths: smallest share of the path's spread across its main direction.
 FLAT = 1e-5
-#: Nor does it where the cycles' mean positions spread by less than 0.1 mm: smallest sum of their variances [m^2].
+#: It is also meaningless if the cycles' mean positions spread by less than 0.1 mm: smallest sum of their variances
+#: [m^2].
 SMALLEST_SPREAD = 1e-8
 
 
@@ -28,8 +30,8 @@ class PathState:
     Attributes:
         square: integral of the squared cross-track error [m^2 s].
         walked: largest of the cross-track errors' means over whole gait cycles [m].
-        error, place, time: integrals over the present cycle of the error and the position (x, y) [m s], and its length
-            until now [s].
+        error, place, time: integrals over the current cycle of the error and the position (x, y) [m s], and its length
+            so far [s].
         cycles, first, second, third: moments of the cycles' mean positions p: their number, p, p p^T, |p|^2 p.
     """
 
@@ -64,10 +66,10 @@ def update(
     """Add one tick.
 
     Args:
-        place: where the torso is, counted from where measuring began [m].
+        place: position of the torso relative to where measuring began [m].
         error: cross-track error [m].
         weight: length of the measured part of the tick [s].
-        rest: what of it comes after the end of a gait cycle [s].
+        rest: the part of it after the end of a gait cycle [s].
         cycle_ends: whether a gait cycle ends in this tick.
     """
     part = weight - rest
@@ -89,9 +91,9 @@ def update(
 
 
 def radius(state: PathState) -> Scalar:
-    """Radius of the circle fitted to the way walked [m] (algebraic least squares of Kasa, 1976); NaN if flat.
+    """Radius of the circle fitted to the path walked [m] (algebraic least squares of Kasa, 1976); NaN if flat.
 
-    To the cycles' mean positions: fitted to the swaying torso, an arc would come out too small.
+    It is fitted to the cycles' mean positions: the swaying torso would give too small an arc.
 
     The centre c minimises the variance of |p|^2 - 2 c p, so that 2 cov(p, p) c = cov(p, |p|^2).
     """
@@ -109,6 +111,6 @@ def radius(state: PathState) -> Scalar:
 
 
 def root(value: Scalars) -> Scalars:
-    """Square root; 0, without a slope, for what is not positive, where the plain root's slope is infinite."""
+    """Square root; for nonpositive values 0 with a slope of 0, where the plain root's slope is infinite."""
     positive = value > 0.0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, value, 1.0)), 0.0)

@@ -1,8 +1,9 @@
-"""What custom metrics are reduced to, as the run goes: a pair `init`, `update` over one world, and `result`.
+"""Reductions of custom metrics, accumulated during the run: `init` and `update` for one world, and `result`.
 
-A function sees one reading after the other, one a physics step, and no series of them is kept. Like other readings, a
-value stands for the step before it, and a tick counts by its measured part. Between two readings a value goes straight,
-so that extremes and the last value are continuous in both ends of the measured time, like all metrics.
+A function is evaluated on one reading per physics step, and no time series is stored. Like other readings, a value is
+constant over the step before it, and a tick is weighted by its measured part. Between two readings a value is
+interpolated linearly, so that extremes and the last value are continuous in both ends of the measured time, like all
+metrics.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class OwnState:
         value: at the last reading.
         mean, square: Welford's running mean, and the integral of the squared deviations.
         low, high: extremes.
-        final: value where measuring has come to.
+        final: value at the end of the time measured so far.
     """
 
     value: Float[Array, " k"]
@@ -62,9 +63,9 @@ def update(
         metrics: k of them.
         state: accumulators so far.
         sensors: readings of the tick's physics steps, leading axis (steps,).
-        part: of the tick that is measured.
-        share: of this part in all that is measured so far.
-        meant: whether the readings are those of a tick; no derivative comes from others.
+        part: the measured part of the tick.
+        share: of this part in the time measured so far.
+        meant: whether the readings are those of a tick; others do not contribute to derivatives.
     """
     sensors = jax.tree.map(lambda leaf: jnp.where(meant, leaf, jax.lax.stop_gradient(leaf)), sensors)
     values = jax.vmap(functools.partial(_values, metrics))(sensors)
@@ -86,13 +87,13 @@ def update(
 
 
 def result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: Scalar) -> dict[str, Scalar]:
-    """The metrics of one world by name; NaN where nothing was measured.
+    """The metrics of one world by name; NaN if nothing was measured.
 
     Args:
         metrics: k of them.
         state: accumulators at the end.
         begun: whether anything was measured.
-        time: measured, or what is no zero where nothing was [s].
+        time: measured [s]; nonzero if nothing was measured.
     """
     variance = state.square / time
     reduced = {
@@ -110,5 +111,5 @@ def result(metrics: tuple[OwnMetric, ...], state: OwnState, begun: Truth, time: 
 
 
 def _values(metrics: tuple[OwnMetric, ...], sensors: Sensors) -> Float[Array, " k"]:
-    """What the functions give for one reading."""
+    """The functions' results for one reading."""
     return jnp.stack([jnp.asarray(each.function(sensors)).astype(jnp.zeros(()).dtype) for each in metrics])

@@ -1,4 +1,4 @@
-"""What a batch of worlds gave: metrics, how each ended, and the recording if one was asked for."""
+"""The results of a batch of worlds: metrics, how each ended, and the recording if requested."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nermo_mjx.runs.text import plain
 
 @dataclasses.dataclass(frozen=True)
 class History:
-    """What happened in every world, one entry per control tick.
+    """Time histories of every world, one entry per control tick.
 
     Attributes:
         time: end of each tick (ticks,) [s].
@@ -37,20 +37,20 @@ class History:
 
 @dataclasses.dataclass(frozen=True)
 class RunResult:
-    """What a batch of n worlds gave.
+    """The results of a batch of n worlds.
 
     Attributes:
         metrics: name -> (n,), as `all_metrics` describes them.
         status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
-        setup, length: what ran, and how long.
+        setup, length: of the run.
         worlds: all parameters, leaves with a leading world axis.
-        named: those that were named.
-        engine: which engine ran.
+        named: the explicitly named ones.
+        engine: that was used.
         steps: physics steps of one world.
         wall_seconds: time spent.
-        compile_seconds: the part of it that JAX spent on making programs: tracing, and compiling or reading from its
-            cache; 0 where all of them had run before.
-        trace: the recording, if one was asked for.
+        compile_seconds: the part of it that JAX spent on tracing, and on compiling programs or reading them from its
+            cache; 0 if all programs had run before.
+        trace: the recording, if requested.
         series: time series of the signals that were saved, if any were.
     """
 
@@ -73,7 +73,7 @@ class RunResult:
         return {name: np.asarray(values) for name, values in values_of(self.worlds)}
 
     def recording(self, world: int = 0) -> Recording:
-        """The recording of one world, with all that `nermo-mjx replay`, `view` and `render` read of it.
+        """The recording of one world, with all data that `nermo-mjx replay`, `view` and `render` use.
 
         >>> from nermo_mjx import Run, Simulator
         >>> result = Simulator(engine="c").run({"frequency": 0.8}, Run(duration=0.2), record=True)
@@ -81,7 +81,7 @@ class RunResult:
         0.8
 
         Raises:
-            ParameterError: nothing was recorded, or there is no such world.
+            ParameterError: nothing was recorded, or the world does not exist.
         """
         if self.trace is None:
             raise ParameterError("record is False: a recording needs Simulator.run(..., record=True).")
@@ -90,8 +90,8 @@ class RunResult:
         return recording_of(self.trace, self.setup.load().model, world=world, metadata=plain(self.about(world)))
 
     def about(self, world: int = 0) -> dict[str, Any]:
-        """What one world was and did: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and `units` of
-        custom metrics, which no other place knows."""
+        """Description and results of one world: `metrics`, `parameters`, `setup`, `run`, `engine` and `versions`; and
+        `units` of custom metrics, which are stored nowhere else."""
         measured = {name: float(column[world]) for name, column in self.metrics.items()}
         flags = {name: bool(measured[name]) for name in ("fell", "diverged")}
         run = {name: None if value is None else float(np.broadcast_to(value, len(self.status))[world])
@@ -107,7 +107,7 @@ class RunResult:
         }
 
     def to_pandas(self) -> Any:
-        """A `pandas.DataFrame`, a row per world: the parameters that were named, all metrics, and the status.
+        """A `pandas.DataFrame`, one row per world: the parameters that were named, all metrics, and the status.
 
         >>> from nermo_mjx import Run, Simulator
         >>> result = Simulator(engine="c").run({"frequency": [0.6, 0.8]}, Run(duration=0.2))

@@ -1,6 +1,6 @@
-"""Time series of chosen signals, kept beside the metrics while a batch runs: what there is to choose, and the keeping.
+"""Time series of selected signals, stored in addition to the metrics while a batch runs.
 
-A signal is one number over time, a column. Names choose signals: one signal, a sensor of the model with all its
+A signal is one number over time, a column. Names select signals: one signal, a sensor of the model with all its
 components (`front_left_foot_velocity`), or a group of sensors (`foot_force`).
 """
 
@@ -22,7 +22,7 @@ from nermo_mjx.robot.nearest import nearest
 
 _XYZ: Final = ("x", "y", "z")
 _WXYZ: Final = ("w", *_XYZ)
-#: Group of sensors: what its signals are called (those of servos by the robot's servos), their unit, and what they are.
+#: Group of sensors: names of its signals (those of servos by the robot's servos), their unit and meaning.
 _SENSORS: Final = {
     "position": (tuple(f"position_{axis}" for axis in _XYZ), "m", "place of the IMU in the world"),
     "orientation": (tuple(f"orientation_{axis}" for axis in _WXYZ), "1", "quaternion of the IMU"),
@@ -44,7 +44,7 @@ _SENSORS: Final = {
     "attitude": (("roll", "pitch", "yaw"), "rad", "of the torso; positive leans left, noses down, turns left"),
     "speed": (("speed",), "m/s", "horizontal speed of the IMU"),
 }  # fmt: skip
-#: What the root's free joint is called in positions and velocities, with units.
+#: Names of the root's free joint in positions and velocities, with units.
 _ROOT: Final = {
     "qpos": [*((f"_{axis}", "m") for axis in _XYZ), *((f"_q{axis}", "1") for axis in _WXYZ)],
     "qvel": [*((f"_{axis}", "m/s") for axis in _XYZ), *((f"_w{axis}", "rad/s") for axis in _XYZ)],
@@ -59,7 +59,7 @@ class Signal:
     Attributes:
         name: of the column.
         unit, doc: as in a table.
-        source: `qpos`, `qvel`, `ctrl`, or a group of sensors; `place`: which of its numbers, counted flat.
+        source: `qpos`, `qvel`, `ctrl`, or a group of sensors; `place`: index in the flattened source.
     """
 
     name: str
@@ -70,18 +70,18 @@ class Signal:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What chooses it: its own name, its sensor's, its group's."""
+        """Names that select it: its own, its sensor's, its group's."""
         sensor = self.name.rpartition("_")[0] if self.source in ("foot_position", "foot_velocity") else self.name
         return self.name, sensor, self.source
 
 
 @dataclasses.dataclass(frozen=True)
 class Saving:
-    """Which signals of a run are kept, and how often.
+    """Selection and rate of the signals that are stored.
 
     Attributes:
         sensors: names of signals, sensors or groups.
-        rate: samples a simulated second [Hz].
+        rate: samples per simulated second [Hz].
     """
 
     sensors: tuple[str, ...]
@@ -103,11 +103,11 @@ class Series:
     count: Int[np.ndarray, " n"]
 
     def first(self, worlds: int) -> Series:
-        """Those of the first worlds."""
+        """The series of the first worlds."""
         return self.take(slice(worlds))
 
     def take(self, worlds: slice) -> Series:
-        """Those of some worlds."""
+        """The series of some worlds."""
         values = {name: each[worlds] for name, each in self.values.items()}
         return Series(self.time, values, self.count[worlds])
 
@@ -138,10 +138,10 @@ def all_signals(robot: Robot) -> tuple[Signal, ...]:
 
 
 def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
-    """The signals that the names choose, each once, in the order of the names.
+    """The signals that the names select, each once, in the order of the names.
 
     Raises:
-        ParameterError: an unknown name, with the nearest.
+        ParameterError: an unknown name; the message suggests the closest one.
     """
     every, chosen = all_signals(robot), dict[str, Signal]()
     for name in saving.sensors:
@@ -166,7 +166,7 @@ def ticks_between(saving: Saving, dt: float) -> int:
         dt: length of a control tick [s].
 
     Raises:
-        ParameterError: the control rate is no whole multiple of the rate.
+        ParameterError: the control rate is not a whole multiple of the rate.
     """
     control = 1.0 / dt
     ticks = max(1, round(control / saving.rate)) if saving.rate > 0 else 1
@@ -179,13 +179,13 @@ def ticks_between(saving: Saving, dt: float) -> int:
 
 
 class Keeper:
-    """Keeps the chosen signals of a batch, block after block; nothing else of a block is held."""
+    """Collects the selected signals of a batch block by block, without storing the rest of a block."""
 
     def __init__(self, saving: Saving, robot: Robot, dt: float) -> None:
         """
         Args:
-            saving: what to keep.
-            robot: whose signals they are.
+            saving: signals to store.
+            robot: that the signals belong to.
             dt: length of a control tick [s].
 
         Raises:
@@ -196,7 +196,7 @@ class Keeper:
         self._parts: list[list[np.ndarray]] = []
 
     def add(self, trace: Trace) -> None:
-        """Keep the samples of the next block of ticks."""
+        """Store the samples of the next block of ticks."""
         ticks = trace.qpos.shape[1]
         first = (-self._ticks - 1) % self._every
         self._ticks += ticks
@@ -206,7 +206,7 @@ class Keeper:
         self._parts.append([read(each.source)[..., each.place].astype(np.float32) for each in self.signals])
 
     def series(self, ends: Float[np.ndarray, " n"]) -> Series:
-        """What was kept, of worlds that ended then [s]."""
+        """The stored series, given the worlds' end times [s]."""
         columns = (np.concatenate(parts, axis=1) for parts in zip(*self._parts, strict=True))
         values = dict(zip((each.name for each in self.signals), columns, strict=True))
         step = self._every * self._dt
@@ -218,7 +218,7 @@ class Keeper:
 
 
 def _read(source: str, trace: Trace, sensors: Sensors) -> np.ndarray:
-    """The numbers of a source (n, samples, ...), flat in the end."""
+    """The values of a source (n, samples, ...), with the trailing axes flattened."""
     if source in ("qpos", "qvel", "ctrl"):
         return np.asarray(getattr(trace, source))
     if source == "speed":

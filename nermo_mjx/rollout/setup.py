@@ -1,4 +1,4 @@
-"""What is chosen by name before anything compiles: robot, scene, gait, modes."""
+"""Static choices by name, made before anything compiles: robot, scene, gait, modes."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ from nermo_mjx.rollout.catalogue import METRICS, Metric
 from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
 from nermo_mjx.rollout.parameters import WorldParameters
 
-#: Columns of tables that a metric's name may not be.
+#: Columns of tables, which are reserved names for metrics.
 TAKEN: Final = frozenset((
     "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
     "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
     "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
     "trajectory", "head", "tail_motion",
 ))  # fmt: skip
-#: Choices that only the published controller knows.
+#: Choices that only the published controller has.
 PUBLISHED: Final = (
     "gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory", "head", "tail_motion",
 )  # fmt: skip
 
-#: Choices that give parameters their defaults, and decide nothing else.
+#: Choices that only set defaults of parameters.
 PRESETTINGS: Final = ("gait", "steering", "profile")
 
 
@@ -57,7 +57,7 @@ class Setup:
     Attributes:
         robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
             preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
-            is kept as MJCF, so that setups with the same one are equal.
+            is stored as MJCF, so that setups with the same scene are equal.
         gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
             `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
@@ -66,19 +66,19 @@ class Setup:
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
         waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
-        trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and numbers
-            of each limb.
+        trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and
+            parameters per limb.
         head: `none` or `gaze`, see `control.head`.
         tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the articulated tail, see `control.tail`.
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
-            `FILE.npz`, a policy. What is chosen above from `gait` on is the published controller's, and goes with no
-            other; with a `Controller` of other parts go gait, steering and profile. A policy has a pilot of its own;
-            another one than `straight` takes its place.
-        metrics: custom metrics beside `METRICS`: made by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
+            `FILE.npz`, a policy. The choices above from `gait` on belong to the published controller and cannot be
+            combined with another; with a `Controller` of other parts, gait, steering and profile can. A policy has its
+            own pilot, which a choice other than `straight` replaces.
+        metrics: custom metrics in addition to `METRICS`: created by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
             `MODULE` or `MODULE:NAME`; one, or several in a list.
 
     Raises:
-        ParameterError: an unknown name, or choices that do not fit together; the message says what is allowed.
+        ParameterError: an unknown name, or choices that cannot be combined; the message says what is allowed.
     """
 
     robot: str = "nermo_lite"
@@ -124,15 +124,15 @@ class Setup:
                 "number."
             )
         self._check_own(controller)
-        if is_mjcf(str(self.scene)):  # a custom scene, so it is not yet known whether the robot fits into it
+        if is_mjcf(str(self.scene)):  # a custom scene, which has not been checked with the robot yet
             self.load()
 
     def __getstate__(self) -> dict[str, Any]:
-        """For another process, which makes for itself what is derived."""
+        """Pickled state without derived objects, which the other process recreates."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
 
     def fields(self) -> dict[str, Any]:
-        """The choices that apply, as JSON knows them; an object stands there by its type's name."""
+        """The applicable choices as JSON values; an object is represented by its type's name."""
         given = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
                  if self._applies(field.name)}  # fmt: skip
         named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
@@ -142,7 +142,7 @@ class Setup:
 
     @functools.cached_property
     def own_metrics(self) -> tuple[OwnMetric, ...]:
-        """The custom metrics; a file is read once, as that of a controller."""
+        """The custom metrics; a file is read once, like that of a controller."""
         loaded = (load_metrics(each) if isinstance(each, str) else (each,) for each in self.metrics)
         return tuple(metric for several in loaded for metric in several)
 
@@ -163,7 +163,8 @@ class Setup:
 
     @functools.cached_property
     def _without_robot(self) -> Any:
-        """The controller, but for the spine's balance. A file is read once: a setup stays what it is if it changes."""
+        """The controller without the spine's balance. A file is read only once, so later changes do not affect the
+        setup."""
         if self.controller is not None:
             own = load_controller(self.controller) if isinstance(self.controller, str) else self.controller
             if isinstance(own, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
@@ -176,7 +177,7 @@ class Setup:
         )  # fmt: skip
 
     def _check_spine(self) -> None:
-        """Refuse unknown modes, and those of joints that the robot does not have."""
+        """Reject unknown modes, and those of joints that the robot does not have."""
         for mode in mode_names(self.spine):
             if mode in SAGITTAL_MODES and self.robot != "nermo_41":
                 raise ParameterError(
@@ -185,7 +186,7 @@ class Setup:
                 )
 
     def _check_metrics(self) -> None:
-        """Refuse what is not a metric, and names that are taken."""
+        """Reject objects that are not metrics, and names that are taken."""
         for each in self.metrics:
             if not isinstance(each, (str, OwnMetric)):
                 raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
@@ -199,7 +200,7 @@ class Setup:
             seen[own.name] = own.place
 
     def _applies(self, name: str) -> bool:
-        """Whether a choice means something to the controller."""
+        """Whether a choice applies to the controller."""
         if self.controller is None or name not in PUBLISHED:
             return True
         if isinstance(self._without_robot, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
@@ -207,7 +208,7 @@ class Setup:
         return isinstance(self._without_robot, Controller) and name in ("gait", "steering", "profile")
 
     def _check_own(self, controller: ControllerLike) -> None:
-        """Refuse choices that mean nothing to another controller, and names of its parameters that are taken."""
+        """Reject choices that do not apply to a custom controller, and names of its parameters that are taken."""
         for field in dataclasses.fields(self):
             if not self._applies(field.name) and getattr(self, field.name) != field.default:
                 raise ParameterError(
@@ -224,12 +225,12 @@ class Setup:
                 raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
 
     def defaults(self) -> dict[str, float]:
-        """Value of every parameter before a user names any."""
+        """Default of every parameter."""
         return {name: float(value) for name, value in values_of(self._world)}
 
     @functools.cached_property
     def _world(self) -> WorldParameters:
-        """Parameters before a user names any."""
+        """Default parameters."""
         controller = self._without_robot
         world = WorldParameters(control=controller.parameters)
         world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
@@ -249,18 +250,18 @@ class Setup:
         return known | _bounded_by_step(known, self.timestep)
 
     def world(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
-        """Parameters of worlds, with the named values in their places; nothing is checked but the names.
+        """Parameters of worlds, with the named values filled in; only the names are checked.
 
         Args:
-            values: parameter name -> number or array; what is not named has the setup's default.
-            policy: the controller's parameters, instead of the setup's; named values come into it.
+            values: parameter name -> number or array; unnamed ones have the setup's default.
+            policy: the controller's parameters, instead of the setup's; named values override it.
 
         Raises:
             ParameterError: an unknown name, a shape of the terrain that the scene does not read, or a policy of another
                 structure than the controller's parameters.
         """
         self._check_terrain(values)
-        # Arrays of its own, as `quantity` gives each tree: see there.
+        # New arrays, as `quantity` creates for each tree: see there.
         world = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, self._world)
         if policy is not None:
             there, here = map(str, map(jax.tree.structure, (policy, world.control)))
@@ -274,12 +275,12 @@ class Setup:
         return replace_quantities(world, self._completed(values))
 
     def _completed(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Named values with what follows from them."""
+        """Named values plus derived ones."""
         controller = self._without_robot
         return controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
 
     def _check_terrain(self, values: Mapping[str, Any]) -> None:
-        """Refuse a shape of terrain that the scene does not read; its default does no harm."""
+        """Reject a terrain shape that the scene does not read; its default is harmless."""
         for name in values.keys() - terrain_values(str(self.scene)).keys():
             scenes, value = scenes_reading(name), values[name]
             if not scenes:
@@ -292,11 +293,11 @@ class Setup:
                 )
 
     def check(self, world: WorldParameters, *, jointly: bool = True) -> None:
-        """Refuse parameters that are not finite, out of their range, or outside what time step and controller allow.
+        """Reject parameters that are not finite, out of range, or not allowed by time step or controller.
 
         Args:
             world: concrete (not traced); leaves may carry leading batch axes.
-            jointly: ask the controller, too, whose check may depend on several parameters.
+            jointly: also run the controller's check, which may depend on several parameters.
 
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
@@ -313,7 +314,7 @@ class Setup:
 
     @functools.cached_property
     def timing(self) -> frozenset[str]:
-        """Names of the parameters that decide how long a gait cycle is."""
+        """Names of the parameters that determine the length of a gait cycle."""
         names = [name for name, _ in values_of(self._world.control)]
         probes = {name: np.full(len(names), value) for name, value in values_of(self._world.control)}
         for world, name in enumerate(names):
@@ -323,7 +324,7 @@ class Setup:
         return frozenset(name for name, does in zip(names, decides, strict=True) if does)
 
     def cycle_rate(self, values: Mapping[str, Any], policy: Any = None) -> Float[np.ndarray, "*batch"]:
-        """Gait cycles a simulated second [1/s].
+        """Gait cycles per simulated second [1/s].
 
         Args:
             values: as for `world`, of numbers or arrays (n,).
@@ -337,7 +338,7 @@ class Setup:
 def with_own(
     setup: Setup | None, controller: ControllerLike | str | None = None, metrics: Sequence[OwnMetric | str] | str = ()
 ) -> Setup:
-    """The setup, or the default one, with a controller instead of its own if one is given, and with more metrics."""
+    """The setup, or the default one, with its controller replaced if one is given, and with additional metrics."""
     setup = setup or Setup()
     setup = setup if controller is None else dataclasses.replace(setup, controller=controller)
     more = (metrics,) if isinstance(metrics, (str, OwnMetric)) else tuple(metrics)
@@ -345,7 +346,7 @@ def with_own(
 
 
 def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
-    """Every metric that a run of `setup` gives, in the order of the columns: built-in and custom ones.
+    """Every metric of a run of `setup`, in the order of the columns: built-in and custom ones.
 
     >>> all_metrics()["cost_of_transport"].better
     'low'
@@ -355,7 +356,7 @@ def all_metrics(setup: Setup | None = None) -> dict[str, Metric]:
 
 
 def without_presettings(setup: Setup) -> Setup:
-    """The setup with the first choices of `PRESETTINGS`: two setups of one such run the same programs."""
+    """The setup with the first choices of `PRESETTINGS`: setups for which it is equal run the same programs."""
     return dataclasses.replace(setup, **{name: getattr(Setup, name) for name in PRESETTINGS})
 
 
@@ -369,11 +370,11 @@ def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
 
 
 def _bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
-    """The parameters whose range depends on the time step, with the range that it leaves."""
+    """The parameters whose range depends on the time step, with their remaining range."""
     contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
     stiffest, most_damped = highest_kp(timestep, float(kv.default)), highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
     return {
-        # MuJoCo lengthens what is shorter than two time steps, without a word.
+        # MuJoCo silently lengthens time constants shorter than two time steps.
         "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),
         "servo.kp": dataclasses.replace(kp, high=min(kp.high, stiffest)),
         "servo.kv": dataclasses.replace(kv, high=min(kv.high, most_damped)),

@@ -30,10 +30,10 @@ from nermo_mjx.rollout.saving import Keeper, Saving
 from nermo_mjx.rollout.setup import Setup, with_own, without_presettings
 from nermo_mjx.rollout.start import StartPose
 
-#: Ticks between two reports of progress.
+#: Ticks between progress reports.
 BLOCK = 25
-#: Share of a world's steps that the constraint solver may leave short of rounding before its status says so. Of 78,000
-#: steps of tumbling robots it leaves 2 on an accelerator, none on a CPU.
+#: Share of a world's steps in which the constraint solver may fail to converge before its status says so. Of 78,000
+#: steps of tumbling robots 2 do not converge on an accelerator, and none on a CPU.
 UNSOLVED = 1e-3
 
 
@@ -42,11 +42,11 @@ class Batch:
     """A batch of n worlds ready for an engine.
 
     Attributes:
-        params: of the loop, every leaf with a leading world axis, in JAX's default precision.
+        params: the loop's, every leaf with a leading world axis, in JAX's default precision.
         qpos: start poses (n, nq).
         fields: model fields that differ between worlds, (n, ...) each.
         ticks: control ticks until the last world is done.
-        may_end_early: whether worlds are done when they have walked their distance.
+        may_end_early: whether worlds are finished when they have walked their distance.
         mass, gravity: of each robot (n,) [kg, m/s^2].
         worlds, named, length: see `RunResult`.
     """
@@ -78,16 +78,16 @@ class Simulator:
     ) -> None:
         """
         Args:
-            setup: what is chosen by name.
+            setup: static choices.
             engine: `auto`, `c`, `mjx` or `warp`.
             devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
             threads: processors that share a batch in `c`; None for `$NERMO_MJX_THREADS`, or else all.
             controller: instead of the setup's, see `Setup.controller`.
-            metrics: beside the setup's, see `Setup.metrics`.
+            metrics: in addition to the setup's, see `Setup.metrics`.
 
         Raises:
-            ParameterError: an unknown engine, one that cannot run here, not as many devices, no thread, what is no
-                controller, or a metric that cannot be computed.
+            ParameterError: an unknown engine, one that cannot run here, too many devices, no thread, an object that is
+                not a controller, or a metric that cannot be computed.
         """
         self.setup = with_own(setup, controller, metrics)
         self.robot, own = self.setup.load(), self.setup.own_metrics
@@ -102,10 +102,10 @@ class Simulator:
         self._results = Lanes(functools.partial(measures.result, own=own))
 
     def with_setup(self, setup: Setup) -> Simulator:
-        """The same programs for a setup that differs in `PRESETTINGS` alone: nothing compiles again.
+        """A simulator for a setup that differs only in `PRESETTINGS`, with the same programs: nothing is recompiled.
 
         Raises:
-            ParameterError: it differs in more.
+            ParameterError: it differs in other choices.
         """
         if without_presettings(setup) != without_presettings(self.setup):
             raise ParameterError("setup differs in more than gait, steering and profile: it needs its own simulator.")
@@ -121,7 +121,7 @@ class Simulator:
             policy: see `run`.
 
         Raises:
-            ParameterError: unknown name, value out of range or not of shape () or (n,), or a stride past the legs'
+            ParameterError: unknown name, value out of range or not of shape () or (n,), or a stride outside the legs'
                 workspace.
         """
         params = self.setup.world({name: _numbers(name, value) for name, value in values.items()}, policy)
@@ -129,8 +129,8 @@ class Simulator:
         return params
 
     def prepare(self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None) -> Batch:
-        """What `run` hands to the engine; the arguments are the same."""
-        # Of the same structure: parameters have a geometry where one is named.
+        """The batch that `run` passes to the engine; the arguments are the same."""
+        # Of the same structure: parameters have a geometry if one is named.
         single = self.setup.world({name: 0.0 for name in values if names_geometry([name])})
         params, worlds = _batched(self.parameters(values, policy), single, values)
         window = _window(run or Run(), params, self.controller, worlds)
@@ -153,7 +153,7 @@ class Simulator:
     def __call__(
         self, values: Mapping[str, Any] | None = None, run: Run | None = None, *, policy: Any = None
     ) -> dict[str, np.ndarray]:
-        """The metrics of a batch, as named in `all_metrics(setup)`: what `run` gives, without the rest."""
+        """The metrics of a batch, as named in `all_metrics(setup)`: the `metrics` of `run` alone."""
         return self.run(values or {}, run, policy=policy).metrics
 
     def run(
@@ -173,14 +173,14 @@ class Simulator:
         ((2,), ['ok', 'ok'])
 
         Args:
-            values: parameter name -> number or (n,) array; what is not named has the setup's default.
+            values: parameter name -> number or (n,) array; unnamed ones have the setup's default.
             run: length and warm-up; eight gait cycles, two of them warm-up, by default.
-            record: keep every tick of every world (memory: about 1.5 kB a tick and world).
-            progress: called with the share done, in [0, 1].
-            notify: called with a sentence before a program is compiled that this simulator has not run yet.
+            record: store every tick of every world (memory: about 1.5 kB per tick and world).
+            progress: called with the finished share, in [0, 1].
+            notify: called with a sentence before this simulator compiles a program for the first time.
             policy: the controller's parameters instead of the setup's, a pytree like `controller.parameters`. A leaf
-                with one axis more than there has one entry per world. Named values come into it.
-            save: signals whose time series are kept; the result's `series`.
+                with an additional leading axis has one entry per world. Named values override it.
+            save: signals whose time series are stored, as the result's `series`.
 
         Raises:
             ParameterError: see `parameters`, and `Keeper`.
@@ -291,7 +291,7 @@ def _numbers(name: str, value: Any) -> np.ndarray:
 
 
 def _finished(state: measures.MetricState) -> np.ndarray:
-    """Worlds (n,) that have walked their distance, or can walk no more."""
+    """Worlds (n,) that have walked their distance, or have failed."""
     return np.logical_or.reduce([np.asarray(flag) for flag in (state.finished, state.fell, state.diverged)])
 
 
@@ -334,6 +334,6 @@ def _window(run: Run, params: WorldParameters, controller: ControllerLike, world
 
 
 def _single(tree: Any) -> Any:
-    """Numbers in JAX's default precision; whole numbers and flags stay what they are."""
+    """Floats in JAX's default precision; integers and flags are unchanged."""
     real = jax.dtypes.canonicalize_dtype(float)
     return jax.tree.map(lambda leaf: np.asarray(leaf, real if leaf.dtype.kind == "f" else None), tree)

@@ -1,4 +1,4 @@
-"""The pose in which a world starts: in the posture of its gait, level, at rest, a foot on the ground beneath it."""
+"""The start pose of a world: in the posture of its gait, level, at rest, and on the ground."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.parameters import Start
 from nermo_mjx.shapes import Array
 
-#: Tendons start longer than their limit by this much, as they stand under load [m]. At the limit itself rounding would
-#: decide whether a tendon holds or its knee springs loose in the first step.
+#: Tendons start longer than their limit by this much, as when loaded [m]. At the limit itself rounding would determine
+#: whether a tendon holds or its knee springs loose in the first step.
 TAUT: Final = 2e-5
-#: The lowest sole starts so deep in the ground [m]. On its surface rounding would decide whether it touches in the
-#: first steps, which moves the robot by 0.1 micrometres.
+#: Initial penetration of the lowest sole [m]. On the surface rounding would determine whether it touches in the first
+#: steps, which moves the robot by 0.1 micrometres.
 DEPTH: Final = 1e-5
 
 #: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
@@ -47,7 +47,7 @@ class StartPose:
 
         Args:
             control: the controller's parameters.
-            start: where, and in which phase.
+            start: position, heading and phase.
             terrain: shape of the ground, see `Terrain.height`.
             geometry: of the body, by default the published one.
         """
@@ -61,7 +61,7 @@ class StartPose:
         axis_height = jnp.concatenate([shoulders(geometry)[:, 2], hips(bend, geometry)[:, 2]])
         # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
         yaw = start.yaw + 0.5 * 4 * bend
-        # Each foot has its own ground; the body is as high as the one that needs it highest.
+        # The ground's height differs between feet; the foot that requires the greatest height determines the body's.
         x, y, z = jnp.moveaxis(feet_positions(bend, pose.foot, geometry, lifted), -1, 0)
         cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
         place = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
