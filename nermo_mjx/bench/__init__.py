@@ -24,20 +24,20 @@ def run_bench(
 ) -> dict[str, Any]:
     """Measure on this machine, each measurement in its own process.
 
-    So its peak of memory is its own, a measurement that fails or runs out of memory costs no other, and this process
-    never holds the accelerator.
+    This isolates the peak of memory, protects the other measurements if one fails or runs out of memory, and keeps this
+    process from holding the accelerator.
 
     Args:
         cases: names from `CASES`.
         options: option of a case -> values; each combination is measured.
         progress: called with (measurements done, measurements in all).
-        keep: called with the run of each measurement alone, as soon as it is made.
-        known: tells which measurements, of cases that are made `once`, are there already.
+        keep: called with the run of each single measurement, as soon as it is finished.
+        known: tells which measurements, of cases that are made `once`, already exist.
 
     Returns:
         `{"date", "commit", "hardware": {...}, "cases": [{"case", ...}]}`. A case that failed has `error`, a sentence,
-        instead of figures. `ratio` of an engine is plain time over ours: 1 means that controller and metrics are free;
-        that of a gradient is its time over the time of the walk alone.
+        instead of figures. `ratio` of an engine is the plain time over ours: 1 means that controller and metrics are
+        free; that of a gradient is its time over the time of the walk alone.
 
     Raises:
         ParameterError: see `registry.plan`.
@@ -50,7 +50,7 @@ def run_bench(
             progress(done, len(planned))
         found, line = apart(CASES[name], chosen)
         lines.append({"case": name, **chosen, **line})
-        # The process may have ended early: a figure without its machine is worth nothing.
+        # The process may have ended early: a figure without its machine is useless.
         hardware = found or hardware or apart(_NOTHING, {})[0]
         if keep:
             keep(_run(hardware, lines[-1:]))
@@ -59,7 +59,7 @@ def run_bench(
     return _run(hardware, lines)
 
 
-#: Measures nothing, so that a process says only where it runs.
+#: A case without a measurement, which only reports the hardware.
 _NOTHING: Final = Benchmark("", "builtins:dict", {})
 
 
@@ -81,6 +81,6 @@ def measure(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any], d
     """(hardware, figures) of one measurement, in this process; an error becomes the figures' only entry."""
     try:
         figures = case.measure(**options)
-    except Exception as error:  # whatever it is, the other measurements continue
+    except Exception as error:  # whatever it is, continue with the others
         figures = {"error": f"{type(error).__name__}: {error}".strip().split("\n")[0]}
     return describe(), figures

@@ -27,7 +27,7 @@ _RATIO = ShownColumn("ratio", "ratio", "{:.2f}")
 _TRACE, _COMPILE = ShownColumn("trace [s]", "trace_s", "{:.1f}"), ShownColumn("compile [s]", "compile_s", "{:.1f}")
 _PEAK = ShownColumn("peak [MB]", "peak_bytes", "{:,.0f}", 1e-6)
 
-#: Case -> its columns. Those of a case that has rows of its own in a line (`ROWS`) are of these rows.
+#: Case -> its columns. For a case with several rows in a line (`ROWS`), the columns of these rows.
 COLUMNS: Final[dict[str, tuple[ShownColumn, ...]]] = {
     "throughput": (
         _ENGINE, _WORLDS,
@@ -111,7 +111,7 @@ COLUMNS: Final[dict[str, tuple[ShownColumn, ...]]] = {
 
 
 def rows(line: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The table's rows that a measurement makes: one, or one for each part of it."""
+    """The table's rows for a measurement: one, or one for each part of it."""
     if "error" in line:
         return
     head = {key: value for key, value in line.items() if not isinstance(value, (list, dict))}

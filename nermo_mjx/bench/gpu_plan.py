@@ -18,8 +18,8 @@ from nermo_mjx.bench.hardware import peak_bytes
 from nermo_mjx.bench.hlo import Loop, Module, Work
 from nermo_mjx.bench.timing import compile_cold
 
-#: Rounds that a loop of unknown length is taken to make. The constraint solver's makes as many as the slowest world
-#: needs: 2.3 on average of 64 walks, 7 at most.
+#: Assumed number of iterations of a loop of unknown length. The constraint solver makes as many as the slowest world
+#: needs: 2.3 on average for 64 walks, 7 at most.
 ROUNDS: Final = 5
 #: Assumed, not measured: from the launch of a small kernel to that of the next [s], and how long the host waits to
 #: learn whether a loop continues [s].
@@ -35,7 +35,7 @@ def gpu_plan_case(target: str, program: str, worlds: int) -> dict[str, Any]:
         program: name from `PROGRAMS`.
         worlds: size of the batch.
     """
-    jax.config.update("jax_platforms", "cpu")  # an accelerator that is here has nothing to do with it
+    jax.config.update("jax_platforms", "cpu")  # an accelerator in this machine is not used
     gpu = TARGETS[target]
     where = SingleDeviceSharding(gpu.device())
     made = PROGRAMS[program](worlds)
@@ -61,11 +61,11 @@ def figures(text: str, program: Program, worlds: int, gpu: GpuTarget) -> dict[st
         text: its optimized HLO.
         program: what was compiled.
         worlds: size of its batch.
-        gpu: that it was compiled for; says the bandwidth.
+        gpu: that it was compiled for, which has the bandwidth.
 
     Returns:
-        Figures `_per_step` are of a physics step without the rest of a control tick, which `launches_per_tick` has. The
-        bounds are of the whole tick, and count the physics steps of all worlds in a second.
+        Figures `_per_step` are for a physics step without the rest of a control tick, which `launches_per_tick`
+        includes. The bounds are for the whole tick, in physics steps of all worlds per second.
     """
     module = Module(text, ROUNDS)
     tick, loops, ticks = _tick(module, program)
@@ -87,9 +87,10 @@ def figures(text: str, program: Program, worlds: int, gpu: GpuTarget) -> dict[st
 
 
 def _tick(module: Module, program: Program) -> tuple[Work, list[tuple[Loop, float]], int]:
-    """What a run of a number of ticks does, its loops, and the ticks.
+    """The work of a run over a number of ticks, its loops, and the ticks.
 
-    Where the caller decides on the number of ticks, the one loop over them is not in a tick, and a round of it is one.
+    If the caller sets the number of ticks, the single loop over them is the outermost one, and one of its iterations is
+    a tick.
     """
     if program.ticks is not None:
         return module.work(module.entry), list(module.loops(module.entry)), program.ticks
@@ -98,7 +99,7 @@ def _tick(module: Module, program: Program) -> tuple[Work, list[tuple[Loop, floa
 
 
 def _step(module: Module, loops: list[tuple[Loop, float]], steps: int) -> Work:
-    """What the loops over a tick's physics steps do, of all rounds."""
+    """The work of the loops over a tick's physics steps, in all iterations."""
     over_steps = [(loop, times) for loop, times in loops if loop.rounds == steps]
     within = {inner.body for loop, _ in over_steps for inner, _ in module.loops(loop.body)}
     chosen = [(loop, times) for loop, times in over_steps if loop.body not in within]

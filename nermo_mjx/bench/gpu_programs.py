@@ -26,8 +26,8 @@ class Program(NamedTuple):
     Attributes:
         function: of a batch, pure.
         arguments: pytrees of `jax.ShapeDtypeStruct`.
-        donated: positions of the arguments that are given up.
-        ticks: control ticks that it makes; None where the caller decides at run time.
+        donated: positions of the donated arguments.
+        ticks: number of control ticks; None if the caller sets it at run time.
         steps_per_tick: physics steps in each.
     """
 
@@ -38,13 +38,13 @@ class Program(NamedTuple):
     steps_per_tick: int
 
     def jitted(self, device: Any = None) -> Any:
-        """`jax.jit` of the function, for a device of its own if one is given."""
+        """`jax.jit` of the function, for a specific device if one is given."""
         where = {} if device is None else {"in_shardings": device, "out_shardings": device}
         return jax.jit(self.function, donate_argnums=self.donated, **where)
 
 
 def walk(worlds: int) -> Program:
-    """What advances a batch of the engine `mjx`: controller, metrics and physics."""
+    """The program that advances a batch of the engine `mjx`: controller, metrics and physics."""
     simulator = Simulator(Setup(spine="stride_extension"), "mjx", devices=1)
     engine = simulator.engine
     assert isinstance(engine, MjxEngine)
@@ -73,7 +73,7 @@ def _gradient(mode: str, worlds: int) -> Program:
 
 
 def _among(leaf: Any, worlds: int) -> jax.ShapeDtypeStruct:
-    """The shape of a batch of one world as that of several."""
+    """The shape of a batch of one world, changed to several worlds."""
     return jax.ShapeDtypeStruct((worlds, *leaf.shape[1:]), jax.dtypes.canonicalize_dtype(leaf.dtype))
 
 

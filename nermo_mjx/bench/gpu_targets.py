@@ -1,4 +1,4 @@
-"""GPUs that XLA compiles for where there is none: each as XLA describes a device, and as a device to compile for."""
+"""GPUs that XLA can compile for on machines without one: XLA's description, and a device to compile for."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from jax.experimental import topologies
 
 @dataclasses.dataclass(frozen=True)
 class GpuTarget:
-    """What the compiler and the estimates need to know of a GPU; figures of NVIDIA's data sheets and device queries.
+    """Properties of a GPU for the compiler and the estimates; from NVIDIA's data sheets and device queries.
 
     Attributes:
         name: as the driver reports it.
         capability: compute capability, major and minor.
         cores, units, clock: multiprocessors, float32 units of each, and their clock [GHz].
-        threads: most threads that a multiprocessor holds.
-        shared, shared_block: shared memory of a multiprocessor, and the most that a block may ask for [bytes].
+        threads: maximum number of threads per multiprocessor.
+        shared, shared_block: shared memory of a multiprocessor, and the maximum per block [bytes].
         cache, memory: second-level cache and memory of the device [bytes].
-        bandwidth: of the memory [bytes/s].
+        bandwidth: memory bandwidth [bytes/s].
     """
 
     name: str

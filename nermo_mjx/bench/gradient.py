@@ -16,7 +16,7 @@ from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.length import Run
 from nermo_mjx.rollout.setup import Setup
 
-#: What is differentiated: mean speed by the two parameters of the stride extension.
+#: The derivative: of the mean speed by the two parameters of the stride extension.
 NAMES: Final = ("spine.amplitude", "spine.phase")
 FREQUENCY: Final = 0.8  # [Hz]
 ROUNDS: Final = 3

@@ -1,4 +1,4 @@
-"""What machine and which versions a measurement was made on."""
+"""The machine and the versions that a measurement was made with."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nermo_mjx.runtime import cpu_count
 
 
 def describe() -> dict[str, str | int]:
-    """Name of the processor and accelerator, memory, and versions of what computes."""
+    """Name of the processor and accelerator, memory, and versions of the numerical packages."""
     devices = jax.devices()
     versions = {name: importlib.metadata.version(name) for name in ("mujoco", "mujoco-mjx", "jax", "jaxlib")}
     return {
@@ -29,7 +29,7 @@ def describe() -> dict[str, str | int]:
 
 
 def commit() -> str | None:
-    """The commit of the source that is measured, with a + where files differ from it; None for an installed package."""
+    """The commit of the measured source, with a + if files differ from it; None for an installed package."""
     git = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--exclude=*", "--dirty=+", "--abbrev=12"]
     try:
         done = subprocess.run(git, check=False, capture_output=True, text=True)
@@ -39,7 +39,7 @@ def commit() -> str | None:
 
 
 def peak_bytes() -> int:
-    """Most memory used so far: of the accelerator, or of this process on a CPU."""
+    """Peak memory so far: of the accelerator, or of this process on a CPU."""
     statistics = jax.local_devices()[0].memory_stats() if jax.default_backend() != "cpu" else None
     if statistics and "peak_bytes_in_use" in statistics:
         return int(statistics["peak_bytes_in_use"])

@@ -1,4 +1,4 @@
-"""The runs that results.jsonl holds: the latest good figures of each measurement, by machine, and what failed since."""
+"""The runs in results.jsonl: the latest good figures of each measurement, by machine, and later failures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from nermo_mjx.runs.files import replace_file
 from nermo_mjx.runs.status import Status
 
 RESULTS: Final = "results.jsonl"
-#: Heading of runs that ended before they could say where they ran.
+#: Heading of runs that ended before they could report their machine.
 UNKNOWN: Final = "Unknown machine"
 _VERSIONS: Final = ("mujoco", "jax", "python")
 
 
 @dataclasses.dataclass
 class Measured:
-    """What is known of one measurement on one machine.
+    """The results of one measurement on one machine.
 
     Attributes:
         good: its newest line with figures, and in `made` when it was measured and with what; None if there is none.
@@ -40,7 +40,7 @@ class Measured:
         return str(line["case"])
 
     def failure(self) -> str | None:
-        """What failed, when, and of when the figures are, in a sentence; None if nothing did."""
+        """A sentence on the failure, its date and the date of the figures; None without a failure."""
         if self.failed is None:
             return None
         line = {key: value for key, value in self.failed.items() if key not in ("made", "day")}
@@ -54,9 +54,9 @@ class History:
 
     Attributes:
         machines: machine -> its measurements, in the order of the registry.
-        remarks: a sentence on each line that is not shown.
-        lines: readable measurements in the file, however old.
-        commits: that were measured, the oldest first.
+        remarks: a sentence about each line that is not shown.
+        lines: readable measurements in the file, of any age.
+        commits: measured ones, oldest first.
     """
 
     machines: dict[str, list[Measured]]
@@ -69,16 +69,16 @@ def append(folder: Path, run: Mapping[str, Any]) -> None:
     """Append a run of `run_bench` to FOLDER/results.jsonl as one line; existing lines are unchanged."""
     path = folder / RESULTS
     before = path.read_bytes() if path.exists() else b""
-    if before and not before.endswith(b"\n"):  # cut off by whatever killed the process
+    if before and not before.endswith(b"\n"):  # truncated when the process was killed
         before += b"\n"
     replace_file(path, before + json.dumps(run).encode() + b"\n")
 
 
 def read(folder: Path) -> History:
-    """The content of FOLDER/results.jsonl; what cannot be read of it becomes a remark.
+    """The content of FOLDER/results.jsonl; unreadable lines become remarks.
 
     Raises:
-        OSError: there is no such file, or it cannot be read.
+        OSError: the file does not exist or cannot be read.
     """
     found: dict[str, dict[tuple[Any, ...], Measured]] = {}
     unreadable, remarks, commits, count = list[int](), list[str](), dict[str, None](), 0
@@ -111,7 +111,7 @@ def read(folder: Path) -> History:
 
 
 def is_known(folder: Path, case: str, options: Mapping[str, Any]) -> bool:
-    """Whether results.jsonl has good figures of a measurement, of any machine."""
+    """Whether results.jsonl has good figures of a measurement on any machine."""
     if not (folder / RESULTS).exists():
         return False
     wanted = _key({"case": case, **options})
@@ -120,7 +120,7 @@ def is_known(folder: Path, case: str, options: Mapping[str, Any]) -> bool:
 
 
 def status(out: Path) -> Status:
-    """How far a directory of benchmarks is: what results.jsonl has; the commits that were measured are its code."""
+    """Status of a directory of benchmarks: the content of results.jsonl; its code is the measured commits."""
     history = read(out) if (out / RESULTS).exists() else History({}, (), 0, ())
     measured = [each for machine in history.machines.values() for each in machine]
     engines = dict.fromkeys(each.good["engine"] for each in measured if each.good and "engine" in each.good)
@@ -154,7 +154,7 @@ def _wrong(line: Any) -> str:
 
 
 def _key(line: Mapping[str, Any]) -> tuple[Any, ...]:
-    """What tells measurements apart; a line from before an option was there has the value that it was measured with."""
+    """The key of a measurement; in lines older than an option, the value that it implicitly had."""
     options = CASES[line["case"]].options
     return (line["case"], *(line.get(name, option.unsaid) for name, option in options.items()))
 

@@ -1,8 +1,8 @@
 """Analysis of a compiled GPU program from its optimized HLO: launches, loops and bytes moved.
 
 After XLA's passes each instruction that computes is a kernel (a fusion is one), a call of a library or a copy, and each
-is launched by itself. A loop whose trip count is known is launched through; for each round of another one the device
-tells the host whether there is one more.
+is a separate launch. A loop with a known trip count is launched without waiting; in each iteration of any other loop,
+the host waits for the device to tell whether it continues.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ _BYTES: Final = {
     "pred": 1, "s8": 1, "u8": 1, "s16": 2, "u16": 2, "f16": 2, "bf16": 2, "s32": 4, "u32": 4, "f32": 4, "s64": 8,
     "u64": 8, "f64": 8, "c64": 8, "c128": 16,
 }  # fmt: skip
-#: Instructions that launch nothing: names for what is there, and the ends of what another instruction began.
+#: Instructions without a launch: views of existing data, and the ends of asynchronous operations.
 _FREE: Final = {
     "parameter", "constant", "tuple", "get-tuple-element", "bitcast", "after-all", "opt-barrier", "add-dependency",
     "copy-done", "async-done", "async-update", "partition-id", "replica-id",
 }  # fmt: skip
 _COPIES: Final = {"copy", "copy-start"}
 _CONTROL: Final = {"while", "conditional", "call", "async-start"}
-#: What reads of its first operand only as much as its result holds.
+#: Instructions that read only as much of their first operand as their result holds.
 _SLICES: Final = {"slice", "dynamic-slice", "gather"}
 
 _HEAD: Final = re.compile(r"^(ENTRY )?%?([\w.\-]+) \(.*\{$")
@@ -39,7 +39,7 @@ _CALLED: Final = re.compile(
 
 @dataclasses.dataclass(frozen=True)
 class Work:
-    """What is launched, how often the host waits to learn whether a loop continues, and the bytes read and written."""
+    """Launches, how often the host waits to learn whether a loop continues, and bytes read and written."""
 
     kernels: float = 0.0
     libraries: float = 0.0
@@ -49,7 +49,7 @@ class Work:
 
     @property
     def launches(self) -> float:
-        """Of kernels, libraries and copies."""
+        """Number of launches: kernels, libraries and copies."""
         return self.kernels + self.libraries + self.copies
 
     def __add__(self, other: Work) -> Work:
@@ -61,7 +61,7 @@ class Work:
 
 
 class Loop(NamedTuple):
-    """A while loop: the computations that it runs, and how many rounds; None if only the device knows."""
+    """A while loop: its computations, and its number of iterations; None if only the device knows."""
 
     condition: str
     body: str
@@ -82,7 +82,7 @@ class Instruction(NamedTuple):
         return [name for names in _CALLED.findall(self.rest) for name in _NAME.findall(names)]
 
     def loop(self) -> Loop:
-        """What a `while` runs."""
+        """The loop of a `while` instruction."""
         names = [re.search(rf"\b{key}=%?([\w.\-]+)", self.rest) for key in ("condition", "body")]
         condition, body = (match.group(1) for match in names if match)
         trips = _TRIPS.search(self.rest)
@@ -94,8 +94,8 @@ class Module:
 
     Attributes:
         computations: name -> instructions, the last of which is the root.
-        entry: name of the computation that the program begins with.
-        rounds: that a loop of unknown length is taken to make.
+        entry: name of the entry computation.
+        rounds: assumed number of iterations of a loop of unknown length.
     """
 
     def __init__(self, text: str, rounds: int) -> None:
@@ -105,20 +105,20 @@ class Module:
             rounds: see the attribute.
 
         Raises:
-            ValueError: the text has no computation to begin with.
+            ValueError: the text has no entry computation.
         """
         self.rounds = rounds
         self.computations, self.entry = _parsed(text)
         self._known: dict[str, Work] = {}
 
     def work(self, name: str) -> Work:
-        """All that a computation does, its loops round by round."""
+        """The total work of a computation, including all iterations of its loops."""
         if name not in self._known:
             self._known[name] = sum((self._of(each, name) for each in self.computations[name].values()), Work())
         return self._known[name]
 
     def loops(self, name: str) -> Iterator[tuple[Loop, float]]:
-        """The loops that a computation runs, those within others, too, and how often each is started."""
+        """The loops in a computation, including nested ones, and how often each is started."""
         for each in self.computations[name].values():
             if each.opcode == "while":
                 loop = each.loop()
@@ -130,7 +130,7 @@ class Module:
                     yield from self.loops(called)
 
     def round(self, loop: Loop) -> Work:
-        """One round of a loop."""
+        """One iteration of a loop."""
         body = self.work(loop.body)
         return body + self.work(loop.condition) + Work(waits=1.0) if loop.rounds is None else body
 
@@ -142,7 +142,7 @@ class Module:
             loop = each.loop()
             return self.round(loop) * self._rounds(loop)
         if each.opcode == "conditional":
-            # It waits for the branch to be known; the dearest one counts.
+            # The host waits for the branch to be known; the most expensive one counts.
             return max((self.work(name) for name in each.called()), key=lambda work: work.launches) + Work(waits=1.0)
         if each.opcode in _CONTROL:
             return sum((self.work(name) for name in each.called()), Work())
@@ -153,7 +153,7 @@ class Module:
         return Work(**{kind: 1.0}, bytes=moved)
 
     def _moved(self, each: Instruction, computation: str) -> int:
-        """Bytes that a kernel reads and writes: of a value it slices or updates in place, only that part."""
+        """Bytes that a kernel reads and writes; of values that are sliced or updated in place, only that part."""
         around = self.computations[computation]
         if each.opcode != "fusion":
             return _written(each, around) + sum(

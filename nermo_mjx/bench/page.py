@@ -1,4 +1,4 @@
-"""The page of results: all runs that a directory holds, as tables by machine, and their plots."""
+"""The page of results: all runs in a directory, as tables by machine, and their plots."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STEPS = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
 
 
 def add_run(folder: Path, run: Mapping[str, Any], write: Callable[[Path, bytes], None] = replace_file) -> None:
-    """Add a run of `run_bench` to FOLDER/results.jsonl, a line, and draw the page, see `draw_page`."""
+    """Append a run of `run_bench` to FOLDER/results.jsonl, and draw the page, see `draw_page`."""
     append(folder, run)
     draw_page(folder, write)
 
@@ -34,7 +34,7 @@ def draw_page(folder: Path, write: Callable[[Path, bytes], None] = replace_file)
     """Remake FOLDER/results.md and its plots from FOLDER/results.jsonl, and the page of a case that has its own.
 
     Args:
-        write: how pages and plots are written; by default they replace what is there.
+        write: how pages and plots are written; by default they replace existing ones.
     """
     history = read(folder)
     searches = [each.good for measured in history.machines.values() for each in measured
@@ -87,7 +87,7 @@ def _tables(measured: Sequence[Measured]) -> Iterator[str]:
 
 
 def _figures(machine: str, measured: Sequence[Measured], number: int) -> Iterator[tuple[str, Figure]]:
-    """Throughput and memory over the batch, compile times, and what gradients need over the length of a walk."""
+    """Throughput and memory over the batch, compile times, and the cost of gradients over the length of a walk."""
     lines = [each.good for each in measured if each.good]
     walks = _with(lines, "throughput", "steps_per_second", "plain_steps_per_second", "peak_bytes")
     if walks:
@@ -96,7 +96,7 @@ def _figures(machine: str, measured: Sequence[Measured], number: int) -> Iterato
     if compiled := [line for line in compiled if line["compile_s"]]:
         yield f"compile_{number}", _compile(machine, compiled)
     gradients = _with(lines, "gradient", "ratio", "temporary_bytes_per_world")
-    if len({line["cycles"] for line in gradients}) > 1:  # of one length there is nothing to draw over it
+    if len({line["cycles"] for line in gradients}) > 1:  # a curve needs more than one length
         yield f"gradient_{number}", _gradient(machine, gradients)
 
 

@@ -1,4 +1,4 @@
-"""Where gradients pay: one search of a gait by one method, on a budget of processor time."""
+"""Where gradients pay off: one search for a gait by one method, on a budget of processor time."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.tuner import Tuner
 from nermo_mjx.tune.verifying import verified
 
-#: What is aimed at. Of the cost of transport, the speed is held that stands under the gait.
+#: The objectives. For the cost of transport, the speed given with the gait is held.
 TASKS: Final = ("speed", "transport")
 METHODS: Final = ("exact", "mixture", "cma")
 HELD: Final = {"trt": 0.08, "trt1": 0.06, "lat": 0.06}  # [m/s]
 FREQUENCY: Final = 0.8  # [Hz]
-#: Each seed begins elsewhere: so far from the published gait, as a fraction of the bounds to both sides.
+#: Each seed starts at another point: distance from the published gait, as a fraction of the bounds on either side.
 ASIDE: Final = 0.1
-#: Of CMA-ES: first standard deviation in the coordinates of tunings, where a range is about 4 wide, and a generation.
+#: CMA-ES: initial standard deviation in the coordinates of tunings, where a range is about 4 wide, and population size.
 SIGMA: Final = 0.5
 POPULATION: Final = 16
 
@@ -36,9 +36,9 @@ def _feet(groups: tuple[str, ...], points: tuple[str, ...], axes: str = "yz") ->
     return {f"foot.{group}.{axis}{point}": 0.008 for group in groups for axis in axes for point in points}
 
 
-#: Parameters in the order in which they join, and how far each may go to both sides of the published gait: spine as a
-#: Fourier series, lift and trim of the pairs of limbs, their strides and duties, the points of their foot paths, and of
-#: each foot's. `SIZES` of them are searched at a time.
+#: Parameters in the order in which they are added, with each one's range on either side of the published gait: spine as
+#: a Fourier series, lift and trim of the pairs of limbs, their strides and duties, the points of their foot paths, and
+#: of each foot's. `SIZES` of them are searched at a time.
 REACH: Final[dict[str, float]] = {
     "spine.harmonics.cos1": 0.4, "spine.harmonics.sin1": 0.4,
     "limb.lift.front": 0.01, "limb.lift.rear": 0.01,
@@ -56,22 +56,22 @@ SIZES: Final = (2, 8, 16, 32, 64)
 def paying_case(task: str, gait: str, parameters: int, method: str, seed: int, cpu_s: float) -> dict[str, Any]:
     """One search, in a process of its own, until it has used its processor time.
 
-    Time counts from the start of the process and holds all that it does: imports, reading the traced program or tracing
-    it, compiling it or finding it compiled. Cores that are shared with others tell nothing by wall time, so that the
-    budget is processor time; CMA-ES keeps two cores busy, and a gradient of one walk less than one and a half.
+    Time counts from the start of the process and includes everything: imports, reading the traced program or tracing
+    it, compiling it or loading it from the cache. On shared cores wall time is meaningless, so the budget is processor
+    time; CMA-ES keeps two cores busy, and a gradient of one walk less than one and a half.
 
     Args:
         task: of `TASKS`.
-        gait: that the gaits searched lie around.
-        parameters: how many; one of `SIZES`.
+        gait: centre of the searched range.
+        parameters: their number, one of `SIZES`.
         method: of `METHODS`; the gradient is exact or a mixture of 5 walks, CMA-ES runs on the engine `c`.
         seed: of the start, which is the same for all methods, and of the method.
         cpu_s: the budget [s].
 
     Returns:
-        `ready_cpu_s` and `ready_wall_s`, when the first evaluation was there; `curve`, of each evaluation wall time,
-        processor time and simulated time so far [s] and the best objective; `found` and `began`, what the best and the
-        start give on the engine `c` from starts that no search has seen; `evaluations`.
+        `ready_cpu_s` and `ready_wall_s`, when the first evaluation was finished; `curve`, for each evaluation wall
+        time, processor time and simulated time so far [s] and the best objective; `found` and `began`, the results of
+        the best point and the start on the engine `c` from starts that no search has seen; `evaluations`.
     """
     tuning = tuning_of(task, gait, parameters, method, seed)
     problem = Counted(simulation_of(tuning))
@@ -92,7 +92,7 @@ def paying_case(task: str, gait: str, parameters: int, method: str, seed: int, c
 
 
 def tuning_of(task: str, gait: str, parameters: int, method: str, seed: int) -> Tuning:
-    """The tuning of a cell, from the start of a seed."""
+    """The tuning of one cell, from a seed's start."""
     names = list(REACH)[:parameters]
     rng = np.random.default_rng([seed, 20])
     probe = Tuning.from_dict({**_walk(gait), "tune": {"stride": None}, "objective": [{"maximize": "speed"}]})
@@ -121,7 +121,7 @@ def _walk(gait: str) -> dict[str, Any]:
 
 
 class Counted:
-    """A problem that counts what it simulates [s], gradients at their cost in forward runs."""
+    """A problem that counts its simulated time [s], with gradients at their cost in forward runs."""
 
     def __init__(self, problem: Problem) -> None:
         self._problem, self.simulated = problem, 0.0

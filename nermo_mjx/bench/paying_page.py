@@ -1,4 +1,4 @@
-"""The page of searches by gradient and by CMA-ES: what each found in the same processor time, and what is missing."""
+"""The page of searches by gradient and by CMA-ES: results in the same processor time, and missing searches."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _CASE: Final = "gradients-pay"
 _COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2]}
 _CALLED: Final = {"exact": "exact gradient", "mixture": "mixture", "cma": "CMA-ES"}
 _WAY: Final = ("parameters", "task", "gait", "cpu_s")
-#: Share of a budget at which a curve is read, so that the last evaluation, which goes beyond it, does not count.
+#: Share of a budget at which a curve is read, which excludes the last evaluation, since that exceeds the budget.
 _GRID: Final = 200
 
 Line = Mapping[str, Any]
@@ -28,7 +28,7 @@ Cell = tuple[Any, ...]
 
 
 def draw_searches(folder: Path, lines: Sequence[Line], write: Callable[[Path, bytes], None]) -> None:
-    """Write FOLDER/gradients_pay.md and its plots from the searches' figures, those that are there."""
+    """Write FOLDER/gradients_pay.md and its plots from the figures of the finished searches."""
     cells: dict[Cell, list[Line]] = {}
     for line in lines:
         cells.setdefault(tuple(line[name] for name in _WAY), []).append(line)
@@ -54,7 +54,7 @@ _INTRODUCTION: Final = (
 
 
 def _rows(cell: Cell, own: Sequence[Line]) -> list[list[str]]:
-    """A row a method."""
+    """One row per method."""
     found = []
     equal = min(max(point[2] for point in line["curve"]) for line in own)
     for method in dict.fromkeys(line["method"] for line in own):
@@ -72,7 +72,7 @@ def _rows(cell: Cell, own: Sequence[Line]) -> list[list[str]]:
 
 
 def _verdict(cell: Cell, own: Sequence[Line]) -> str:
-    """Which method found the better gait, in the median of the seeds that both have; empty where one is missing."""
+    """The method that found the better gait, by the median over the seeds that both have; empty if one is missing."""
     seeds = set.intersection(*({x["seed"] for x in own if x["method"] == name} for name in ("exact", "cma")))
     if not seeds:
         return ""
@@ -86,7 +86,7 @@ def _verdict(cell: Cell, own: Sequence[Line]) -> str:
 
 
 def _missing(cells: Sequence[Cell], found: Mapping[Cell, Sequence[Line]]) -> list[str]:
-    """Which searches of the plan are not there."""
+    """The missing searches of the plan."""
     there = {(*cell[:3], line["method"], line["seed"]) for cell in cells for line in found[cell]}
     absent: dict[tuple[Any, ...], int] = {}
     planned = CASES[_CASE].plan({})
@@ -107,7 +107,7 @@ def _missing(cells: Sequence[Cell], found: Mapping[Cell, Sequence[Line]]) -> lis
 
 
 def _end(line: Line) -> float:
-    """What the best point gave from unseen starts, as it is shown; a gait that always fell counts as standing."""
+    """Result of the best point from unseen starts, in shown units; a gait that always fell counts as standing still."""
     found = line["found"]
     if found is None:
         return 0.0 if line["task"] == "speed" else float("inf")
@@ -115,18 +115,18 @@ def _end(line: Line) -> float:
 
 
 def _shown(line: Line, objective: float) -> float:
-    """A value of a curve, as it is shown: of the task `speed`, -1 is 100 mm/s."""
+    """A value of a curve in shown units: for the task `speed`, -1 is 100 mm/s."""
     return -100.0 * objective if line["task"] == "speed" else objective
 
 
 def _at(line: Line, axis: int, until: float) -> float:
-    """The best objective when so much of an axis (1: processor time, 2: simulated time) was used; NaN before any."""
+    """The best objective after an amount of an axis (1: processor time, 2: simulated time); NaN before the first."""
     known = [point[3] for point in line["curve"] if point[axis] <= until * (1 + 1e-9) and point[3] is not None]
     return min(known, default=float("nan"))
 
 
 def _figure(cell: Cell, own: Sequence[Line]) -> Figure:
-    """The best so far over processor time and over simulated time: median and range of the seeds."""
+    """The best so far over processor time and over simulated time: median and range over the seeds."""
     title = f"{cell[0]} parameters, {cell[1]}, {cell[2]}"
     figure = page(title, 7.0, 3.2, "Median and range over the seeds; on the left from the start of the process.")
     for ax, axis, label in zip(figure.subplots(1, 2), (1, 2), ("processor time [s]", "simulated [s]"), strict=True):

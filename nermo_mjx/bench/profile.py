@@ -1,8 +1,8 @@
 """Time of a physics step, stage by stage, in the middle of a walk.
 
-`c` is measured by MuJoCo's own timers, one world on one core. `mjx` is measured stage by stage: each is a program of
-its own over all worlds, so that what XLA gains by joining stages is not in the figures. Their operations are counted
-before XLA optimises, because compile time follows them.
+`c` is measured by MuJoCo's own timers, one world on one core. `mjx` is measured stage by stage: each is a separate
+program over all worlds, so the figures do not include XLA's gains from fusing stages. Their operations are counted
+before XLA optimises, because compile time depends on these.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Simulator
 
-#: Control ticks of the walk before the profile begins, and those that C is profiled for.
+#: Control ticks of the walk before the profile begins, and ticks over which C is profiled.
 WARMUP, TICKS = 100, 100
 ROUNDS: Final = 15
 
 Stage = Callable[[mjx.Model, mjx.Data], mjx.Data]
 
-#: A step of the engine `mjx` in its parts, in order; a test holds them equal to `differentiable.step`.
+#: The stages of a step of the engine `mjx`, in order; a test compares them with `differentiable.step`.
 MJX_STAGES: Final[dict[str, Stage]] = {
     "kinematics": lambda m, d: mjx.camlight(m, mjx.com_pos(m, mjx.kinematics(m, d))),
     "tendons": mjx.tendon,
@@ -48,7 +48,7 @@ MJX_STAGES: Final[dict[str, Stage]] = {
     "integration": lambda m, d: integrate(m, d, differentiable.forward),
 }
 
-#: Which of MuJoCo's timers makes up which stage.
+#: MuJoCo's timers of each stage.
 C_TIMERS: Final = {
     "inertia": "POS_INERTIA", "collision": "POS_COLLISION", "constraint": "POS_MAKE", "velocity": "VELOCITY",
     "forces": "ACTUATION", "solver": "CONSTRAINT", "integration": "ADVANCE",
@@ -61,11 +61,11 @@ def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[s
     Args:
         engine: `c` (one world, whatever `worlds` is) or `mjx`.
         worlds: batch size of `mjx`.
-        setup: the robot that walks; by default that of the other measurements.
+        setup: of the walk; by default that of the other measurements.
 
     Returns:
         `{"engine", "worlds", "step_us", "stages": [{"stage", "us", "share", ...}]}`, times for one step of one world
-        [µs]. A stage of `mjx` has `operations`, `trace_s` and `compile_s`, too.
+        [µs]. A stage of `mjx` also has `operations`, `trace_s` and `compile_s`.
 
     Raises:
         ParameterError: another engine.
@@ -121,11 +121,11 @@ def _alone(function: Callable[..., None], model: mujoco.MjModel, data: mujoco.Mj
 
 
 def _mjx_stages(simulator: Simulator, walk: Any) -> list[dict[str, Any]]:
-    """Each stage as a program of its own, on what the stages before it made of a walking batch."""
+    """Each stage as a separate program, applied to the results of the previous stages in a walking batch."""
     engine = simulator.engine
     assert isinstance(engine, MjxEngine)
     state = {name: getattr(walk, name)[:, WARMUP - 1] for name in ("qpos", "qvel")}
-    # The solver starts, as in a walk, from an acceleration that is a step old.
+    # As in a walk, the solver starts from the acceleration of the previous step.
     state["qacc_warmstart"] = _accelerations(simulator, **state, ctrl=walk.ctrl[:, WARMUP - 1])
     state["ctrl"] = walk.ctrl[:, WARMUP]
     real = engine.data.qpos.dtype
@@ -149,7 +149,7 @@ def _accelerations(simulator: Simulator, qpos: np.ndarray, qvel: np.ndarray, ctr
 
 
 def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[str, Any], mjx.Data]:
-    """The figures of one stage of MJX as a program of its own, and the data after it.
+    """The figures of one stage of MJX as a separate program, and the data after it.
 
     Args:
         model: of one world.
@@ -160,7 +160,7 @@ def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[
     changed: list[int] = []
 
     def run(leaves: list[jax.Array]) -> list[jax.Array]:
-        # Only what the stage makes is a result: copies of the rest would be timed, too.
+        # Only the stage's own results are returned: copies of the rest would be timed, too.
         def one(leaves: list[jax.Array]) -> list[jax.Array]:
             after = jax.tree.leaves(stage(model, jax.tree.unflatten(shape, leaves)))
             changed[:] = [i for i, (old, new) in enumerate(zip(leaves, after, strict=True)) if new is not old]

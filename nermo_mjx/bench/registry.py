@@ -1,4 +1,4 @@
-"""The measurements by name, and the options of each: names, what may be given, and what is measured by default."""
+"""The measurements by name, with their options: names, allowed values and defaults."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nermo_mjx.robot import ParameterError
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """What a measurement is repeated over.
+    """An option that a measurement is repeated over.
 
     Attributes:
-        default: values measured if none is given.
-        allowed: the names, or numbers, it may have; None for a positive number.
+        default: values that are measured by default.
+        allowed: names or numbers; None for any positive number.
         whole: whether the number is whole.
-        before: what was measured before there was this option; the first default if it is None.
+        before: implicit value before the option existed; None for the first default.
     """
 
     default: tuple[Any, ...]
@@ -50,8 +50,8 @@ class Benchmark:
         about: what it measures, for listings.
         place: module and name of the function; it is imported in the process that measures.
         options: by name.
-        once: whether a directory that has a measurement does not need it again: those that take hours together.
-        extra: of this package, without which it cannot be made, and the modules that the extra installs.
+        once: whether a measurement in a directory is not repeated: those that take hours in total.
+        extra: required extra of this package, and the modules that it installs.
     """
 
     about: str
@@ -83,7 +83,7 @@ class Benchmark:
 def _installed(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:  # not even the package that it is in
+    except ModuleNotFoundError:  # not even its package is installed
         return False
 
 
@@ -160,7 +160,7 @@ def plan(cases: Sequence[str], chosen: Mapping[str, Sequence[Any]]) -> list[tupl
 
     Args:
         cases: names from `CASES`.
-        chosen: option -> values; what is not there, or empty, has its default.
+        chosen: option -> values; missing or empty ones have their default.
 
     Raises:
         ParameterError: an unknown case, a value that is not allowed, an option that none of the cases has, a case that

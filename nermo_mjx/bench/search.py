@@ -21,7 +21,7 @@ def search_case(frequency: float) -> dict[str, Any]:
     """Spine amplitude and phase for the speed of a trot: a dense sweep, then a search with each seed.
 
     All run on the engine `c` for 6 gait cycles of which 2 are warm-up. The wall time of a search is that of
-    `run_search` into a new directory with a simulator that is warm, without figures.
+    `run_search` into a new directory with a warm simulator, without figures.
 
     Args:
         frequency: of the gait [Hz].

@@ -1,4 +1,4 @@
-"""How long a new process takes to its first control tick: stage by stage, with a cold cache and with a warm one."""
+"""Time from a new process to its first control tick: stage by stage, with a cold and with a warm cache."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import tempfile
 from typing import Any, Final
 
-#: What a sweep does before its first tick, timed; run by a new interpreter.
+#: The steps of a sweep before its first tick, timed; run by a new interpreter.
 PROGRAM: Final = """
 import json, sys, time
 began = time.perf_counter()
@@ -39,7 +39,7 @@ print(json.dumps(stages))
 
 
 def startup_case(engine: str, worlds: int) -> dict[str, Any]:
-    """Stages of a start with a cold cache, and then of one with the cache that it left [s]."""
+    """Stages of a start with a cold cache, and of a second one with the cache that the first left [s]."""
     with tempfile.TemporaryDirectory() as cache:
         cold, warm = (_start(engine, worlds, cache) for _ in range(2))
     return {

@@ -1,7 +1,7 @@
-"""Reverse mode through the steps of many models, each in a process of its own: `python -m nermo_mjx.bench.step_matrix`.
+"""Reverse mode through the steps of many models, each in a separate process: `python -m nermo_mjx.bench.step_matrix`.
 
-Of each model in three parts, from a state with contacts: `gradient`, the gradient of five steps in float64 against
-central differences; `float32`, its cosine with that of float32, and what it costs; and `plain`, what `mjx.step` gives.
+Each model has three parts, from a state with contacts: `gradient`, the gradient of five steps in float64 against
+central differences; `float32`, its cosine with that of float32, and its cost; and `plain`, the result of `mjx.step`.
 One line of JSON per part; parts that have a line are skipped, so that an interrupted run resumes where it was.
 """
 
@@ -27,10 +27,10 @@ from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
 
 STEPS: Final = 5
-#: Calls that are timed together, and how often.
+#: Calls per timing, and number of timings.
 CALLS: Final = 10
 ROUNDS: Final = 5
-#: Compiles three times as fast on a CPU; the programs take about twice as long.
+#: Compilation is three times as fast on a CPU; the programs take about twice as long.
 PLAIN_CODE: Final = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
@@ -41,10 +41,10 @@ def measure(path: Path, part: str, found: dict[str, Any], optimized: bool = Fals
         path: an MJCF file.
         part: one of `PARTS`.
         found: figures of `gradient`, for the other parts.
-        optimized: whether programs are compiled as a user's would be; figures of time mean little otherwise.
+        optimized: whether programs are compiled as for users; times are not meaningful otherwise.
 
     Raises:
-        Exception: of any kind, where MuJoCo cannot load the file or MJX-JAX not step it.
+        Exception: of any kind, if MuJoCo cannot load the file or MJX-JAX cannot step it.
     """
     options = dict(compiler_options()) | ({} if optimized else PLAIN_CODE)
     model = load(path)
@@ -103,12 +103,12 @@ def _plain(
     return {"plain": distance(np.array(found["group"]), one, np.array(found["differences"])) if finite else "NaN"}
 
 
-#: What a part is measured by.
+#: The function that measures each part.
 PARTS: Final = {"gradient": _gradient, "float32": _float32, "plain": _plain}
 
 
 class _Program:
-    """A compiled function of a trial's point, and what it took."""
+    """A compiled function of a trial's point, and its compile times."""
 
     def __init__(self, function: Any, run: Trial, options: dict[str, Any]) -> None:
         start = time.process_time()
@@ -123,7 +123,7 @@ class _Program:
 
     @property
     def seconds(self) -> float:
-        """Processor time of a call, the least of some."""
+        """Processor time of a call, the minimum of several."""
         taken = []
         for _ in range(ROUNDS):
             start = time.process_time()
@@ -134,7 +134,7 @@ class _Program:
 
 
 def _off(model: mujoco.MjModel, data: mujoco.MjData, end: np.ndarray) -> float:
-    """Largest difference of the last state from that of MuJoCo C, whose solver goes to the end as ours does."""
+    """Largest difference of the last state from that of MuJoCo C, whose solver also runs to convergence."""
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 200, 200, 0.0
     data.qacc_warmstart[:] = 0.0
     for _ in range(STEPS):
@@ -143,7 +143,7 @@ def _off(model: mujoco.MjModel, data: mujoco.MjData, end: np.ndarray) -> float:
 
 
 def _cosine(one: np.ndarray, other: np.ndarray) -> float | None:
-    """Of two gradients; None where one of them vanishes or is not finite."""
+    """Cosine of two gradients; None if one of them vanishes or is not finite."""
     size = float(np.linalg.norm(one) * np.linalg.norm(other))
     return float(one @ other / size) if size > 0.0 and np.isfinite(size) else None
 
@@ -178,8 +178,8 @@ def main(
 ) -> None:  # fmt: skip
     """Check the gradient through MODELS, MJCF files or directories of them.
 
-    Without MODELS: those that come with mujoco-mjx, and with playground if it is installed. What has a line in the file
-    already is left out; parts come one after the other, and in each small models first.
+    Without MODELS: those that come with mujoco-mjx, and with playground if it is installed. Parts with a line in the
+    file are skipped; the parts run one after the other, each with small models first.
     """
     found = [each for root in models for each in models_below(root, prefix)] if models else list(installed_models())
     chosen = sorted(
@@ -205,7 +205,7 @@ def _size(path: Path) -> int:
 
 
 def _apart(path: Path, part: str, before: dict[str, Any], limit: float, optimized: bool) -> dict[str, Any]:
-    """The figures of one part, made in a process of its own, or `failed`, a sentence."""
+    """The figures of one part, from a separate process, or `failed`, a sentence."""
     given = json.dumps([str(path), part, {name: before.get(name) for name in ("group", "gradient", "differences")}])
     code = f"from nermo_mjx.bench.step_matrix import report; report({given!r}, {optimized})"
     try:
@@ -218,15 +218,15 @@ def _apart(path: Path, part: str, before: dict[str, Any], limit: float, optimize
 
 
 def report(given: str, optimized: bool) -> None:
-    """Print the figures of a part, or why there are none; see `_apart`."""
+    """Print the figures of a part, or the reason for their absence; see `_apart`."""
     path, part, found = json.loads(given)
     try:
         figures = measure(Path(path), part, found, optimized)
         if part == "gradient":
             figures |= describe()
-    except Exception as error:  # whatever MuJoCo or MJX say against a model
+    except Exception as error:  # whatever MuJoCo or MJX raise for a model
         sentence = " ".join(f"{type(error).__name__}: {error}".split())
-        figures = {"failed": re.sub(r"'[^']*/([^/']+)'", r"'\1'", sentence)[:200]}  # a file's name, not its place here
+        figures = {"failed": re.sub(r"'[^']*/([^/']+)'", r"'\1'", sentence)[:200]}  # a file's name, not its path
     print(json.dumps(figures))
 
 

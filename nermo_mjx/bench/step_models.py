@@ -1,4 +1,4 @@
-"""Models that the step is measured on, MuJoCo's for MJX, Playground's or any file, each in a state with contacts."""
+"""Models for measuring the step: MuJoCo's for MJX, Playground's or any file, each in a state with contacts."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Final
 import mujoco
 import numpy as np
 
-#: How long a model is left to itself until it touches something [s].
+#: Maximum time that a model moves freely until it touches something [s].
 SETTLING: Final = 2.0
-#: Steps at its beginning that are passed over.
+#: Skipped steps at the beginning.
 FIRST: Final = 10
-#: Most steps of that.
+#: Maximum number of these steps.
 MOST_STEPS: Final = 4000
-#: Warnings after which a state has no meaning.
+#: Warnings after which a state is invalid.
 LOST: Final = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 def installed_models() -> Iterator[tuple[str, Path]]:
-    """(name, file) of the models that come with `mujoco-mjx`, and with `playground` where that is installed."""
+    """(name, file) of the models that come with `mujoco-mjx`, and with `playground`, if installed."""
     for package, below, prefix in (("mujoco", "mjx/test_data", "mjx"), ("mujoco_playground", "_src", "playground")):
         spec = importlib.util.find_spec(package)
         if spec is None or not spec.submodule_search_locations:
@@ -30,7 +30,7 @@ def installed_models() -> Iterator[tuple[str, Path]]:
 
 
 def models_below(root: Path, prefix: str = "") -> Iterator[tuple[str, Path]]:
-    """(name, file) of each model in a directory that is no part of another, or of that one file."""
+    """(name, file) of each model in a directory that is not part of another one, or of a single file."""
     files = [root] if root.is_file() else sorted(root.rglob("*.xml"))
     for path in files:
         text = path.read_text(errors="replace")
@@ -42,20 +42,19 @@ def models_below(root: Path, prefix: str = "") -> Iterator[tuple[str, Path]]:
 
 
 def load(path: Path) -> mujoco.MjModel:
-    """The model of a file, without meshes that are not there, where they are only drawn.
+    """The model of a file, without missing meshes that are purely visual.
 
-    Playground's robots take the meshes that they show from a repository of their own; how they move does not depend on
-    them.
+    The visual meshes of Playground's robots are in a separate repository; the dynamics does not depend on them.
 
     Raises:
-        ValueError: a mesh is missing that has a mass, or that collides; or whatever MuJoCo says against the file.
+        ValueError: a missing mesh has a mass or collides; or any error of MuJoCo for the file.
     """
     spec = mujoco.MjSpec.from_file(str(path))
-    for material in spec.materials:  # they stay: rangefinders pass through what is transparent
+    for material in spec.materials:  # kept, because rangefinders ignore transparent geoms
         material.textures = [""] * len(material.textures)
     for part in (*spec.textures, *spec.skins):
         spec.delete(part)
-    for field in spec.hfields:  # beside the scene, where the robot's file has its meshes elsewhere
+    for field in spec.hfields:  # next to the scene, if the robot's file has its meshes elsewhere
         beside = path.parent / "assets" / Path(field.file).name
         field.file = str(beside) if beside.is_file() else field.file
     gone = _meshes_gone(spec, path.parent)
@@ -69,7 +68,7 @@ def load(path: Path) -> mujoco.MjModel:
 
 
 def _meshes_gone(spec: mujoco.MjSpec, folder: Path) -> set[str]:
-    """Names of the meshes whose files are not there; those that lie elsewhere below are taken from there."""
+    """Names of the meshes with missing files; files in subdirectories are used from there."""
     gone = set()
     for mesh in spec.meshes:
         mesh.name = mesh.name or Path(mesh.file).stem
@@ -93,13 +92,13 @@ def _is_fixed(body: mujoco.MjsBody) -> bool:
 
 
 def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
-    """A state with as many constraints as occur in the motion, none of which appears or disappears for `steps` steps.
+    """A state with as many constraints as occur in the motion, which do not change for `steps` steps.
 
-    MuJoCo C moves it from its first keyframe, or its reference, with velocities that are a little off. Where nothing
-    touches with the controls of the keyframe, or near the middle of their ranges, they are drawn from all of them.
+    MuJoCo C simulates it from its first keyframe, or its reference, with slightly perturbed velocities. If there is no
+    contact with the controls of the keyframe, or near the middle of their ranges, they are drawn from the full ranges.
 
     Args:
-        model: what moves.
+        model: to simulate.
         steps: to be differentiated.
     """
     data = mujoco.MjData(model)
@@ -108,7 +107,7 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
     for share in (0.1, 1.0):
         states, rows = _moved(model, data, kind, share)
         held = 0
-        # Not at first, when much stands exactly on what it is put on.
+        # Not at the beginning, when many bodies just touch their support.
         for index in range(min(FIRST, len(rows) - 1), max(len(rows) - steps, 1)):
             held = held + 1 if index and rows[index] == rows[index - 1] else 0
             found = (*rows[index], min(held, 20))
@@ -117,7 +116,7 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
         if best[1] > 0:
             break
     mujoco.mj_setState(model, data, start, kind)
-    # A muscle whose activation has come to its control, and a control at its limit, are kinks.
+    # A muscle whose activation equals its control, and a control at its limit, are kinks.
     low, high = _control_ranges(model)
     data.ctrl[:] = np.clip(
         data.ctrl + 0.02 * (high - low) * np.random.default_rng(1).uniform(-1.0, 1.0, model.nu),
@@ -128,14 +127,14 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
 
 
 def _control_ranges(model: mujoco.MjModel) -> np.ndarray:
-    """Ends of the controls' ranges, (2, nu); -1 and 1 where there are none."""
+    """Ends of the controls' ranges, (2, nu); -1 and 1 if unlimited."""
     return np.where(model.actuator_ctrllimited[:, None].astype(bool), model.actuator_ctrlrange, [-1.0, 1.0]).T
 
 
 def _moved(
     model: mujoco.MjModel, data: mujoco.MjData, kind: int, share: float
 ) -> tuple[list[np.ndarray], list[tuple[int, int]]]:
-    """States, and (contacts, rows) after each, of a model with controls from such a fraction of their ranges."""
+    """States, and (contacts, rows) after each, of a model with controls from this fraction of their ranges."""
     random = np.random.default_rng(0)
     mujoco.mj_resetData(model, data)
     if model.nkey:

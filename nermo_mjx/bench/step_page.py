@@ -1,4 +1,4 @@
-"""The table of what `step_matrix` found, in a page: `python -m nermo_mjx.bench.step_page LINES PAGE`."""
+"""The table of the results of `step_matrix`, in a page: `python -m nermo_mjx.bench.step_page LINES PAGE`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nermo_mjx.bench.step_matrix import lines_of
 
 BEGIN: Final = "<!-- made by nermo_mjx.bench.step_page -->"
 END: Final = "<!-- end -->"
-#: Largest error of a gradient that counts as that of the differences.
+#: Largest error at which a gradient counts as equal to the differences.
 LARGEST: Final = 1e-4
 _HEAD: Final = (
     "| model | nv | contacts, rows | against differences | differences among themselves | end against C "
@@ -21,7 +21,7 @@ _HEAD: Final = (
 
 
 def page(lines: Path) -> str:
-    """What stands between `BEGIN` and `END`: how many models are as they should be, their table, and the others."""
+    """The text between `BEGIN` and `END`: number of correct models, their table, and the others."""
     models = lines_of(lines)
     measured = {name: each for name, each in models.items() if "error" in each}
     exact = [name for name, each in measured.items() if each["finite"] and each["error"] <= LARGEST]

@@ -1,4 +1,4 @@
-"""One measurement an engine: the walking robot with controller and metrics, against plain physics of its model."""
+"""One measurement per engine: the walking robot with controller and metrics, against plain physics of its model."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ TICKS, ROUNDS = {"c": 100, "scan": 20}, {"c": 15, "scan": 5}
 
 
 def throughput_case(engine: str, worlds: int) -> dict[str, Any]:
-    """Steps per second of a walk, and of the physics that a user of MuJoCo would write for the same model."""
+    """Steps per second of a walk, and of a plain MuJoCo program for the same model."""
     return c_case(worlds) if engine == "c" else scan_case(engine, worlds)
 
 
 def _walk(engine: str, worlds: int) -> tuple[Simulator, Batch]:
-    """A batch like a sweep's: every world with its own spine amplitude and phase."""
+    """A batch like that of a sweep: every world has its own spine amplitude and phase."""
     simulator = Simulator(Setup(spine="stride_extension"), engine)
     values = {
         "frequency": np.full(worlds, 0.8),
@@ -51,10 +51,10 @@ def c_case(worlds: int) -> dict[str, Any]:
     assert isinstance(engine, CEngine)
     ticks, steps = TICKS["c"], simulator.loop.steps_per_tick
     session = engine.open(batch.params, batch.qpos, batch.fields)
-    # Not `loop.step` itself, nor the function in it: JAX knows both since the session was opened.
+    # Neither `loop.step` itself nor the function in it: JAX has cached both since the session was opened.
     tick = inspect.unwrap(session.loop.step)
     ours = compile_cold(jax.jit(lambda *given: tick(*given), compiler_options=compiler_options()), *session.arguments)
-    session.advance(ticks)  # past the start-up, into the walk
+    session.advance(ticks)  # past the start-up phase
 
     size = mujoco.mj_stateSize(simulator.robot.physical, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
     state = np.zeros((worlds, size))
@@ -83,7 +83,7 @@ def c_case(worlds: int) -> dict[str, Any]:
 def scan_case(name: str, worlds: int) -> dict[str, Any]:
     """An engine of MJX against the scan a user would write: `mjx.step` carrying `mjx.Data`, same batch and targets.
 
-    `loop_cost` is what controller and metrics add to the time of the same engine that plays the targets.
+    `loop_cost` is the time of controller and metrics, relative to the same engine playing back the targets.
 
     Args:
         name: `mjx` or `warp`, also of the plain scan's implementation.
@@ -113,7 +113,7 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
     strings = jnp.moveaxis(ctrl[::steps], 0, 1)
     hung = walking._replace(loop=jnp.zeros(worlds, jnp.int32))
 
-    # Each round all walk the same steps. What a program is given to carry on is used up, so that it gets a copy.
+    # Each round all walk the same steps. The carry is donated, so each program gets a copy.
     def run_ours() -> None:
         jax.block_until_ready(ours.program(session.params, session.fields, jax.tree.map(jnp.copy, walking), count))
 
@@ -140,7 +140,7 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Puppet:
-    """A loop that plays given targets, (ticks, n_servos) for each world, again and again: physics alone."""
+    """A loop that plays back given targets, (ticks, n_servos) for each world, repeatedly: physics alone."""
 
     steps_per_tick: int
 

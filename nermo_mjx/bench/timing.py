@@ -1,4 +1,4 @@
-"""Timing on shared, noisy machines: two programs in turns, compared round by round; and compiling in earnest."""
+"""Timing on shared, noisy machines: two alternating programs, compared round by round; and uncached compilation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def compare(ours: Callable[[], object], plain: Callable[[], object], rounds: int) -> tuple[float, float, float]:
-    """(seconds of `ours`, seconds of `plain`, plain over ours), medians over rounds in which both ran, in turns."""
+    """(seconds of `ours`, seconds of `plain`, plain over ours), medians over rounds in which both ran, alternately."""
     pairs = []
     for i in range(rounds):
         if i % 2:
@@ -36,7 +36,7 @@ def compare(ours: Callable[[], object], plain: Callable[[], object], rounds: int
 
 
 class Compiled(NamedTuple):
-    """A program, and what it took to make it [s]."""
+    """A program, and its compile times [s]."""
 
     trace_s: float
     compile_s: float
@@ -55,7 +55,7 @@ def compile_cold(function: Any, *arguments: Any) -> Compiled:
 
 @contextlib.contextmanager
 def _without_cache() -> Iterator[None]:
-    """Compile in earnest, though the persistent cache may hold the program."""
+    """Compile without using the persistent cache."""
     directory = getattr(jax.config, "jax_compilation_cache_dir")  # noqa: B009 (jax declares its options at run time)
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()

@@ -22,12 +22,13 @@ from nermo_mjx.tune.tuner import Tuner
 #: Points of the dense sweep along amplitude and phase, and its share that a search may simulate.
 GRID: Final = (21, 24)
 BUDGET: Final = 0.1
-#: Where a search begins: an almost stiff spine [rad], a quarter turn before and behind the best phase [rad].
+#: Starts of a search: an almost stiff spine [rad], a quarter turn before and after the best phase [rad].
 AMPLITUDE: Final = 0.05
 ASIDE: Final = (np.pi / 2, -np.pi / 2)
 #: Like `sweeps/tune_speed.yaml`, at any frequency.
 OPTIMIZER: Final = {"name": "adam", "learning_rate": 0.5, "b1": 0.8, "b2": 0.9}
-#: First standard deviation of CMA-ES in the same coordinates, the best of five between 0.25 and 2, and how many seeds.
+#: Initial standard deviation of CMA-ES in the same coordinates, the best of five between 0.25 and 2, and number of
+#: seeds.
 CMA_STEP: Final = 2.0
 SEEDS: Final = 5
 
@@ -35,7 +36,7 @@ SEEDS: Final = 5
 def tuning_case(frequency: float) -> dict[str, Any]:
     """Spine amplitude and phase for the speed of a trot: a dense sweep, then both searches from two starts.
 
-    Every speed that is reported is the C engine's, over the same run of 6 gait cycles of which 2 are warm-up.
+    All reported speeds are from the C engine, over the same run of 6 gait cycles of which 2 are warm-up.
 
     Args:
         frequency: of the gait [Hz].
@@ -53,20 +54,20 @@ def tuning_case(frequency: float) -> dict[str, Any]:
 
 
 class Trot:
-    """The walk that is tuned, as a batch on the C engine and as a tuning."""
+    """The tuned walk, as a batch on the C engine and as a tuning."""
 
     def __init__(self, frequency: float) -> None:
         self.frequency, self.run = frequency, Run(cycles=6, warmup_cycles=2)
         self.simulator = Simulator(Setup(spine="stride_extension"), "c")
 
     def speeds(self, points: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-        """Mean speed at amplitudes and phases [m/s]; of a walk that ended in a fall, 0."""
+        """Mean speed at amplitudes and phases [m/s]; 0 for a walk that ended in a fall."""
         values = {"spine.amplitude": points[:, 0], "spine.phase": points[:, 1]}
         result = self.simulator.run({"frequency": np.full(len(points), self.frequency), **values}, self.run)
         return np.where(result.status == "ok", result.metrics["speed"], 0.0)
 
     def dense(self) -> dict[str, Any]:
-        """The best of a dense sweep of amplitude and phase, and what it took."""
+        """The best of a dense sweep of amplitude and phase, and its cost."""
         amplitudes, phases = np.linspace(0.0, 0.4, GRID[0]), np.linspace(-np.pi, np.pi, GRID[1], endpoint=False)
         points = np.stack(np.meshgrid(amplitudes, phases, indexing="ij"), axis=-1).reshape(-1, 2)
         began = time.perf_counter()
@@ -91,7 +92,7 @@ class Trot:
 
 
 def _by_gradient(trot: Trot, start: tuple[float, float], runs: int) -> dict[str, Any]:
-    """As many iterations as the budget pays for, gradients at their cost in runs; the best point is kept."""
+    """As many iterations as the budget allows, with gradients at their cost in runs; the best point is kept."""
     problem = WalkProblem(trot.tuning(start, 1))
     iterations = int(runs / problem.gradient_cost)
     tuning = trot.tuning(start, iterations)
@@ -127,7 +128,7 @@ def _by_cma(trot: Trot, start: tuple[float, float], runs: int, seed: int) -> dic
 
 
 def _search(name: str, found: np.ndarray, trot: Trot, used: float, wall: float) -> dict[str, Any]:
-    """What a search found, measured as the dense sweep is."""
+    """A search's result, measured like the dense sweep."""
     amplitude, phase = map(float, found[0])
     return {
         "search": name, "amplitude": amplitude, "phase": phase, "speed": float(trot.speeds(found)[0]),

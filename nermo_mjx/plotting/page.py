@@ -1,4 +1,4 @@
-"""The page around the axes of a figure: title above, legend and note below, as much room as they need."""
+"""The page around the axes of a figure: title above, legend and note below, with as much space as they need."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Page:
     """A figure with a title above its axes, and a legend and a note below.
 
     Attributes:
-        figure: what is drawn on.
+        figure: to draw on.
         axes: (rows, columns) of `Axes`.
     """
 

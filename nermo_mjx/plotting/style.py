@@ -22,7 +22,7 @@ OKABE_ITO: Final = {
     "yellow": "#f0e442", "blue": "#0072b2", "vermilion": "#d55e00", "purple": "#cc79a7",
 }  # fmt: skip
 INK, MUTED, GRID, SHADE, MISSING = "#222222", "#555555", "#e6e6e6", "#f1f1f1", "#d9d9d9"
-#: The main line, what lies around or behind it, and what is best.
+#: The main line, secondary lines, and the best value.
 LINE, BAND, BEST = OKABE_ITO["blue"], "#9cc9e6", OKABE_ITO["vermilion"]
 #: Several things side by side, in this order; yellow is too pale for lines on white.
 SERIES: Final = tuple(OKABE_ITO[name] for name in ("blue", "orange", "green", "purple", "sky", "vermilion"))
@@ -31,7 +31,7 @@ FOOT: Final = {
     "front_left": OKABE_ITO["blue"], "front_right": OKABE_ITO["sky"],
     "rear_left": OKABE_ITO["vermilion"], "rear_right": OKABE_ITO["orange"],
 }  # fmt: skip
-#: The tail, where it stands beside the feet.
+#: The tail, next to the feet.
 TAIL: Final = OKABE_ITO["purple"]
 #: Numbers from low to high, and gains and losses about 0.
 COLOURS: Final = "viridis"
@@ -39,13 +39,13 @@ GAIN_COLOURS: Final = "RdBu"
 #: Sizes of type that are not those of `STYLE` [pt].
 SMALL: Final = 8.0
 
-#: Colours leave out this share of the values at an end where a few wild ones would take most of them.
+#: Share of outliers at an end that are excluded from the colours where they would take most of the scale.
 _TAIL: Final = 0.05
 _MOST: Final = 0.5
 
 STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib, so that no machine draws another one
+    "font.sans-serif": ["DejaVu Sans"],  # bundled with matplotlib, so that it is the same on all machines
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "axes.labelsize": 9.5,
@@ -77,7 +77,7 @@ def light(colour: str) -> str:
 
 
 def colour_scale(values: np.ndarray) -> tuple[Normalize, str]:
-    """The scale of the colours of numbers, and at which end it is cut off, as `extend` of a colour bar says it.
+    """The colour scale of values, and the end at which it is cut off, as `extend` of a colour bar.
 
     It goes from the lowest finite value to the highest. An end at which one value of twenty or fewer would take more
     than half of the colours is cut off before them: all of these have the colour of the end.

@@ -1,4 +1,4 @@
-"""What users see of a run: recordings, videos, and a page for the browser."""
+"""Visualisation of runs: recordings, videos, and a page for the browser."""
 
 from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
 from nermo_mjx.view.encoding import VideoError

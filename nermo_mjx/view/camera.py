@@ -28,7 +28,7 @@ CAMERAS: Final[dict[str, Angle]] = {
 }
 #: Both of the robot's eyes, side by side.
 STEREO: Final = "stereo"
-#: Standard deviation of the filter that takes the steps' shaking out of the camera's path [s].
+#: Standard deviation of the filter that removes the shaking of the steps from the camera's path [s].
 SMOOTHING: Final = 0.25
 #: Radius of the body over half the height of a square picture; a wide one shows the long, level body larger.
 FILLING: Final = 1.0
@@ -44,7 +44,7 @@ def root_body(model: mujoco.MjModel) -> int:
 
 
 def smooth_path(points: Float[np.ndarray, "F 3"], interval: float) -> Float[np.ndarray, "F 3"]:
-    """The points [m], `interval` seconds apart, with x and y smoothed without lag and z at its mean."""
+    """The points [m], `interval` seconds apart, with x and y smoothed without lag, and z at its mean."""
     sigma = SMOOTHING / interval
     reach = int(np.ceil(3 * sigma))
     if reach == 0 or len(points) < 2:

@@ -10,7 +10,7 @@ from nermo_mjx.recording import Recording
 _GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
 _DEGREES: Final = math.degrees(1.0)
 _SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
-#: Metrics in the page's head, and what they are called there.
+#: Metrics in the page's head, and their labels.
 _HEADLINE: Final = {
     "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip",
     "cost_of_transport": "cost of transport",
@@ -18,7 +18,7 @@ _HEADLINE: Final = {
 
 
 def title_of(recording: Recording) -> str:
-    """The gait, its frequency and what the spine does, as far as it is known; or the name of an experiment's case."""
+    """The gait, its frequency and the spine mode, as far as known; or the name of an experiment's case."""
     if "case" in recording.metadata:
         return str(recording.metadata["case"])
     setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
@@ -47,7 +47,7 @@ def headline_of(recording: Recording) -> list[list[str]]:
 
 
 def details_of(recording: Recording) -> list[dict[str, Any]]:
-    """Tables `{"title", "rows": [[name, value with unit], ...]}` of everything that the recording says about itself."""
+    """Tables `{"title", "rows": [[name, value with unit], ...]}` of all metadata of the recording."""
     tables = []
     for key, title in (("labels", "Case"), ("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"),
                        ("run", "Run"), ("versions", "Versions")):  # fmt: skip
@@ -65,7 +65,7 @@ def _part(recording: Recording, key: str) -> dict[str, Any]:
 
 
 def _units(recording: Recording) -> dict[str, str]:
-    """Units of metrics and parameters by name, those of the recording's own metrics, too."""
+    """Units of metrics and parameters by name, including the recording's custom metrics."""
     from nermo_mjx.robot.quantity import quantities
     from nermo_mjx.rollout import METRICS  # starts JAX
     from nermo_mjx.rollout.parameters import WorldParameters

@@ -1,4 +1,4 @@
-"""A recording as the page reads it: a model's shapes, motion, forces and curves, packed."""
+"""A recording in the page's format: a model's shapes, motion, forces and curves, packed."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from nermo_mjx.view.signals import Plot, plots_of
 
 @dataclasses.dataclass(frozen=True)
 class Detail:
-    """How much of a recording a page holds: the less, the smaller it is.
+    """Resolution of a recording in a page; lower ones give smaller pages.
 
     Attributes:
-        most: samples at most; of a longer run every second, third, ... one.
+        most: maximum number of samples; of a longer run every second, third, ... one is kept.
         rate: samples per second at most [Hz].
-        length, turn, force: what places [m], quaternions and forces [N] are rounded to; 0 is as fine as 16 bits allow.
-        curve: the same of curves, as a fraction of their range.
+        length, turn, force: rounding of positions [m], quaternions and forces [N]; 0 is the finest that 16 bits allow.
+        curve: the same for curves, as a fraction of their range.
     """
 
     most: int
@@ -40,14 +40,14 @@ class Detail:
     curve: float = 0.0
 
     def samples(self, recording: Recording) -> int:
-        """How many samples of a recording are kept at most."""
+        """Maximum number of samples of a recording."""
         within = recording.duration * self.rate + 1
         return self.most if within >= self.most else max(int(within), 2)
 
 
 #: 30 s at the recorders' 100 Hz.
 FULL: Final = Detail(3000)
-#: A quarter of the room, for pages with many recordings: the player goes evenly from sample to sample.
+#: A quarter of the size, for pages with many recordings: the player interpolates between samples.
 COMPACT: Final = Detail(500, rate=34.0, length=1e-4, turn=5e-4, force=5e-3, curve=1e-3)
 
 
@@ -60,7 +60,7 @@ class Models:
         self._known: dict[tuple[RobotConfig, tuple[float, ...]], int] = {}
 
     def index(self, recording: Recording, robot: Robot) -> int:
-        """Place of the header of a recording's robot, which is made when it is new."""
+        """Index of the header of a recording's robot, which is added if it is new."""
         key = robot.config, tuple(float(value) for _, value in values_of(recorded_geometry(recording)))
         if key not in self._known:
             self._known[key] = len(self.headers)
@@ -94,7 +94,8 @@ def _clip(recording: Recording, model: mujoco.MjModel, packer: Packer, detail: D
     motion = motion_of(recording, model, detail.samples(recording))
     root = root_body(model)
     origin = motion.position[:, root]
-    # What stands still is far from a robot that walks away: its place is sent once, and the robot's keep their digits.
+    # Static bodies get far from a robot that walks away: their positions are sent once, and the robot's keep their
+    # digits.
     frames = Frames(model, motion, origin)
     centre, radius = _extent(recording, model)
     interval = float(np.median(np.diff(motion.time))) if len(motion.time) > 1 else 0.01
@@ -133,7 +134,7 @@ def _tendon(tendon: Tendon, frames: Frames, origin: np.ndarray, packer: Packer, 
 
 
 def _extent(recording: Recording, model: mujoco.MjModel) -> tuple[np.ndarray, float]:
-    """Where the middle of the body is beside its root, and how large it is [m]."""
+    """Centre of the body relative to its root, and its size [m]."""
     data = mujoco.MjData(model)
     data.qpos[:] = recording.qpos[0]
     mujoco.mj_kinematics(model, data)
@@ -144,7 +145,7 @@ def _extent(recording: Recording, model: mujoco.MjModel) -> tuple[np.ndarray, fl
 
 
 def _footprints(recording: Recording, motion: Motion) -> list[list[float]]:
-    """(time [s], limb, x, y [m]) of each touchdown that holds for a while."""
+    """(time [s], limb, x, y [m]) of each touchdown that lasts."""
     if not {"foot_force", "foot_position"} <= recording.sensors.keys():
         return []
     samples = np.searchsorted(recording.time, motion.time)

@@ -1,4 +1,4 @@
-"""One file for the browser: a template of `web/` with its style, modules, libraries and packed data in their places."""
+"""One file for the browser: a template of `web/` with its style, modules, libraries and packed data inserted."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Page:
     Attributes:
         html: the whole document.
         height: in a notebook [pixels].
-        samples: how many samples of the (longer) recording it holds, if it shows recordings alone.
-        rows, recordings: how many it holds, if it shows a directory.
+        samples: number of samples of the (longer) recording, if it shows only recordings.
+        rows, recordings: their numbers, if it shows a directory.
     """
 
     html: str
@@ -64,12 +64,12 @@ class Page:
 def document(
     template: str, title: str, header: Mapping[str, Any], parts: Sequence[Packer], folders: Sequence[str] = ("",)
 ) -> str:
-    """The template with everything in its place.
+    """The template with everything inserted.
 
     Args:
         template: a file of `web/`.
         title: of the window.
-        header: what the page reads first.
+        header: JSON header of the page.
         parts: packed arrays that the header points into.
         folders: of `web/` whose modules the page has.
     """

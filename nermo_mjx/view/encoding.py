@@ -33,7 +33,7 @@ def write_video(
     height: int,
     progress: CountDone | None = None,
 ) -> Path:
-    """Encode frames as they come; the file appears only when it is whole.
+    """Encode frames as they arrive; the file appears only when it is complete.
 
     Args:
         count: of the frames.
@@ -45,9 +45,9 @@ def write_video(
     partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.touch()  # what cannot be written is refused before ffmpeg starts, and before the first frame is drawn
+        partial.touch()  # fail on an unwritable path before ffmpeg starts, and before the first frame is drawn
         drawn = iter(frames)
-        first = next(drawn)  # and what cannot be drawn before ffmpeg waits for it
+        first = next(drawn)  # and on a frame that cannot be drawn before ffmpeg waits for it
         with _writer(partial, fps, width, height, count) as write:
             for done, frame in enumerate(itertools.chain([first], drawn), start=1):
                 write(frame)
@@ -68,7 +68,7 @@ def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterat
     if path.suffix == ".gif":
         import imageio.v2 as imageio
 
-        # A frame lasts whole hundredths of a second: some one more than others, so that the whole is as fast as asked.
+        # A frame lasts whole hundredths of a second: some last one more, so that the average rate is the requested one.
         ends = np.round(np.arange(count + 1) * 100.0 / fps) * 10.0
         writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=np.diff(ends).tolist(), loop=0)
         with writer:
@@ -96,6 +96,6 @@ def require_encoder() -> Any:
         program = imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
         raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
-    if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not look at
+    if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not check
         raise VideoError(f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif.")
     return imageio_ffmpeg

@@ -1,7 +1,7 @@
-"""Motion in the frames in which it changes least: bodies in their parents', tendons' points in those of the bodies.
+"""Motion in the frames in which it changes least: bodies relative to their parents, tendons' points to the bodies.
 
-A hinge then moves nothing but its quaternion, and a tendon's point only where it slides over a pulley, so that both
-take a fifth of the room. `view/web/frames.js` puts them together again.
+A hinge then changes only its quaternion, and a tendon's point moves only where it slides over a pulley, so both take a
+fifth of the space. `view/web/frames.js` reassembles them.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ class Frames:
     """The moving bodies of a motion.
 
     Attributes:
-        bodies: their numbers in the model, parents first, (n,).
-        parents: place of each one's parent in `bodies`; -1 where the parent stands still, and the frame is that of
-            the world about the root.
-        position, quaternion: of each in its parent's frame, (T, n, 3) [m] and (T, n, 4), turns without jumps of sign.
+        bodies: their ids in the model, parents first, (n,).
+        parents: index of each one's parent in `bodies`; -1 if the parent is static, with the world's frame centred at
+            the root.
+        position, quaternion: of each in its parent's frame, (T, n, 3) [m] and (T, n, 4), without sign flips.
     """
 
     def __init__(self, model: mujoco.MjModel, motion: Motion, origin: Float[np.ndarray, "T 3"]) -> None:
@@ -39,7 +39,7 @@ class Frames:
         self.quaternion = without_jumps(turns)
 
     def fixed(self, path: Float[np.ndarray, "T K 3"]) -> tuple[list[int], Float[np.ndarray, "T K 3"]]:
-        """Points about the origin in the frames in which they move least: places in `bodies` or -1, and the points."""
+        """Points in the frames in which they move least: indices in `bodies` or -1, and the points."""
         frames, points = [], path.copy()
         for k in range(path.shape[1]):
             each = [path[:, k], *(self._inside(i, path[:, k]) for i in range(len(self.bodies)))]
@@ -49,12 +49,12 @@ class Frames:
         return frames, points
 
     def _inside(self, frame: int, points: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-        """Points about the origin in the frame of a body."""
+        """Points in the frame of a body."""
         return _turned(_conjugate(self._quaternion[:, frame]), points - self._position[:, frame])
 
 
 def without_jumps(quaternion: np.ndarray) -> np.ndarray:
-    """The same turns (T, n, 4), each with the sign that is nearer to the one before, so that they can be mixed."""
+    """The same rotations (T, n, 4), each with the sign closer to the previous one, so that they can be interpolated."""
     signs = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     steady = quaternion.copy()
     steady[1:] *= np.cumprod(signs, axis=0)[..., None]

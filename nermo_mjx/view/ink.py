@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-#: Pixels to an inch of matplotlib, and mean width of a character of a caption [pixels].
+#: Matplotlib's pixels per inch, and mean width of a character of a caption [pixels].
 DPI: Final = 100
 CHARACTER: Final = 6.6
 #: Colours of text and of the paper.
@@ -31,7 +31,7 @@ def write(figure: Figure, x: float, y: float, text: str, **style: Any) -> None:
 
 
 def pixels(figure: Figure) -> UInt8[np.ndarray, "height width 3"]:
-    """What the figure shows."""
+    """The figure as pixels."""
     canvas: Any = figure.canvas
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import LIMBS
 
-#: Points that are drawn between the two at which a tendon touches a pulley.
+#: Number of points drawn between the two ends of a tendon's wrap.
 ARC: Final = 5
 
 
@@ -44,7 +44,7 @@ class Contact:
 
     Attributes:
         limb: which of `LIMBS` it belongs to, or -1.
-        point: in the world [m]; where there is no contact, that of the nearest time with one.
+        point: in the world [m]; without a contact, that of the nearest time with one.
         force: on the robot, in the world [N]; 0 where there is no contact.
     """
 
@@ -55,7 +55,7 @@ class Contact:
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """A run as it is drawn.
+    """The drawn motion of a run.
 
     Attributes:
         time: of each sample [s].
@@ -75,8 +75,8 @@ def motion_of(recording: Recording, model: mujoco.MjModel, most: int | None = No
 
     Args:
         recording: the run.
-        model: that ran, with the run's own parameters (`recorded_model`).
-        most: samples that are kept at most; of a longer recording every second, third, ... one is.
+        model: that was simulated, with the run's parameters (`recorded_model`).
+        most: maximum number of samples; of a longer recording every second, third, ... one is kept.
 
     Raises:
         RecordingError: it does not fit the model, or has no finite state.
@@ -108,7 +108,7 @@ def motion_of(recording: Recording, model: mujoco.MjModel, most: int | None = No
 
 
 def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
-    """Indices of the samples that are shown: those before the first that is not finite, `most` of them at most."""
+    """Indices of the shown samples: those before the first that is not finite, at most `most` of them."""
     finite = np.isfinite(recording.qpos).all(axis=1) & np.isfinite(recording.qvel).all(axis=1)
     count = len(finite) if finite.all() else int(np.argmin(finite))
     if count == 0:
@@ -118,7 +118,7 @@ def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class _Wraps:
-    """Where tendons run at one sample, as MuJoCo's data has it; geoms are those that any tendon may wrap."""
+    """Paths of the tendons at one sample, from MuJoCo's data; geoms are those that any tendon may wrap."""
 
     first: np.ndarray
     count: np.ndarray
@@ -156,7 +156,7 @@ def _path(wraps: _Wraps, tendon: int) -> Float[np.ndarray, "K 3"]:
 
 
 def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "ARC 3"]:
-    """Points between two on a cylinder, the shorter way round, as wraps of less than half a turn go."""
+    """Points between two on a cylinder, along the shorter arc, since wraps are shorter than half a turn."""
     u, v = begin - centre, end - centre
     height_u, height_v = u @ axis, v @ axis
     u, v = u - height_u * axis, v - height_v * axis
@@ -167,7 +167,7 @@ def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarra
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """`np.cross` of two vectors, without the overhead that is most of it."""
+    """`np.cross` of two vectors, without its large overhead."""
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
@@ -195,7 +195,7 @@ def _contact(
     there = np.array(sorted(found))
     force = np.zeros((count, 3))
     force[there] = [found[i][1] for i in there]
-    # The point of the contact before, and before the first one that of the first.
+    # The point of the previous contact, and before the first contact the first one's.
     nearest = there[np.maximum(np.searchsorted(there, np.arange(count), side="right") - 1, 0)]
     point = np.array([found[i][0] for i in nearest])
     bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]

@@ -37,7 +37,7 @@ OVERLAYS: Final[dict[str, Overlay]] = {
 
 
 def check_overlays(names: Sequence[str], recording: Recording | None = None) -> None:
-    """Refuse overlays that there are not, or for which a recording lacks the sensors.
+    """Reject unknown overlays, and those for which a recording lacks the sensors.
 
     Raises:
         ParameterError: an unknown name, or one that is given twice.
@@ -54,7 +54,7 @@ def check_overlays(names: Sequence[str], recording: Recording | None = None) -> 
 
 
 def strips_of(recording: Recording, names: Sequence[str], width: int) -> list[Strip]:
-    """The strips that stand below the image, from top to bottom."""
+    """The strips below the image, from top to bottom."""
     kinds = [OVERLAYS[name].panels for name in names]
     return [Strip(recording, panels(recording), width) for panels in kinds if panels is not None]
 
@@ -62,10 +62,10 @@ def strips_of(recording: Recording, names: Sequence[str], width: int) -> list[St
 def scenery_of(
     recording: Recording, names: Sequence[str], root: int
 ) -> Callable[[mujoco.MjvScene, mujoco.MjData, int], None] | None:
-    """What adds to the scene of a sample, or None.
+    """The function that adds to the scene of a sample, or None.
 
     Args:
-        recording: what is shown.
+        recording: to show.
         names: of overlays.
         root: body whose subtree is the robot.
     """

@@ -24,7 +24,7 @@ _LARGEST: Final = 32767
 
 
 class Packer:
-    """Collects arrays; each gets its entry in the header, and all together become one text.
+    """Collects arrays; each gets an entry in the header, and together they become one text.
 
     Args:
         part: name of the text, for pages that have several.
@@ -36,7 +36,7 @@ class Packer:
         self._size = 0
 
     def plain(self, values: np.ndarray, kind: str = "float32") -> dict[str, Any]:
-        """Entry of an array as it is, in `float32`, `uint32` or `uint16`."""
+        """Entry of an unchanged array, as `float32`, `uint32` or `uint16`."""
         array = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
         return self._add(array.tobytes(), kind, array.shape)
 
@@ -44,7 +44,7 @@ class Packer:
         """Entry of an array (T, ...) that changes little from row to row.
 
         Each value is off by at most 1/131068 of the array's range, or half the resolution if that is more: coarser
-        values take less room. NaN is kept, infinities become NaN.
+        values take less space. NaN is kept, infinities become NaN.
         """
         array = np.where(np.isfinite(values), values, np.nan).astype(float)
         low, high = (np.nanmin(array), np.nanmax(array)) if np.isfinite(array).any() else (0.0, 0.0)
@@ -52,7 +52,7 @@ class Packer:
         steps = np.where(np.isnan(array), MISSING, np.rint((array - zero) / scale)).astype(np.int16)
         columns = np.ascontiguousarray(steps.reshape(len(steps), -1).T)
         with np.errstate(over="ignore"):
-            columns[:, 1:] = np.diff(columns, axis=1)  # wraps around, and back in the reader
+            columns[:, 1:] = np.diff(columns, axis=1)  # wraps around, which the reader reverses
         words = columns.astype("<i2").reshape(-1).view(np.uint8).reshape(-1, 2)
         content = words[:, 1].tobytes() + words[:, 0].tobytes()
         return self._add(content, "steps", array.shape) | {"scale": scale, "zero": zero}
@@ -63,12 +63,12 @@ class Packer:
         with np.errstate(over="ignore"):
             bits = np.asarray(values, np.float32).view(np.uint32)
         if not exact:
-            bits = bits + np.uint32(0x80)  # the lowest byte is left out, and the others rounded
+            bits = bits + np.uint32(0x80)  # drop the lowest byte, with rounding
         content = b"".join((bits >> np.uint32(24 - 8 * k)).astype(np.uint8).tobytes() for k in range(planes))
         return self._add(content, f"planes{planes}", np.shape(values))
 
     def json(self, value: Any) -> dict[str, Any]:
-        """Entry of a value that JSON has."""
+        """Entry of a JSON value."""
         content = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
         return self._add(content, "json", (len(content),))
 

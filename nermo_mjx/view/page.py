@@ -1,4 +1,4 @@
-"""A page for the browser: a recording, two in comparison, or a directory of runs; all it needs is in the one file."""
+"""A page for the browser: a recording, two in comparison, or a directory of runs, in one self-contained file."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ def show(
     *,
     height: int | None = None,
 ) -> Page:
-    """The page of a recording: the robot to turn around and to scrub through, with tendons, forces and plots.
+    """The page of a recording: an interactive view of the robot with a time slider, tendons, forces and plots.
 
-    Of the directory of a sweep or a search it is the page of all its runs, see `explore`.
+    For the directory of a sweep or a search, it is the page of all its runs, see `explore`.
 
-    In a notebook, a cell that ends in `show(recording)` shows it; `show(recording).save("walk.html")` writes one file
-    that needs nothing else.
+    In a notebook, a cell that ends in `show(recording)` shows it; `show(recording).save("walk.html")` writes one
+    self-contained file.
 
     Args:
         recording: the run, the NPZ file that holds it, or a directory.
-        other: a second recording to compare with, in step with the time.
+        other: a second recording to compare with, synchronised in time.
         height: in a notebook [pixels]; by default 480, and 680 for a directory.
 
     Raises:
-        RecordingError: there is no such recording, or it was made with another version of the model.
+        RecordingError: the recording does not exist, or was made with another version of the model.
         ParameterError: its setup names something that this version does not have.
         DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
     """

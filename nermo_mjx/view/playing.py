@@ -1,4 +1,4 @@
-"""Recordings in MuJoCo's own viewer: played there, or written as MJCF whose keyframes are the recording."""
+"""Recordings in MuJoCo's own viewer: played there, or exported as MJCF with the recording as keyframes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nermo_mjx.view import sun
 from nermo_mjx.view.camera import body_radius, following_camera, root_body
 from nermo_mjx.view.recorded_robot import has_own_geometry, recorded_geometry, robot_of
 
-#: Frames that the viewer is given a second [Hz].
+#: Frame rate of the viewer [Hz].
 _REFRESH: Final = 60.0
 #: Keyframes of one file; MuJoCo's viewer has a slider over them.
 MOST_KEYS: Final = 5000
@@ -39,10 +39,10 @@ def play(
     On macOS, run Python as `mjpython`.
 
     Args:
-        recording: what is played.
+        recording: to play.
         robot: that was recorded; by default assembled from the recording's setup.
         speed: 1 is real time, 0.25 a quarter of it.
-        loop: begin again at the end.
+        loop: restart at the end.
         viewer: replaces `mujoco.viewer`.
 
     Raises:
@@ -68,7 +68,7 @@ def play(
 
 
 def _aim(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Have the viewer's camera follow the robot, from three quarters; the mouse turns it as always."""
+    """Let the viewer's camera follow the robot in a three-quarter view; the mouse rotates it as usual."""
     root = root_body(model)
     _, radius = body_radius(model, data, root)
     view = following_camera("three_quarter", radius, float(model.vis.global_.fovy), aspect=1.5)
@@ -77,7 +77,7 @@ def _aim(camera: mujoco.MjvCamera, model: mujoco.MjModel, data: mujoco.MjData) -
 
 
 def _viewer() -> Any:
-    """`mujoco.viewer`, where there is a display: without one, opening it would end the process."""
+    """`mujoco.viewer`, if there is a display: without one, opening it would terminate the process."""
     import glfw
 
     with warnings.catch_warnings():
@@ -93,7 +93,7 @@ def _viewer() -> Any:
 def follow(
     window: Any, recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, speed: float, loop: bool
 ) -> None:
-    """Show the sample of each moment in an open viewer until it is closed, or until the end."""
+    """Show the current sample in an open viewer until it is closed, or until the end."""
     root = root_body(model)
     began, first = time.perf_counter(), float(recording.time[0])
     while window.is_running():
@@ -120,7 +120,7 @@ def write_keyframes(
     "Key" and "Load key".
 
     Args:
-        recording: what is written.
+        recording: to write.
         path: the file.
         robot: that was recorded; by default assembled from the recording's setup.
         rate: keyframes per second [Hz]; the nearest samples are taken.

@@ -1,4 +1,4 @@
-"""The robot that a recording was made with, and its body as the run's own parameters made it."""
+"""The robot that a recording was made with, and its body with the run's own parameters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nermo_mjx.robot.terrains import terrain_values
 
 
 def robot_of(recording: Recording) -> Robot:
-    """The robot in its scene, built from the recording's setup; what the setup does not name has its default.
+    """The robot in its scene, built from the recording's setup; unnamed choices have their defaults.
 
     Raises:
         ParameterError: the setup names something that this version does not have.
@@ -29,20 +29,20 @@ def robot_of(recording: Recording) -> Robot:
 
 
 def recorded_geometry(recording: Recording) -> Geometry:
-    """Lengths and places of the recorded robot; those of a recording without them are the published ones."""
+    """The recorded robot's geometry; the published one if the recording has none."""
     given, known = recording.metadata.get("parameters") or {}, {name for name, _ in quantities(Geometry)}
     own = {name.removeprefix("geometry."): value for name, value in given.items() if value is not None}
     return replace_quantities(Geometry(), {name: np.asarray(own[name], float) for name in known & own.keys()})
 
 
 def has_own_geometry(recording: Recording) -> bool:
-    """Whether the recorded robot has other lengths and places than the published ones."""
+    """Whether the recorded robot's geometry differs from the published one."""
     one, other = (dict(values_of(geometry)) for geometry in (recorded_geometry(recording), Geometry()))
     return any(float(one[name]) != float(other[name]) for name in one)
 
 
 def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
-    """The robot's whole model as pictures need it: its parts where the recorded robot has them."""
+    """The robot's whole model for rendering, with the geometry of the recorded robot."""
     return robot.with_geometry(recorded_geometry(recording)) if has_own_geometry(recording) else robot.model
 
 
@@ -50,9 +50,9 @@ def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
     """The robot's whole model with the masses, springs, dampers, servos, contacts and geometry of the run.
 
     Returns:
-        `robot.model` itself if the recording's parameters change nothing about the body.
+        `robot.model` itself if the recording's parameters do not change the body.
     """
-    from nermo_mjx.physics.variation import compile_model  # JAX takes a second to start
+    from nermo_mjx.physics.variation import compile_model  # importing JAX takes a second
 
     known = {name: about.default for name, about in quantities(ModelParameters)}
     known |= terrain_values(str(robot.config.scene))

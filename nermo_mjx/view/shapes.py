@@ -1,4 +1,4 @@
-"""The drawn shapes of a model: its geoms with sizes, places and colours, and its meshes."""
+"""The visible shapes of a model: its geoms with sizes, poses and colours, and its meshes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ KINDS: Final = {
     int(_GEOM.mjGEOM_ELLIPSOID): "ellipsoid", int(_GEOM.mjGEOM_CYLINDER): "cylinder", int(_GEOM.mjGEOM_BOX): "box",
     int(_GEOM.mjGEOM_MESH): "mesh",
 }  # fmt: skip
-#: MuJoCo draws the groups before this one; the others hold what collides.
+#: MuJoCo draws the groups below this one; the others contain collision geoms.
 HIDDEN_GROUP: Final = 3
 
 
 def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
-    """Bodies, geoms and meshes of a model, as the page reads them.
+    """Bodies, geoms and meshes of a model, in the page's format.
 
     Returns:
         `bodies`: names; `eyes`: the camera of that name with body, pose and field of view, or None; `geoms`: of each
@@ -70,7 +70,7 @@ def _mesh(model: mujoco.MjModel, mesh: int, packer: Packer) -> dict[str, Any]:
 
 
 def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """What MuJoCo draws it in: the material's colour unless the geom has one of its own; a texture's mean colour."""
+    """The colour in which MuJoCo draws it: the material's unless the geom has its own; a texture's mean colour."""
     material = int(model.geom_matid[geom])
     own = np.array(model.geom_rgba[geom], float)
     if material < 0 or not np.allclose(own, 0.5 * np.array([1, 1, 1, 2])):

@@ -1,4 +1,4 @@
-"""Several recordings in one video, side by side and in step, each with its caption and the way it has gone."""
+"""Several recordings in one video, side by side and synchronised, each with its caption and its distance."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ _BAR, _TRACK = (35, 100, 143), (226, 226, 226)
 
 @dataclasses.dataclass(frozen=True)
 class Pane:
-    """One recording and what stands above it.
+    """One recording and its caption.
 
     Attributes:
         recording: from its first sample on.
         title: in bold.
-        caption: lines below the title; long ones are broken.
-        model: of its own robot, where lengths and places differ from the common model's.
+        caption: lines below the title; long ones are wrapped.
+        model: of its own robot, if its geometry differs from the common model's.
     """
 
     recording: Recording
@@ -57,7 +57,7 @@ def render_side_by_side(
 ) -> Path:
     """Render recordings of one model into one video; it is as long as the shortest of them.
 
-    Each robot has its own camera. A bar below it shows how far it has come since the beginning, on one scale for all.
+    Each robot has its own camera. A bar below it shows its distance since the beginning, on the same scale for all.
 
     Args:
         panes: from left to right.
@@ -65,7 +65,7 @@ def render_side_by_side(
         width, height: of one picture in pixels; the video has all of them and their captions.
 
     Raises:
-        ParameterError: no panes, or something is asked for that cannot be.
+        ParameterError: no panes, or an invalid option.
         VideoError: this machine cannot draw or encode.
         RecordingError: a recording does not fit the model.
     """
@@ -98,7 +98,7 @@ def render_side_by_side(
 def _ways(
     panes: Sequence[Pane], model: mujoco.MjModel, samples: Sequence[np.ndarray], interval: float
 ) -> Float[np.ndarray, "panes F"]:
-    """How far each robot is from where it began, the steps' swaying left out [m]."""
+    """Distance of each robot from its start, without the sway of the steps [m]."""
     data, ways = mujoco.MjData(model), []
     for pane, each in zip(panes, samples, strict=True):
         positions = smooth_path(root_path(pane.recording, model, data, each), interval)[:, :2]
@@ -107,7 +107,7 @@ def _ways(
 
 
 def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
-    """The captions, above one another's pictures; all have the height of the longest."""
+    """The captions above the pictures, all with the height of the longest."""
     most = int(width / ink.CHARACTER)
     texts = [[part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes]
     height = _LINE * (1 + max(map(len, texts))) + 10
@@ -124,7 +124,7 @@ def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height widt
 def _footer(
     seconds: float, speed: float, ways: Float[np.ndarray, " panes"], furthest: float, width: int
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """A bar for each robot's way, its length in millimetres, and the time."""
+    """A bar for each robot's distance, with its value in millimetres, and the time."""
     strips = []
     room = width - 16
     for i, way in enumerate(ways):

@@ -1,4 +1,4 @@
-"""What is plotted beside a run: attitude, speed, foot forces and stance, tensions, servo angles."""
+"""Signals plotted next to a run: attitude, speed, foot forces and stance, tensions, servo angles."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Curve:
         name: in the legend.
         colour: a name that the page's style knows: a limb's, `tail`, or `first`, `second`, `third`.
         values: over time, in the plot's unit.
-        faint: a companion of the line before, which has the same colour.
+        faint: whether it belongs to the previous line, with the same colour.
     """
 
     name: str
@@ -98,7 +98,7 @@ def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]
 
 
 def _attitude(quaternion: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 3"]:
-    """(roll, pitch, yaw) as in `rollout.attitude`, in degrees, yaw beyond half a turn; NumPy, to plot without JAX."""
+    """(roll, pitch, yaw) as in `kinematics.attitude`, in degrees, with unwrapped yaw; NumPy, to plot without JAX."""
     w, x, y, z = quaternion.T
     r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
     r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)

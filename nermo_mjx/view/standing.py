@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-#: A foot stands if it bears more than this [N]; the robot weighs 2.65 N. The metrics' smooth threshold lies about it.
+#: A foot is in stance above this load [N]; the robot weighs 2.65 N. The metrics' smooth threshold is centred on it.
 STANDING: Final = 0.02
 
 

@@ -1,4 +1,4 @@
-"""Strips below a video's picture that pass with the time: the gait's footfall, and the servos' angles.
+"""Strips below a video's picture that scroll with time: footfall, and servo angles.
 
 A strip is drawn once for the whole run; each frame shows the part of it around its own time.
 """
@@ -19,7 +19,7 @@ from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.view import ink
 from nermo_mjx.view.standing import STANDING, spans
 
-#: What a frame shows of a longer run [s]: the past, and paler what comes.
+#: Time range shown in a frame [s]: the past, and, paler, the future.
 PAST: Final = 2.0
 AHEAD: Final = 0.75
 #: Width of the column with names and scales, and height of the time's scale [pixels].
@@ -43,7 +43,7 @@ class Panel:
         height: in pixels, without the gap above it.
         low, high: ends of the vertical axis.
         draw: draws onto matplotlib's axes over time [s].
-        notes: (value, text, colour) that stand in the column beside it.
+        notes: (value, text, colour) in the column next to it.
     """
 
     height: int
@@ -92,7 +92,7 @@ class Strip:
             for half in range(int(np.floor(2 * since)), int(np.ceil(2 * until)) + 1):
                 place = (half / 2 - since) * self._rate
                 if not _HALF_LABEL < first + place < total - _HALF_LABEL:
-                    continue  # it would be cut
+                    continue  # it would be clipped
                 ink.write(figure, place, self.height - SCALE + 1, f"{half / 2:g} s", fontsize=7.5, ha="center")
             yield ink.pixels(figure)
 
@@ -118,7 +118,7 @@ class Strip:
 
 
 def gait_panels(recording: Recording) -> list[Panel]:
-    """A bar for each foot while it stands (a Hildebrand diagram), and for the tail while it bears on the ground."""
+    """A bar for each foot in stance (a Hildebrand diagram), and for the tail while it is loaded."""
     force = np.asarray(recording.sensors["foot_force"])
     rows = {SHORT[limb]: COLOURS[limb] for limb in LIMBS}
     if "tail_force" in recording.sensors:
@@ -135,7 +135,7 @@ def gait_panels(recording: Recording) -> list[Panel]:
 
 
 def servo_panels(recording: Recording) -> list[Panel]:
-    """Angles of hips, knees and spine [degrees]: measured, and pale what was commanded."""
+    """Angles of hips, knees and spine [degrees]: measured, and, paler, commanded."""
     measured = np.degrees(np.asarray(recording.sensors["servo_angle"]))
     commanded = np.degrees(np.asarray(recording.ctrl))
     groups = {"hip": range(4), "knee": range(4, 8), "spine": range(8, 9)}

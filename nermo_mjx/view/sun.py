@@ -10,7 +10,7 @@ _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 
 
 def put_overhead(model: mujoco.MjModel) -> None:
-    """Turn what casts shadows straight down, in place.
+    """Point the shadow-casting light straight down, in place.
 
     A slanting sun speckles the floor at the edge of the shadow map; one overhead also shows where the feet stand.
     """
@@ -20,5 +20,6 @@ def put_overhead(model: mujoco.MjModel) -> None:
 
 
 def move_above(model: mujoco.MjModel, data: mujoco.MjData, point: Float[np.ndarray, " 3"]) -> None:
-    """Move the sun along, after `mj_camlight`, or the robot walks out of its shadow map; point in the world [m]."""
+    """Move the sun to a point in the world [m], after `mj_camlight`; otherwise the robot walks out of its shadow
+    map."""
     data.light_xpos[model.light_type == _DIRECTIONAL, :2] += point[:2]

@@ -23,7 +23,7 @@ _EDGE: Final = (0.0, 0.45, 0.70, 1.0)
 def support_polygon(
     points: Float[np.ndarray, "n 2"], standing: Bool[np.ndarray, " n"]
 ) -> Float[np.ndarray, "corners 2"]:
-    """Corners of the convex hull of what stands, in order [m]; fewer than three where fewer stand."""
+    """Corners of the convex hull of the standing points, in order [m]; fewer than three if fewer are standing."""
     points = points[standing]
     if len(points) < 3:
         return points
@@ -35,7 +35,7 @@ def support_polygon(
 
 
 def is_inside(corners: Float[np.ndarray, "corners 2"], point: Float[np.ndarray, " 2"]) -> bool:
-    """Whether a point lies in a convex polygon; never in one of fewer than three corners."""
+    """Whether a point lies in a convex polygon; always false with fewer than three corners."""
     if len(corners) < 3:
         return False
     edges = np.roll(corners, -1, axis=0) - corners
@@ -51,14 +51,14 @@ def draw_support(
     com: Float[np.ndarray, " 3"],
     tail: Float[np.ndarray, " 3"] | None = None,
 ) -> None:
-    """Add the polygon of feet and tail that stand in a sample, and the centre of mass with its plumb line, to a scene.
+    """Add the support polygon of feet and tail in a sample, and the centre of mass with its plumb line, to a scene.
 
     Args:
         scene: of the frame, updated already.
         recording: with sensors `foot_position` and `foot_force`.
         sample: of the recording.
         com: centre of mass in the world [m].
-        tail: tip of the tail [m], which stands where the recording has its force.
+        tail: tip of the tail [m], included if the recording has its force.
     """
     points = np.asarray(recording.sensors["foot_position"][sample]).reshape(4, 3)
     force = np.asarray(recording.sensors["foot_force"][sample])
@@ -98,7 +98,7 @@ def _connect(scene: mujoco.MjvScene, begin: np.ndarray, end: np.ndarray, colour:
 
 
 def _new(scene: mujoco.MjvScene) -> Any:
-    """The next geom of the scene, or None where there is no room for more."""
+    """The next geom of the scene, or None if the scene is full."""
     if scene.ngeom >= scene.maxgeom:
         return None
     scene.ngeom += 1

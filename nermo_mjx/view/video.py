@@ -23,7 +23,7 @@ from nermo_mjx.view.camera import CAMERAS, STEREO, body_radius, following_camera
 from nermo_mjx.view.encoding import SUFFIXES, CountDone, VideoError, require_encoder, write_video
 from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
 
-#: Without a graphics card a frame takes as long as its samples, shadow map, mirror images and facets do.
+#: Without a graphics card, the time of a frame depends on its samples, shadow map, reflections and facets.
 SHADOW_MAP: Final = 2048
 SAMPLES: Final = 4
 SLICES: Final = 14
@@ -49,9 +49,9 @@ def render(
     """Render a recording into a video file; the suffix chooses the format, `.mp4` or `.gif`.
 
     Args:
-        recording: what to show; it is cut where its state is no longer finite.
-        model: the model that ran.
-        path: the file; it appears only when it is whole.
+        recording: what to show; it is truncated where its state is no longer finite.
+        model: the simulated model.
+        path: the file; it appears only when it is complete.
         fps: frames per second of the video.
         width, height: size of the robot's picture in pixels, even numbers for MP4; strips of overlays stand below it.
         camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the images of both
@@ -61,7 +61,7 @@ def render(
         progress: called with (frames done, frames in all).
 
     Raises:
-        VideoError: what is asked for cannot be drawn or encoded here.
+        VideoError: the request cannot be drawn or encoded here.
         RecordingError: the recording does not fit the model.
     """
     path = Path(path)
@@ -84,10 +84,10 @@ def check_video(
     speed: float = 1.0,
     overlays: Sequence[str] = (),
 ) -> None:
-    """Refuse a video that cannot be made, before a long run is made for it; arguments as for `render`.
+    """Reject an impossible video before a long run is made for it; arguments as for `render`.
 
     Raises:
-        ParameterError: something is asked for that cannot be.
+        ParameterError: an invalid option.
         VideoError: this machine cannot draw or encode.
     """
     path = Path(path)
@@ -121,7 +121,7 @@ def check_video(
 
 
 def frame_samples(recording: Recording, fps: float, speed: float) -> Int[np.ndarray, " F"]:
-    """Which sample of the recording each frame shows: the nearest in time."""
+    """The sample of the recording in each frame: the nearest in time."""
     finite = np.isfinite(recording.qpos).all(axis=1)
     count = len(finite) if finite.all() else int(np.argmin(finite))
     if count == 0:
@@ -192,7 +192,7 @@ def _seen(
 
 
 def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
-    """A copy of the model that software can draw quickly, and large enough a buffer."""
+    """A copy of the model for fast software rendering, with a large enough buffer."""
     model = copy.copy(model)
     model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
     model.vis.global_.offheight = max(model.vis.global_.offheight, height)
@@ -227,7 +227,7 @@ def _track(
 def root_path(
     recording: Recording, model: mujoco.MjModel, data: mujoco.MjData, samples: Int[np.ndarray, " F"]
 ) -> Float[np.ndarray, "F 3"]:
-    """Where the body that a camera follows is in each of the samples [m]; `data` is only worked in."""
+    """Position of the followed body in each of the samples [m]; `data` is scratch space."""
     root = root_body(model)
     positions = np.empty((len(samples), 3))
     for i, sample in enumerate(samples):
@@ -246,7 +246,7 @@ def _pose(model: mujoco.MjModel, data: mujoco.MjData, qpos: Float[np.ndarray, " 
 def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what GLFW warns of is in its error, too
+            warnings.simplefilter("ignore")  # GLFW's warnings are repeated in its error
             renderer = mujoco.Renderer(model, height, width)
     except Exception as error:  # every GL library fails in its own way
         reason = " ".join(str(error).split())[:200] or type(error).__name__

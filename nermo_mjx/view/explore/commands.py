@@ -1,4 +1,4 @@
-"""The commands that run a row again, as the page puts them together from a row's values."""
+"""The commands that repeat a row's run, which the page assembles from the row's values."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from nermo_mjx.view.explore.runs import Runs
 _OPTIONS: Final = (
     "robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory", "head", "tail_motion",
 )  # fmt: skip
-#: Choices that are none: only their defaults can be walked.
+#: Choices without an option: `walk` supports only their defaults.
 _NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone}
-#: Pilots that `walk` takes, and the parameters that their options are.
+#: Pilots that `walk` supports, and the parameters that their options set.
 _PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": ("turn_rate",)}
 _SIDES: Final = {"left": 1.0, "right": -1.0}
 
@@ -28,19 +28,18 @@ def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
 
     Returns:
         `replay`: words to which the row's number is added; `walk`: `words`, `options`, pairs of an option and the
-        column of its value, and `set`, columns that `--set NAME=X` takes; None where `walk` cannot do what the rows
-        did.
+        column of its value, and `set`, columns that `--set NAME=X` takes; None if `walk` cannot repeat the rows' runs.
     """
     spec = path / ("sweep.yaml" if runs.kind == "sweep" else "search.yaml")
     try:
         walk = _walk(read_file(spec, runs.kind).data, runs) if spec.exists() else None
-    except SpecError:  # of another version; what can be read is shown
+    except SpecError:  # of another version; the readable part is shown
         walk = None
     return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk}
 
 
 def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
-    """How `nermo-mjx walk` does the same as a row of a resolved file; None if it cannot."""
+    """The `nermo-mjx walk` command for a row of a resolved file; None if there is none."""
     varied = [each for each in runs.columns.values() if each.role in ("varied", "randomized")]
     names = {each.name: set(each.values) for each in varied if each.is_text}
     if not _walkable(spec, names):
@@ -78,7 +77,7 @@ def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:
     if any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items()):
         return False
     chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene",)}
-    # A custom scene is written out, which is no option's value.
+    # A custom scene is stored as MJCF, which cannot be an option's value.
     if any("<" in value for value in chosen["scene"]):
         return False
     step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))

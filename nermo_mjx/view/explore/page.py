@@ -1,4 +1,4 @@
-"""The page of a directory: its runs as points or cells, packed, with the recordings that it keeps."""
+"""The page of a directory: its runs as points or cells, packed, with its recordings."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from nermo_mjx.view.packing import Packer
 
 #: Kinds of directories that have such a page.
 KINDS: Final = ("sweep", "search")
-#: Recordings of a page at most, by default: of ten seconds each these are 4 MB.
+#: Default maximum number of recordings in a page: 4 MB at ten seconds each.
 MOST_RECORDINGS: Final = 50
-#: Different values of a column up to which each is sent as it is, with all its digits.
+#: Maximum number of distinct values of a column for which they are sent with all their digits.
 _LISTED: Final = 256
-#: Different numbers up to which each is a step of an axis, also where they are none of a grid.
+#: Maximum number of distinct values for which each is a step of an axis, even without a grid.
 _FEW: Final = 12
 _LEVELS: Final = 32
 
@@ -43,17 +43,17 @@ def explore(
 ) -> Page:
     """The page of a sweep's or a search's directory: every run as a point, or as a cell of an atlas or a grid.
 
-    Columns are chosen for the axes and the colour, and brushed; a run that is clicked shows its numbers and the
-    command that runs it again, and plays in 3D where `recordings/` has it.
+    Columns can be selected for the axes and the colour, and brushed; clicking a run shows its numbers and the command
+    that repeats it, and plays it in 3D if `recordings/` has it.
 
     Args:
         path: the directory; it is only read, and may be unfinished.
-        recordings: how many go into the page at most; of more, evenly from the best to the worst.
+        recordings: maximum number in the page; of more, an even selection from the best to the worst.
         height: in a notebook [pixels].
-        notify: called with a message about each thing that is left out.
+        notify: called with a message about anything that is left out.
 
     Raises:
-        DirectoryError: it is no such directory, or holds no runs yet, or they cannot be read.
+        DirectoryError: it is not such a directory, has no runs yet, or they cannot be read.
     """
     path = Path(path)
     if kind_of(path) not in KINDS:
@@ -97,7 +97,7 @@ def explore(
 
 
 def start_of(runs: Runs) -> dict[str, Any]:
-    """What the page shows first: columns across, up and as colours, and whether as cells or as points."""
+    """Initial view of the page: columns for both axes and the colour, and cells or points."""
     varied, metrics = runs.of("varied"), runs.of("metric")
     numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
     gridded = [each for each in varied if len(each.distinct) <= MOST_CELLS]
@@ -110,7 +110,7 @@ def start_of(runs: Runs) -> dict[str, Any]:
         steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
         x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
         return {"x": x, "y": y, "colour": runs.leading, "cells": True}
-    usual = [*OBJECTIVES]  # in the order in which they are asked for
+    usual = [*OBJECTIVES]  # in the requested order
     directed = sorted(
         (each.name for each in metrics if each.better and each.name != runs.leading),
         key=lambda name: usual.index(name) if name in usual else len(usual),
@@ -121,7 +121,7 @@ def start_of(runs: Runs) -> dict[str, Any]:
 
 
 def _chosen(runs: Runs, there: Collection[int], most: int) -> list[int]:
-    """Rows whose recordings go into the page, the best first."""
+    """Rows whose recordings are included in the page, best first."""
     known = np.flatnonzero(np.isin(runs.rows, list(there)))
     ranked = known[np.argsort(runs.columns[runs.leading].cost()[known], kind="stable")]
     if most < 1:
@@ -130,7 +130,7 @@ def _chosen(runs: Runs, there: Collection[int], most: int) -> list[int]:
 
 
 def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[dict[str, Any], list[Any], list[Packer]]:
-    """Of each row its part of the data and the recording's header in it; headers of the models; the parts."""
+    """For each row its data part and the recording's header; the models' headers; the parts."""
     models = Models(shapes)
     clips, parts = {}, []
     for row, file in files.items():
@@ -166,7 +166,7 @@ def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
 
 def _palette() -> dict[str, Any]:
     """The common colours: of values from low to high, of categories, and of missing values."""
-    from matplotlib import colormaps  # takes a second
+    from matplotlib import colormaps  # importing it takes a second
     from matplotlib.colors import to_hex
 
     scale = [to_hex(colour) for colour in colormaps[style.COLOURS](np.linspace(0, 1, _LEVELS))]

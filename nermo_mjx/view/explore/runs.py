@@ -19,13 +19,13 @@ from nermo_mjx.sweep.sides import sides_in
 from nermo_mjx.sweep.summary import LEADING
 from nermo_mjx.sweep.table import meta
 
-#: Roles of the columns that are shown, in this order; seeds and codes say nothing to a reader.
+#: Roles of the columns that are shown, in this order; seeds and codes are not informative.
 ROLES: Final = ("varied", "randomized", "metric", "status", "index")
-#: Rows of a page at most: of 50 columns these are 3 MB.
+#: Maximum number of rows in a page: 3 MB with 50 columns.
 MOST_ROWS: Final = 20_000
-#: The best ones are kept whatever is left out.
+#: Number of best rows that are always kept.
 _BEST_KEPT: Final = 500
-#: Values of a parameter at most that make it an axis of cells.
+#: Maximum number of values of a parameter that forms an axis of cells.
 MOST_CELLS: Final = 64
 _SIDES: Final = {"max": "high", "min": "low", "nearest zero": "zero"}
 
@@ -35,7 +35,7 @@ class Column:
     """A column of the table.
 
     Attributes:
-        name, unit, description, role: as its metadata has them, SI units.
+        name, unit, description, role: from its metadata, SI units.
         better: `high`, `low` or `zero`, the side that is better; empty if there is none.
         log: whether it was spread logarithmically.
         values: (n,) numbers, or texts.
@@ -56,11 +56,11 @@ class Column:
 
     @property
     def distinct(self) -> np.ndarray:
-        """Its values, each once, sorted; NaN is none."""
+        """Its distinct values, sorted, without NaN."""
         return np.unique(self.values if self.is_text else self.values[np.isfinite(self.values)])
 
     def cost(self) -> np.ndarray:
-        """Its values so that less is better; of one without a better direction, less where it is higher."""
+        """Its values, signed so that lower is better; without a better direction, higher values count as better."""
         signed = {"low": self.values, "zero": np.abs(self.values)}.get(self.better, -self.values)
         return np.where(np.isfinite(signed), signed, np.inf)
 
@@ -73,10 +73,10 @@ class Runs:
         kind: `sweep`, `search` or `atlas`.
         columns: by name, in the order in which they are shown; of (n,) values each.
         rows: number of each run in its table, (n,).
-        total: how many rows the table has.
-        leading: the metric that is asked for first.
-        grid: whether the varied parameters are a grid's.
-        atlas: an atlas' objective and measures; None if it is none.
+        total: number of rows in the table.
+        leading: the first requested metric.
+        grid: whether the varied parameters form a grid.
+        atlas: an atlas' objective and measures; None for other directories.
     """
 
     kind: str
@@ -96,12 +96,12 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     """The runs of a directory.
 
     Args:
-        path: of a sweep or a search; of one with `atlas.parquet`, its cells are shown.
-        kept: rows that are never left out.
-        most: rows at most; of more the best, and the others evenly.
+        path: of a sweep or a search; if it has `atlas.parquet`, the cells are shown.
+        kept: rows that are always included.
+        most: maximum number of rows; of more, the best and an even selection of the others.
 
     Raises:
-        DirectoryError: it holds none yet, or they cannot be read.
+        DirectoryError: it has no runs yet, or they cannot be read.
     """
     table, about = _table(path)
     fields = {field.name: meta(field) for field in table.schema}
@@ -127,7 +127,7 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
 
 
 class _Read:
-    """A table in memory whose columns come as NumPy arrays; `Results` gives the same from chunks."""
+    """A table in memory with columns as NumPy arrays; `Results` offers the same for chunks."""
 
     def __init__(self, table: pa.Table) -> None:
         self.schema, self._table = table.schema, table

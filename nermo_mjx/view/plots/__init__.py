@@ -1,1 +1,1 @@
-"""Figures of one recording: gait diagram, orientation, foot paths, servo angles, and the way on the ground."""
+"""Figures of one recording: gait diagram, orientation, foot paths, servo angles, and the path on the ground."""

@@ -1,4 +1,4 @@
-"""How the torso moves: its orientation over time, and its way on the ground."""
+"""Motion of the torso: its orientation over time, and its path on the ground."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def orientation(walk: Walk) -> Figure | None:
 
 
 def ground_path(walk: Walk) -> Figure | None:
-    """The torso from above, its mean over a gait cycle, and where each foot is put down."""
+    """The torso's path from above, its mean over a gait cycle, and the footfalls."""
     position = walk.recording.sensors.get("position")
     if position is None:
         return None
@@ -78,7 +78,7 @@ def ground_path(walk: Walk) -> Figure | None:
 
 
 def _cycle_mean(walk: Walk, places: np.ndarray) -> np.ndarray:
-    """Running mean (T', 2) over a gait cycle of places (T, 2); empty where there is none."""
+    """Running mean (T', 2) over a gait cycle of positions (T, 2); empty if there is no whole cycle."""
     if walk.cycle is None or len(places) < 2:
         return places[:0]
     ticks = round(walk.cycle / float(np.median(np.diff(walk.recording.time))))

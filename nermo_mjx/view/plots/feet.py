@@ -1,4 +1,4 @@
-"""Where the feet go: in the leg's own frame, as commanded and as measured, and over the ground."""
+"""Paths of the feet: in the leg's own frame, commanded and measured, and over the ground."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nermo_mjx.view.recorded_robot import recorded_geometry, recorded_model
 
 
 def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
-    """Each foot in its leg's plane, from the hip or shoulder axis: measured, and where the servos would put it."""
+    """Each foot in its leg's plane, from the hip or shoulder axis: measured, and as commanded to the servos."""
     if walk.recording.ctrl.shape[1] < 2 * len(LIMBS):
         return None
     part, what = walk.shown
@@ -45,7 +45,7 @@ def leg_paths(walk: Walk, robot: Robot) -> Figure | None:
 
 
 def over_ground(walk: Walk) -> Figure | None:
-    """The height of each foot over its way along the robot's course; thick where it bears a load."""
+    """The height of each foot over its path along the robot's course; thick where it is loaded."""
     feet, position = walk.recording.sensors.get("foot_position"), walk.recording.sensors.get("position")
     if feet is None or position is None or walk.angles is None:
         return None
@@ -97,6 +97,6 @@ def in_leg_frame(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
 
 
 def commanded_feet(ctrl: np.ndarray, routing: str, geometry: Geometry) -> np.ndarray:
-    """Feet (T, 4, 2) as (y, z) from the axis [m] of commanded servo angles (T, nu), where nothing gives way."""
+    """Feet (T, 4, 2) as (y, z) from the axis [m] of commanded servo angles (T, nu), without compliance."""
     servo = np.stack([ctrl[:, : len(LIMBS)], ctrl[:, len(LIMBS) : 2 * len(LIMBS)]], axis=-1)
     return np.asarray(forward(four_legs(geometry), servo, routing).foot)

@@ -1,4 +1,4 @@
-"""Which figures a recording gives."""
+"""The figures of a recording."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def figures_of(
     `servo-angles` and `ground-path`.
 
     Args:
-        recording: what it does not have is left out.
+        recording: figures of missing data are left out.
         notify: called with a message about each figure that cannot be drawn.
         robot: that was recorded; by default assembled from the recording's setup.
     """
@@ -35,7 +35,7 @@ def figures_of(
 
 
 def _figures(walk: Walk, robot: Robot | None) -> Iterator[tuple[str, Figure | str]]:
-    """(name, figure) of each, or why there is none."""
+    """(name, figure) of each, or the reason for its absence."""
     lacks = "the recording lacks its sensors."
     yield "gait-diagram", gait_diagram(walk) or lacks
     yield "orientation", orientation(walk) or lacks

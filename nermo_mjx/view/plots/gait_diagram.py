@@ -1,4 +1,4 @@
-"""The gait diagram: when each foot is on the ground, as planned and as measured."""
+"""The gait diagram: planned and measured contact of each foot."""
 
 from __future__ import annotations
 

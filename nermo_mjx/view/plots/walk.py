@@ -1,4 +1,4 @@
-"""What the figures of a recording have in common: its gait, planned and measured contact, and the part they show."""
+"""Data shared by the figures of a recording: its gait, planned and measured contact, and the time range shown."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from nermo_mjx.robot import GAITS, LIMBS
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.view.standing import STANDING
 
-#: Gait cycles that figures show of single steps: the last whole ones.
+#: Gait cycles shown in figures of single steps: the last whole ones.
 SHOWN_CYCLES: Final = 4
 NAMES: Final = {"trt": "trot", "trt1": "walking trot", "lat": "lateral sequence walk"}
 
 
 @dataclasses.dataclass(frozen=True)
 class Walk:
-    """A recording, and what its metadata say of its gait."""
+    """A recording, with the gait from its metadata."""
 
     recording: Recording
 
@@ -44,7 +44,7 @@ class Walk:
 
     @property
     def title(self) -> str:
-        """The gait in words, after a colon; nothing where it is not known."""
+        """The gait in words, after a colon; empty if unknown."""
         setup, labels = self.recording.metadata.get("setup", {}), self.recording.metadata.get("labels", {})
         gait = NAMES.get(setup.get("gait", labels.get("gait")), "")
         if self.cycle is None:
@@ -53,7 +53,7 @@ class Walk:
 
     @cached_property
     def shown(self) -> tuple[slice, str]:
-        """The samples of the last whole gait cycles, or all, and what they are in words."""
+        """The samples of the last whole gait cycles, or all, and their description."""
         time = self.recording.time
         if self.cycle is None or time[-1] < self.cycle:
             return slice(None), "the whole recording"
@@ -64,7 +64,7 @@ class Walk:
 
     @cached_property
     def planned(self) -> np.ndarray | None:
-        """Whether the gait has each foot on the ground, (T, 4); None if the recording does not say."""
+        """Planned contact of each foot, (T, 4); None if the recording does not contain it."""
         if self.cycle is None or not {"duty", *(f"offset.{limb}" for limb in LIMBS)} <= set(self.values):
             return None
         phase = (self.values.get("start.phase", 0.0) + self.recording.time / self.cycle) % 1.0
@@ -93,5 +93,5 @@ class Walk:
 
 
 def name_of(limb: str) -> str:
-    """A limb's name for people."""
+    """A limb's display name."""
     return limb.replace("_", " ")
