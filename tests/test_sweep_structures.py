@@ -285,8 +285,8 @@ def test_on_the_engine_c_an_extended_directory_is_that_of_one_go_bit_for_bit(tmp
 
 def test_parameters_and_structures_are_listed():
     listed = json.loads(CliRunner().invoke(main, ["sweep", "--list-parameters", "--json"]).stdout)
-    assert listed["structures"]["gait"]["allowed"] == GAITS
-    assert "trt, trt1, lat" in CliRunner().invoke(main, ["sweep", "--list-parameters"]).stdout
+    assert listed["structures"]["gait"]["allowed"] == [*GAITS, "bound", "gallop"]
+    assert "trt, trt1, lat, bound, gallop" in CliRunner().invoke(main, ["sweep", "--list-parameters"]).stdout
 
 
 def test_the_status_counts_the_runs_of_all_structures(tmp_path: Path) -> None:

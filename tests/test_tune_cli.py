@@ -127,7 +127,7 @@ def test_a_start_that_falls_is_said_so(fakes: dict[str, Any], spec: Path, tmp_pa
     fakes["options"] = {"falls": lambda points: points[:, 0] < 0.06}
     result = call("tune", spec, "--out", tmp_path / "out", "--starts", "4")
     assert result.exit_code == 0
-    assert "From the given start, the robot did not walk to the end." in result.stdout
+    assert "From the given start, the robot did not complete the walk." in result.stdout
     assert re.search(r"^speed +- +[\d.]+ +- +[\d.]+ +[\d.]+ +mm/s$", result.stdout, re.MULTILINE)
 
 

@@ -463,7 +463,10 @@ def test_a_tuning_stops_when_nothing_more_is_gained(tmp_path):
     done = first.best["iterations"]
     assert 5 < done < 60
     assert first.best["complete"]
-    assert f"stopped after {done} of 200 iterations: the last 3 gained less than 1% of all" in first.best["stopped"]
+    assert (
+        f"stopped after {done} of 200 iterations: the last 3 gained less than 1% of the total gain"
+        in first.best["stopped"]
+    )
     lowest = np.minimum.accumulate(first.history.column("objective").to_numpy())
     gained = lowest[0] - lowest[-1]
     assert lowest[-4] - lowest[-1] <= 0.01 * gained < lowest[-5] - lowest[-2]

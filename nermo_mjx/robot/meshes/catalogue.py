@@ -9,7 +9,7 @@ from nermo_mjx.robot.meshes.creases import creased
 from nermo_mjx.robot.meshes.head import head_shapes
 from nermo_mjx.robot.meshes.hip import hip_shapes
 from nermo_mjx.robot.meshes.leg import leg_shapes
-from nermo_mjx.robot.meshes.obj import to_obj
+from nermo_mjx.robot.meshes.obj import rounded, to_obj
 from nermo_mjx.robot.meshes.servo import servo
 from nermo_mjx.robot.meshes.spine import spine_shapes
 from nermo_mjx.robot.meshes.tail import tail_shapes
@@ -37,5 +37,5 @@ def redraw(spec: mujoco.MjSpec, geometry: Geometry) -> None:
         # Both sides share one file; the right side is mirrored by its scale.
         shape = shapes.get(mesh.name.replace("_left_", "_").replace("_right_", "_"))
         if shape is not None:
-            drawn = creased(shape)
+            drawn = rounded(creased(shape))
             mesh.uservert, mesh.userface = drawn.vertices.ravel(), drawn.faces.ravel()
