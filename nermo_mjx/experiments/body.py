@@ -1,7 +1,7 @@
-"""The body alone: its dimensions and mass, and how far its joints bend under the published load on the test stands.
+"""The body alone: its dimensions and mass, and the deflection of its joints under the published load on test stands.
 
-Nothing walks here. The load case is that of the publication's finite elements, 0.125 N m on a joint; the springs have
-the published stiffnesses, so it checks how they were modelled.
+There is no walking here. The load case is that of the publication's finite-element analysis, 0.125 N m on a joint; the
+springs have the published stiffnesses, so this checks their modelling.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def run(settings: Settings) -> Outcome:
     There are no repeats, and the engine is always MuJoCo C.
 
     Raises:
-        ParameterError: a parameter that is not one of the body's.
+        ParameterError: a parameter that does not belong to the body.
     """
     bodies, count = settings.bodies or {}, body_count(settings.bodies)
     for name in {**settings.values, **bodies}:
@@ -72,7 +72,7 @@ def _measured(values: tuple[tuple[str, float], ...]) -> dict[str, float]:
     parameters = replace_quantities(ModelParameters(), {name: np.asarray(value) for name, value in values})
     check_quantities(parameters)
     numbers = _dimensions() | {"mass": float(parameters.mass.front + parameters.mass.rear)}
-    # Nothing else decides where a loaded joint rests; bodies that share it are simulated once.
+    # Only these determine where a loaded joint rests; bodies that share them are simulated once.
     stiffness = tuple((name, value) for name, value in values if name.startswith("stiffness."))
     numbers |= {f"bend_{pair}_knee": _knee_bend(pair, stiffness) for pair in ("front", "rear")}
     return {name: (numbers | {"bend_spine": _spine_bend(stiffness)})[name] for name in ABOUT}
@@ -103,7 +103,7 @@ def _is_seen(model: Any, geom: int) -> bool:
 
 
 def _outline(model: Any, data: Any, geom: int) -> np.ndarray:
-    """Least and largest coordinates of a geom in the world, (2, 3) [m]."""
+    """Smallest and largest coordinates of a geom in the world, (2, 3) [m]."""
     turned, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(model.geom_dataid[geom])
@@ -116,7 +116,7 @@ def _outline(model: Any, data: Any, geom: int) -> np.ndarray:
 
 @functools.cache
 def _knee_bend(pair: str, stiffness: tuple[tuple[str, float], ...]) -> float:
-    """Deflection of a knee under the load, without its tendon, so that only its spring carries it [rad]."""
+    """Deflection of a knee under the load, without its tendon, so that only its spring resists [rad]."""
     limb = f"{pair}_left"
     spec = assemble_leg(limb, parameters=replace_quantities(ModelParameters(), dict(stiffness)))
     for tendon in list(spec.tendons):

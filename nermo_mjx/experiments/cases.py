@@ -1,4 +1,4 @@
-"""Cases of an experiment, the one batch of worlds that they become, and its run."""
+"""Cases of an experiment, the batch of worlds that they form, and its run."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Worlds:
     values: dict[str, np.ndarray]
 
     def all_values(self, defaults: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """`values`, and the default of every parameter that is not among them, (n,) each."""
+        """`values`, completed with the defaults of all other parameters, (n,) each."""
         n = len(next(iter(self.labels.values())))
         return {name: np.full(n, value) for name, value in defaults.items()} | self.values
 
@@ -73,7 +73,7 @@ def worlds(
     """Every case in every profile, `repeats` times from starts that differ by a seeded shift, and for every body.
 
     The shift of a repeat is the same for all cases, so that cases are compared from equal starts; the first repeat is
-    also shifted.
+    shifted, too.
 
     Args:
         cases: all with the same labels.
@@ -117,7 +117,8 @@ def _shift(seed: int, repeat: int) -> dict[str, float]:
 
 
 def settable(cases: Sequence[Case]) -> frozenset[str]:
-    """Parameters that may be set for all worlds of an experiment: those that neither a case nor a repeat decides."""
+    """Parameters that may be set for all worlds of an experiment: those that are set neither by a case nor by a
+    repeat."""
     decided = set(START_SPREAD)
     for case in cases:
         decided |= {*published_values(case.gait, profile="as_published"), *case.values}

@@ -1,4 +1,4 @@
-"""The published experiments by name: how each is run, its description, and what its video shows."""
+"""The published experiments by name: how each is run, its description, and its video."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Experiment:
     Attributes:
         name: as on the command line.
         run: simulates all its cases.
-        figures: what was published, and how the same is measured.
+        figures: published figures, and how they are measured here.
         settable: parameters that may be set for all its worlds.
         title: for the report.
         description: what is done and when it counts, in sentences.
-        quick: what a quick run leaves out.
-        metrics: columns that the report shows of every case, the theory's beside the simulation's.
-        needs: column -> the column that must be a number for it to mean anything.
-        shot: what the video shows.
+        quick: what a quick run omits.
+        metrics: columns shown in the report for every case, with theory next to simulation.
+        needs: column -> the column that must be a number for it to be meaningful.
+        shot: the view of the video.
     """
 
     name: str
@@ -148,6 +148,6 @@ def experiment(name: str) -> Experiment:
     """An experiment by name.
 
     Raises:
-        ParameterError: there is none of that name; the message has the nearest one.
+        ParameterError: an unknown name; the message suggests the closest one.
     """
     return EXPERIMENTS[choice("experiment", name, EXPERIMENTS)]

@@ -1,7 +1,7 @@
 """Metrics over the gait cycle: peaks of the pitch, correlation of yaw with the spine, slip over the stance.
 
-The walks are recorded; pitch, yaw and the spine's angle are folded over the phase of the gait, which is that of the
-controller's clock, so that noise does not count as a peak. Plain NumPy, after the run.
+The walks are recorded; pitch, yaw and the spine's angle are folded over the phase of the gait, on the controller's
+clock, so that noise does not count as a peak. Plain NumPy, after the run.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ LOADED: Final = 0.02
 #: A foot lifts off from this share of its stance on, until this share of the cycle after it.
 LAST_OF_STANCE: Final = 2 / 3
 AFTER_STANCE: Final = 1 / 6
-#: After a leg's planned lift-off, the share of the cycle in which the pitch counts as that of the lift-off.
+#: Share of the cycle after a leg's planned lift-off in which the pitch is attributed to the lift-off.
 LIFT_OFF: Final = 0.25
-#: Worlds that are recorded at once: 2 MB each.
+#: Number of worlds recorded at once: 2 MB each.
 _AT_ONCE: Final = 64
 
 ABOUT: Final = {
@@ -47,11 +47,11 @@ ABOUT: Final = {
 
 
 def measured(simulator: Simulator, batch: Worlds, wanted: np.ndarray, run: Run) -> dict[str, np.ndarray]:
-    """`ABOUT` of the wanted worlds of a batch, which are walked again and recorded; NaN for the others.
+    """`ABOUT` of the wanted worlds of a batch, which are simulated again and recorded; NaN for the others.
 
     Args:
         wanted: mask (n,).
-        run: its warm-up is left out, and the rest is whole gait cycles.
+        run: its warm-up is excluded, and the rest is whole gait cycles.
     """
     columns = {name: np.full(len(wanted), np.nan) for name in ABOUT}
     everything, rows = batch.all_values(simulator.setup.defaults()), np.flatnonzero(wanted)
@@ -86,7 +86,7 @@ def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) 
 
 
 def folded(phase: Float[np.ndarray, " T"], values: Float[np.ndarray, " T"]) -> Float[np.ndarray, " parts"]:
-    """Mean course over a gait cycle, less its mean and the drift over the walk; phase in cycles."""
+    """Mean course over a gait cycle, minus its mean and the drift over the walk; phase in cycles."""
     drift = np.polynomial.Polynomial.fit(phase, values, 1)(phase)
     part = np.floor((phase % 1.0) * PARTS).astype(int) % PARTS
     count = np.maximum(np.bincount(part, minlength=PARTS), 1)
@@ -137,7 +137,7 @@ def rear_slip(
 
 
 def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Pearson's; NaN where one of them hardly moves [rad]."""
+    """Pearson correlation; NaN if one of them hardly moves [rad]."""
     if min(np.ptp(one), np.ptp(other)) < 1e-3:
         return float("nan")
     return float(np.corrcoef(one, other)[0, 1])

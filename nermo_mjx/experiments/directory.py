@@ -2,8 +2,8 @@
 
 DIR/results/<experiment>.parquet    one row per world; the settings and the provenance are in the schema's metadata
 DIR/results/<experiment>-bodies.parquet   the same for identified bodies, if requested
-DIR/results/<experiment>.json       its lines of the report, and what was run
-DIR/recordings/<experiment>-*.npz   runs that plots and videos show
+DIR/results/<experiment>.json       its lines of the report, and the settings of the run
+DIR/recordings/<experiment>-*.npz   runs shown in plots and videos
 DIR/plots/, DIR/videos/             made from the above
 DIR/report.json, DIR/report.md      all experiments that the directory holds
 DIR/run.json                        which code made the rows (their column `code`), each session, the program's files
@@ -31,7 +31,7 @@ _NOTES = b"about"
 
 @dataclasses.dataclass(frozen=True)
 class Stored:
-    """An experiment that a directory holds.
+    """An experiment stored in a directory.
 
     Attributes:
         outcome: its table; recordings are read on demand.
@@ -61,7 +61,7 @@ class Directory:
             replace_file(path, content)
 
     def save(self, outcome: Outcome, about: Mapping[str, Any], written: Written) -> Stored:
-        """Store an experiment's results, replacing former ones; the table comes last, and makes them valid.
+        """Store an experiment's results, replacing earlier ones; the table is written last and makes them valid.
 
         Args:
             about: `code`, `settings`, `engine`, `wall_seconds` and the session.
@@ -69,7 +69,7 @@ class Directory:
         """
         table = self._table(outcome.experiment)
         written.clear(table)
-        # Without the lines of former results, which go with the table.
+        # Without the lines of earlier results, which belong to the old table.
         self.write_entry(outcome.experiment, {})
         own = tuple(f"{folder}/{outcome.experiment}" for folder in ("recordings", "videos"))
         written.remove([name for name in written.known if name.startswith(own)])
@@ -95,7 +95,7 @@ class Directory:
         written.clear(self._bodies(experiment))
 
     def holds_rows(self) -> bool:
-        """Whether it has a table of any experiment."""
+        """Whether it contains a table of any experiment."""
         return any((self.out / "results").glob("*.parquet"))
 
     def load(self, experiment: str) -> Stored | None:
@@ -120,11 +120,11 @@ class Directory:
         return Stored(outcome_of(table, _Recordings(files)), about, path, tuple(files.values()))
 
     def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
-        """Store an experiment's lines, what was run, and whether all that is made from it is there (`finished`)."""
+        """Store an experiment's lines, its settings, and whether all derived files exist (`finished`)."""
         self.write(self.out / "results" / f"{experiment}.json", to_json(entry))
 
     def entry(self, experiment: str) -> dict[str, Any] | None:
-        """What `write_entry` stored of an experiment that has lines, or None."""
+        """The entry that `write_entry` stored for an experiment, or None."""
         try:
             entry = json.loads((self.out / "results" / f"{experiment}.json").read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -168,6 +168,6 @@ def _read_back(stored: Stored | None, path: Path) -> Stored:
 
 
 def _slug(name: str, experiment: str) -> str:
-    """A recording's name as part of a file's: "trt, 0.67 Hz, with spine" is trt-0.67-hz-with-spine."""
+    """A recording's name as part of a file name: "trt, 0.67 Hz, with spine" is trt-0.67-hz-with-spine."""
     slug = re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-.")
     return slug.removeprefix(f"{experiment}-") or "run"

@@ -1,6 +1,6 @@
 """The share of identified bodies for which a line of the report holds.
 
-The identification yields not one body but many that match the published speeds about as well
+The identification yields not one body but many that match the published speeds about equally well
 (`robot.identified`). A line that holds for all of them does not depend on which of them is the default.
 """
 
@@ -19,7 +19,7 @@ from nermo_mjx.experiments.outcome import BODY, Outcome, joined
 
 #: The profile in which bodies are compared.
 PROFILE: Final = "exact"
-#: Bodies of a batch: the maze's and the balance test's recordings of these fill half a gigabyte.
+#: Bodies per batch: their recordings in the maze and the balance test take half a gigabyte.
 AT_ONCE: Final = 16
 
 
@@ -28,8 +28,8 @@ class Ensemble:
     """Results of several bodies.
 
     Attributes:
-        bodies: how many there are.
-        shares: figure's name -> share of them in which its line holds; None for a line that is not judged.
+        bodies: number of bodies.
+        shares: figure's name -> share of them in which its line holds; None for a line without a judgement.
     """
 
     bodies: int
@@ -40,7 +40,7 @@ def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
     """Members of the identified ensemble: parameter name -> (bodies,) values.
 
     Raises:
-        ParameterError: there are not as many.
+        ParameterError: there are fewer.
     """
     from nermo_mjx.robot import identified
 
@@ -48,7 +48,7 @@ def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
 
 
 def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
-    """Hash of bodies, by which those that a directory holds are recognised."""
+    """Hash of bodies, to identify those in a directory."""
     content = {name: np.asarray(values, float).tolist() for name, values in sorted(bodies.items())}
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
@@ -71,6 +71,6 @@ def of_outcome(outcome: Outcome, figures: Sequence[Figure]) -> Ensemble:
 
 
 def _share(bodies: Iterable[Outcome], figure: Figure) -> float | None:
-    """A body for which the figure could not be measured, because it fell or left the path, does not hold."""
+    """Whether the figure holds; it does not if it could not be measured, because the robot fell or left the path."""
     holds = [agrees(measured(body, figure, PROFILE), figure) for body in bodies]
     return None if all(each is None for each in holds) else sum(each is True for each in holds) / len(holds)

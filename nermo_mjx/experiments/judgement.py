@@ -1,7 +1,7 @@
 """How a published figure is judged: by its size, by its effect, as a bound, as a range, or as an outcome.
 
-An effect is a ratio that says how much something changes. It is judged on its size, the ratio minus 1: a spine without
-any effect has the ratio 1, which lies within 25 % of 1.22, but is not a gain of 22 %.
+An effect is a ratio that expresses how much something changes. It is judged by its size, the ratio minus 1: a spine
+without any effect has the ratio 1, which is within 25 % of 1.22, but is not a gain of 22 %.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Final, Protocol
 AGREES: Final = 0.25
 Value = float | bool | str | None
 Interval = tuple[float, float]
-#: Room for rounding in comparisons of numbers near 1.
+#: Tolerance for rounding in comparisons of numbers near 1.
 _ROUNDING: Final = 1e-9
 
 
 class Judgement(Protocol):
-    """What was published, and when a measured value agrees with it."""
+    """A published value, and the criterion for agreement."""
 
     @property
     def name(self) -> str:
@@ -27,13 +27,13 @@ class Judgement(Protocol):
 
     @property
     def published(self) -> Value | Interval:
-        """What was published, as the report shows it; None for a figure that only this project has."""
+        """The published value, as shown in the report; None for a figure of this project only."""
 
     def holds(self, value: Value) -> bool | None:
-        """Whether a measured value agrees; None where that is not judged."""
+        """Whether a measured value agrees; None if it is not judged."""
 
     def ratio(self, value: float) -> float | None:
-        """Measured over published; None where that says nothing."""
+        """Measured over published; None if that is not meaningful."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Number:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """A ratio of two measurements, judged on its distance from 1.
+    """A ratio of two measurements, judged by its distance from 1.
 
     It agrees within `AGREES` of the published effect, or within half a unit of the last digit that was published if
     that is more: 1.01 is 0.01 +- 0.005.
@@ -60,7 +60,7 @@ class Effect:
     Attributes:
         published: the ratio, or the change itself if `neutral` is 0.
         digits: decimals that were published.
-        neutral: the value that stands for no effect.
+        neutral: the value without an effect.
     """
 
     published: float
@@ -128,7 +128,7 @@ class Range:
 
 @dataclasses.dataclass(frozen=True)
 class Same:
-    """A trend, an outcome or a count, which agrees if it is the same."""
+    """A trend, an outcome or a count, which agrees if it is identical."""
 
     published: bool | str | int
     name = "outcome"
@@ -142,7 +142,7 @@ class Same:
 
 @dataclasses.dataclass(frozen=True)
 class Asked:
-    """An interval that only this project asks for; nothing was published."""
+    """An interval required by this project only, without a published value."""
 
     low: float
     high: float
@@ -158,7 +158,7 @@ class Asked:
 
 @dataclasses.dataclass(frozen=True)
 class Shown:
-    """A number that is shown and not judged: ambiguous as published, or not published at all."""
+    """A number that is shown but not judged: ambiguous in the publication, or unpublished."""
 
     published: float | None = None
     name = "not judged"
@@ -171,12 +171,12 @@ class Shown:
 
 
 def _number(value: Value) -> float:
-    """A measured number; a truth value or a word is none, and agrees with no number."""
+    """A measured number; Booleans and texts are not numbers, and never agree with one."""
     return math.nan if value is None or isinstance(value, (bool, str)) else float(value)
 
 
 def _over_nearer_end(value: float, low: float, high: float) -> float:
-    """1 inside of an interval, outside the value over the end that it is nearer to."""
+    """1 inside an interval; outside, the value over the nearer end."""
     if low <= value <= high:
         return 1.0
     nearer = low if abs(value - low) < abs(value - high) else high

@@ -9,7 +9,7 @@ The value of a line as evidence depends on what was known when the twin was made
   test's forces and height; the sole's contact and the stride of the turning test with the turning results known; the
   pilot's look-ahead and observers with circles and with trots over frequency and stride, with and without the spine;
   dimensions and stiffnesses were entered by hand;
-- `predicted`: none of these. Only predicted lines are evidence. In case of doubt, a line is not called predicted.
+- `predicted`: none of these. Only predicted lines are evidence. In case of doubt, a line does not count as predicted.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ class Figure:
     """A published figure and how it is measured.
 
     Attributes:
-        name: what it is, for readers.
-        kind: what the figure is worth as evidence, see the module.
-        reported: what was published, and how a value is judged by it.
+        name: for display.
+        kind: the figure's value as evidence, see the module.
+        reported: the published value, and how a measured one is judged.
         measure: from an outcome and a profile to the same figure; NaN or None where it was not measured.
         unit: of a number as it is shown.
-        source: where the publication has it, and how it is read.
+        source: place in the publication, and its reading.
     """
 
     name: str
@@ -52,14 +52,14 @@ class Line:
     """A line of the report; attributes as of `Figure`.
 
     Attributes:
-        judged: how the figure is judged, see `judgement`.
+        judged: kind of judgement, see `judgement`.
         as_published, exact: the figure in the two profiles; None where it was not measured.
         ratio: `exact` over the published number, of an effect over the published effect, or over the nearer end of an
             interval that it lies outside of.
         holds: whether `exact` agrees; None where it was not measured, or is not judged.
-        ensemble: share of the identified bodies in which the line holds; None where that is not known.
-        demanded: interval that only this project asks for.
-        reason: for a line that does not hold, the reason that was found and tested.
+        ensemble: share of the identified bodies in which the line holds; None if unknown.
+        demanded: interval required by this project only.
+        reason: for a line that does not hold, the reason found by tests.
     """
 
     experiment: str
@@ -111,7 +111,7 @@ def _line(outcome: Outcome, figure: Figure, reasons: Mapping[str, str], shares: 
 
 
 def agrees(value: Value, figure: Figure) -> bool | None:
-    """Whether a value agrees with a figure; None where there is nothing to compare."""
+    """Whether a value agrees with a figure; None without a comparison."""
     return None if value is None else figure.reported.holds(value)
 
 

@@ -20,7 +20,7 @@ FREQUENCY: Final = 0.67
 _PASSES: Final = 0.1
 #: Ticks between two checks of the contacts: a touch lasts longer than 20 ms.
 _LOOK: Final = 2
-#: A run ends at this share of the speed of theory.
+#: A run ends after the time needed at this share of the theoretical speed.
 _SLOWEST: Final = 0.45
 _LABELS: Final = {name: LABELS[name] for name in ("profile", "repeat", BODY)}
 _ABOUT: Final = {
@@ -68,7 +68,7 @@ def run(settings: Settings) -> Outcome:
 
 
 def _arrivals(trace: History) -> dict[str, np.ndarray]:
-    """When each world's torso passes the end of the path."""
+    """Time at which each world's torso passes the end of the path."""
     course = maze_course()
     end = np.array([course.x[-1], course.y[-1]])
     ahead = np.array([np.cos(course.heading[-1]), np.sin(course.heading[-1])])
@@ -80,7 +80,8 @@ def _arrivals(trace: History) -> dict[str, np.ndarray]:
 
 
 def touches(robot: Robot, trace: History) -> dict[str, np.ndarray]:
-    """How long each world touched a box, and which, from the contacts that MuJoCo finds in the recorded poses."""
+    """Duration of each world's contacts with boxes, and the boxes touched, from MuJoCo's contacts in the recorded
+    poses."""
     data = mujoco.MjData(robot.model)
     obstacles = np.array(robot.obstacles)
     seconds, names = [], []

@@ -9,7 +9,7 @@ from nermo_mjx.control.course import Course, course_through
 
 #: Way points (x, y) of the maze's path [m]. The published path is not available; this one follows the published layout:
 #: from the origin, heading -y, through the corridor between the boxes 32 and 39, past the island (boxes 1 to 7) on its
-#: left, once round it to the right, and out between the boxes 8 and 34, on until the tail has left the gap too. The
+#: left, once around it to the right, and out between the boxes 8 and 34, until the tail has left the gap, too. The
 #: points were placed by maximizing the clearance from the boxes while bounding the curvature, and rounded to 5 mm.
 #: As drawn: 4.97 m long, at least 0.150 m from every box, radius of curvature at least 0.354 m (checked by a test).
 MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = (

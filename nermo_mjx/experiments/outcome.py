@@ -28,8 +28,8 @@ class Outcome:
 
     Attributes:
         experiment: its name, as on the command line.
-        columns: name -> (n,) values; the cases' columns (`profile`, `gait`, ..., `repeat`) first, then what was
-            measured.
+        columns: name -> (n,) values; the cases' columns (`profile`, `gait`, ..., `repeat`) first, then the measured
+            ones.
         about: name -> unit and meaning, for every column.
         recordings: runs by name, for plots and videos.
     """
@@ -48,21 +48,22 @@ class Outcome:
         return mask
 
     def mean(self, column: str, **wanted: object) -> float:
-        """Mean over the rows chosen by `where`; NaN where there is none, or no such column."""
+        """Mean over the rows selected by `where`; NaN if there are none, or no such column."""
         if column not in self.columns:
             return float("nan")
         values = np.asarray(self.columns[column], float)[self.where(**wanted)]
         return float(values.mean()) if len(values) else float("nan")
 
     def of_body(self, body: int) -> Outcome:
-        """The rows of one of the bodies that an outcome of several has, without the column that tells them apart."""
+        """The rows of one body in an outcome of several, without the column of the body."""
         rows = self.where(**{BODY: body})
         columns = {name: values[rows] for name, values in self.columns.items() if name != BODY}
         return dataclasses.replace(self, columns=columns)
 
 
 def joined(parts: Sequence[Outcome]) -> Outcome:
-    """Outcomes of one experiment with the same columns as one; of recordings with one name the first is kept."""
+    """Outcomes of one experiment with the same columns, concatenated; of recordings with the same name the first is
+    kept."""
     columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
     recordings = {name: run for part in reversed(parts) for name, run in part.recordings.items()}
     return dataclasses.replace(parts[0], columns=columns, recordings=recordings)

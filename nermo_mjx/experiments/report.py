@@ -1,4 +1,4 @@
-"""report.json and report.md: every published figure beside its own, of all experiments that a directory holds."""
+"""report.json and report.md: published and measured figures of all experiments in a directory."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nermo_mjx.experiments.catalogue import Experiment
     from nermo_mjx.experiments.directory import Directory, Stored
 
-#: Headings of a table of lines, and their side.
+#: Headings of a table of lines, and their alignment.
 HEADINGS = (
     ("figure", "left"), ("kind", "left"), ("published", "right"), ("as published", "right"), ("exact", "right"),
     ("ratio", "right"), ("holds", "left"), ("ensemble", "right"),
@@ -37,10 +37,10 @@ def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict
     """Content of report.json.
 
     Returns:
-        `lines` of all experiments; `summary`: how many of them hold, in all, by kind and by experiment; `experiments`:
-        what was run of each, with which settings, versions, machine and command, and its files; `differences`:
-        sentences, if not all were run in the same way; `started`, `command`, `versions`, `machine` of the latest,
-        `wall_seconds` of all.
+        `lines` of all experiments; `summary`: how many of them hold, in total, by kind and by experiment;
+        `experiments`: what was run of each, with which settings, versions, machine and command, and its files;
+        `differences`: sentences, if they were not all run in the same way; `started`, `command`, `versions`, `machine`
+        of the latest, `wall_seconds` of all.
     """
     found = {name: directory.entry(name) for name in experiments}
     entries = {name: entry for name, entry in found.items() if entry is not None}
@@ -65,7 +65,7 @@ def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict
 
 
 def entry_of(title: str, stored: Stored, lines: Sequence[Line]) -> dict[str, Any]:
-    """What a directory keeps of an experiment beside its table: its lines, what was run, and its first files."""
+    """The stored entry of an experiment: its lines, its settings, and its first files."""
     outcome = stored.outcome
     return {
         "experiment": outcome.experiment,
@@ -81,7 +81,7 @@ def entry_of(title: str, stored: Stored, lines: Sequence[Line]) -> dict[str, Any
 
 
 def counts(lines: Iterable[Mapping[str, Any]]) -> dict[str, int]:
-    """How many lines there are, how many hold, and how many were not measured or are not judged."""
+    """Number of lines, of those that hold, and of those that were not measured or are not judged."""
     holds = [line["holds"] for line in lines]
     return {
         "lines": len(holds),
@@ -92,13 +92,13 @@ def counts(lines: Iterable[Mapping[str, Any]]) -> dict[str, int]:
 
 
 def counts_by_kind(lines: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, int]]:
-    """`counts` of the lines of each kind; a kind that has none is left out."""
+    """`counts` of the lines of each kind; kinds without lines are omitted."""
     by_kind = {kind: [line for line in lines if line["kind"] == kind] for kind in KINDS}
     return {kind: counts(found) for kind, found in by_kind.items() if found}
 
 
 def line_entry(line: Line) -> dict[str, Any]:
-    """A line as report.json has it; an interval is a list, and what is not a number is null."""
+    """A line in the form of report.json; an interval is a list, and NaN is null."""
     entry = dataclasses.asdict(line)
     for name in ("published", "demanded"):
         if isinstance(entry[name], tuple):
@@ -107,7 +107,7 @@ def line_entry(line: Line) -> dict[str, Any]:
 
 
 def cells(line: Mapping[str, Any]) -> list[str]:
-    """A line as a row of texts under `HEADINGS`, as report.json has it."""
+    """A line of report.json as a row of texts under `HEADINGS`."""
     name = f"{line['figure']} [{line['unit']}]" if line["unit"] not in ("", "1") else line["figure"]
     ratio = MISSING if line["ratio"] is None else f"{line['ratio']:.2f}"
     holds = {True: "yes", False: "no", None: MISSING}[line["holds"]]
@@ -117,7 +117,7 @@ def cells(line: Mapping[str, Any]) -> list[str]:
 
 
 def published(value: Any) -> str:
-    """A published figure with the digits it was given with; an interval in words."""
+    """A published figure with its published digits; an interval in words."""
     if isinstance(value, (list, tuple)):
         low, high = value
         if high is None or not math.isfinite(high):
@@ -140,7 +140,7 @@ def _decimals(value: float) -> int:
 
 
 def _differences(entries: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """A sentence on each experiment that was run otherwise than the first."""
+    """A sentence on each experiment that was run differently from the first."""
     if not entries:
         return []
     first, *others = entries

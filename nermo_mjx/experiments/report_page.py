@@ -1,4 +1,4 @@
-"""report.md: the report for a reader, with the plots, the theory beside the simulation, and what was run."""
+"""report.md: the report for readers, with the plots, theory next to simulation, and the settings of the runs."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def _judged(counts: Mapping[str, Any]) -> int:
 
 
 def _held(counts: Mapping[str, Any] | None) -> str:
-    """How many of how many lines hold."""
+    """Number of lines that hold, out of all."""
     return f"{counts['hold']} of {_judged(counts)}" if counts else MISSING
 
 

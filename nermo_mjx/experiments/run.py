@@ -33,12 +33,12 @@ from nermo_mjx.runs.directory import remove_leftovers
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
 from nermo_mjx.view import RecordingError, VideoError
 
-#: What is made from the results, and is added to an experiment's entry when it is there.
+#: Files derived from the results, which are added to an experiment's entry once they exist.
 _MADE_LATER: Final = ("plots", "videos", "notes")
 
 
 class ExperimentError(RuntimeError):
-    """An experiment that failed; the message says which, and what is kept."""
+    """A failed experiment; the message names it and says what is kept."""
 
 
 class ExperimentsInterrupted(KeyboardInterrupt):
@@ -47,15 +47,15 @@ class ExperimentsInterrupted(KeyboardInterrupt):
 
 @dataclasses.dataclass(frozen=True)
 class ExperimentResult:
-    """What one experiment gave.
+    """The result of one experiment.
 
     Attributes:
         name: of the experiment; out: the directory.
-        outcome: its table, and recordings that are read when they are looked at.
+        outcome: its table, and recordings, which are loaded on first access.
         lines: of the report.
         table, plots, recordings, videos: its files.
-        kept: whether the directory held it already, so that nothing was simulated.
-        notes: sentences on what could not be made.
+        kept: whether it was already in the directory, so that nothing was simulated.
+        notes: sentences on outputs that could not be made.
     """
 
     name: str
@@ -72,7 +72,7 @@ class ExperimentResult:
 
 @dataclasses.dataclass(frozen=True)
 class ExperimentsResult:
-    """What several experiments gave: the results in the order run, and the content of report.json."""
+    """The results of several experiments in the order run, and the content of report.json."""
 
     out: Path
     results: tuple[ExperimentResult, ...]
@@ -107,20 +107,20 @@ def run_experiments(
     Args:
         names: of `EXPERIMENTS`.
         out: the directory; see `nermo_mjx.experiments.directory`.
-        engine: `auto`, `c` or `mjx`; `auto` is the one that the directory was made with, if it has one.
+        engine: `auto`, `c` or `mjx`; `auto` is the one that the directory was started with, if any.
         profiles: of `PROFILES`.
         repeats: worlds of each case, from starts that differ by a seeded shift; by default 3, or 1 in a quick run.
         seed: of the shifts.
-        quick: fewer cases, and no video.
+        quick: run fewer cases, without video.
         values: parameters for all worlds, by name, such as another friction.
-        bodies: members of the identified ensemble to run as well, once each in the profile `exact`; the report
-            then says of each line in which share of them it holds. None uses those that the directory holds, or the
-            shares that ship with the package if nothing but the default was asked for.
-        video: make the videos.
+        bodies: members of the identified ensemble to run as well, once each in the profile `exact`; the report then
+            gives the share of them in which each line holds. None uses those in the directory, or the shares that ship
+            with the package if all settings are the defaults.
+        video: whether to make the videos.
         again: rerun and replace the directory's results of these experiments, regardless of the code that made them.
         accept_new_code: resume a directory that other code started; the tables' column `code` tells the rows apart.
-        progress: called with what is being done and the share of it.
-        notify: called with a message about anything out of the ordinary.
+        progress: called with the current activity and its finished share.
+        notify: called with a message about anything unusual.
         workers: what simulates; by default this process, one experiment after the other, else
             `nermo_mjx.runs.ray_workers.RayWorkers`. The numbers are the same.
 
@@ -148,7 +148,7 @@ def run_experiments(
         code = Simulation(resolve_engine(engine)).stamp()
         work = _Work(Written(held), directory, settings, code, drawn, again, video and not quick, progress or _ignore,
                      notify or _ignore)  # fmt: skip
-        # All are looked up before anything runs: a refusal costs no simulation.
+        # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else work.kept(each) for each in chosen}
         held.take_code(code, holds_rows=directory.holds_rows(), accept=again or accept_new_code)
         if drawn is not None or None in kept.values():
@@ -163,7 +163,7 @@ def run_experiments(
 
 
 def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
-    """Refuse a parameter that an experiment decides for itself, case by case, or does not have."""
+    """Reject a parameter that an experiment sets itself, case by case, or does not have."""
     for each in chosen:
         for name in settings.values:
             if name not in each.settable:
@@ -185,7 +185,7 @@ class _Work:
     notify: Callable[[str], None]
 
     def kept(self, chosen: Experiment) -> Stored | None:
-        """What the directory holds of an experiment, if it is what was asked for; refuses what is not."""
+        """The directory's results of an experiment, if they match the request; raises otherwise."""
         stored = self.directory.load(chosen.name)
         if stored is None:
             return None
@@ -198,11 +198,11 @@ class _Work:
         return stored
 
     def missing(self, chosen: Experiment, kept: Stored | None) -> list[Part]:
-        """What to simulate of an experiment: itself, identified bodies, both or neither."""
+        """The parts of an experiment to simulate: itself, identified bodies, both or neither."""
         parts = [own(chosen, self.settings)] if kept is None else []
         if self.bodies is None:
             return parts
-        # What is set for all worlds is set for the bodies, too.
+        # Values set for all worlds also apply to the bodies.
         bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
         held = self.directory.load_bodies(chosen.name)
         fits = held is not None and held.about["drawn"] == ensemble.fingerprint(bodies)
@@ -211,8 +211,8 @@ class _Work:
         return parts + of_bodies(chosen, bodies, self.settings)
 
     def simulated(self, parts: Sequence[Part], workers: Workers) -> Iterator[str]:
-        """Have parts simulated, and store what comes; yields the label of what is stored."""
-        fresh = set()  # experiments whose bodies came first
+        """Simulate parts and store their results; yields the label of each stored result."""
+        fresh = set()  # experiments whose bodies finished first
         try:
             for each in simulate(parts, self.code.engine, workers, self.progress):
                 part = each.part
@@ -235,11 +235,11 @@ class _Work:
             ) from None
 
     def _outdated(self, bodies: Stored | None) -> bool:
-        """Whether bodies, if there are any, are not of what is simulated now."""
+        """Whether there are bodies that do not match the current simulation."""
         return self.again or bodies is None or bodies.about["settings"] != self.settings.as_dict()
 
     def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
-        """Everything that is made from what was simulated, or from what is kept."""
+        """Everything derived from new or stored results."""
         written, stored = self.written, kept or self.directory.load(chosen.name)
         assert stored is not None, "it was read back when it was saved"
         if kept is not None:
@@ -268,14 +268,14 @@ class _Work:
         )  # fmt: skip
 
     def _other_code(self, kept: Stored) -> str:
-        """How the code that made what is kept differs from this one, for a sentence; empty if it does not."""
+        """The difference between the stored results' code and this one, for a sentence; empty if there is none."""
         made = codes_of(self.directory.out).get(kept.about.get("code", ""))
         if made is None:
             return " by code that is not known"
         return f" by other code ({unlike})" if (unlike := made.unlike(self.code)) else ""
 
     def _ensemble(self, chosen: Experiment, stored: Stored) -> ensemble.Ensemble | None:
-        """The shares of the identified bodies: those that the directory holds, or the package's."""
+        """The shares of the identified bodies: from the directory, or from the package."""
         held = self.directory.load_bodies(chosen.name)
         if held is not None:
             return ensemble.of_outcome(held.outcome, chosen.figures)
@@ -283,7 +283,7 @@ class _Work:
         return None if settings["quick"] or settings["values"] else shipped(chosen.name)
 
     def _explain(self, name: str, error: BaseException) -> NoReturn:
-        """Raise what a part failed with, with a sentence on which experiment it was, and what is kept."""
+        """Raise the error of a failed part, with a sentence that names the experiment and what is kept."""
         text = f"{name} failed: {error} What was done before is kept in {self.directory.out}."
         if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
             if type(error).__module__.startswith("nermo_mjx"):
@@ -292,7 +292,7 @@ class _Work:
         raise error
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any], written: Written) -> None:
-        """Store an experiment's entry, and the report of all that the directory holds."""
+        """Store an experiment's entry, and the report of the whole directory."""
         self.directory.write_entry(chosen.name, entry)
         report.write(self.directory, EXPERIMENTS, written)
         written.note()
@@ -310,7 +310,7 @@ class _Work:
     def _videos(
         self, chosen: Experiment, outcome: Outcome, made: list[dict[str, Any]], written: Written
     ) -> tuple[list[dict[str, Any]], list[str]]:
-        """The video's file, content and speed, and what to note if there is none though there should be."""
+        """The video's file, content and speed, and a note if it should exist but does not."""
         if made and all((self.directory.out / video["file"]).exists() for video in made):
             return made, []
         shows = chosen.shot.choose(outcome)

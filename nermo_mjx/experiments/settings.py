@@ -1,4 +1,4 @@
-"""What a published experiment is run with, checked before anything runs."""
+"""Settings of a published experiment, checked before anything runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WORDS: Final = {"values": "parameters", "quick": "quick run"}
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """What an experiment is run with; the first five decide its numbers.
+    """Settings of an experiment; the first five determine its numbers.
 
     Attributes:
         profiles: of `PROFILES`; `exact` comes first.
@@ -29,8 +29,8 @@ class Settings:
         quick: fewer cases.
         values: parameters for all worlds, by name.
         engine: of the simulations.
-        bodies: parameter name -> (n,) values of n bodies, each of which does all cases; they go before `values`, and no
-            run is kept as a recording.
+        bodies: parameter name -> (n,) values of n bodies, each of which runs all cases; they override `values`, and no
+            run is recorded.
         progress: called with the share done.
 
     Raises:
@@ -63,7 +63,7 @@ class Settings:
         object.__setattr__(self, "values", {name: float(value) for name, value in sorted(self.values.items())})
 
     def as_dict(self) -> dict[str, Any]:
-        """What decides the numbers, as it is written into files."""
+        """The settings that determine the numbers, as written to files."""
         return {"profiles": list(self.profiles), "repeats": self.repeats, "seed": self.seed, "quick": self.quick,
                 "values": dict(self.values)}  # fmt: skip
 
@@ -72,12 +72,12 @@ class Settings:
         return dataclasses.replace(self, **other)
 
     def of_one_run(self) -> Settings:
-        """For a run that is shown: the first profile, and the first start."""
+        """Labels of a run to show: the first profile, and the first start."""
         return self.but(profiles=self.profiles[:1], repeats=1)
 
 
 def body_count(bodies: Mapping[str, np.ndarray] | None) -> int:
-    """How many bodies there are; 0 if there are none but the default one.
+    """Number of bodies; 0 if there is only the default one.
 
     Raises:
         ParameterError: parameters with different numbers of values, or without any.
@@ -91,7 +91,7 @@ def body_count(bodies: Mapping[str, np.ndarray] | None) -> int:
 
 
 def check_bodies(bodies: int | None) -> None:
-    """Refuse a number of bodies that is none.
+    """Reject an invalid number of bodies.
 
     Raises:
         ParameterError: it is not a whole number of at least 1.
@@ -101,7 +101,7 @@ def check_bodies(bodies: int | None) -> None:
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    """Where settings differ, in words: "seed: 0 instead of 1"."""
+    """Differences between settings, in words: "seed: 0 instead of 1"."""
     return [
         f"{_WORDS.get(name, name)}: {said(value)} instead of {said(other.get(name))}"
         for name, value in one.items()

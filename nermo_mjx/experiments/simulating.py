@@ -1,4 +1,4 @@
-"""What simulates experiments: one of them with its own body, or with a batch of identified ones, is a worker's task."""
+"""Simulation of experiments: a worker's task is one of them with its own body, or with a batch of identified ones."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Part:
 
     Attributes:
         name: of the experiment.
-        run: simulates it; settings: those that it is run with, but for the engine.
-        begin, bodies: the first of these bodies, and how many there are in all; both 0 for the experiment's own.
+        run: simulates it; settings: its settings, except for the engine.
+        begin, bodies: the first of these bodies, and their total number; both 0 for the experiment's own.
         drawn: fingerprint of all of them.
     """
 
@@ -40,17 +40,17 @@ class Part:
 
     @property
     def label(self) -> str:
-        """What is simulated, in words."""
+        """Description of the task."""
         return f"{self.name}, {self.bodies} bodies" if self.bodies else self.name
 
     def share(self, done: float) -> float:
-        """Share of all bodies that is done with this share of these."""
+        """Share of all bodies that is finished, given the share of these."""
         return (self.begin + done * body_count(self.settings.bodies)) / self.bodies if self.bodies else done
 
 
 @dataclasses.dataclass(frozen=True)
 class Simulated:
-    """What came of an experiment, or of all its bodies: the session that began it, and how long it took, summed [s]."""
+    """Results of an experiment, or of all its bodies: the session that started it, and its total duration [s]."""
 
     part: Part
     outcome: Outcome
@@ -74,10 +74,10 @@ def of_bodies(chosen: Experiment, bodies: Mapping[str, np.ndarray], settings: Se
 def simulate(
     parts: Sequence[Part], engine: str, workers: Workers, progress: Callable[[str, float], None]
 ) -> Iterator[Simulated]:
-    """Have parts simulated, in the order of who is free; what is in several parts comes when the last of them did.
+    """Simulate parts as workers become free; a result in several parts is yielded when the last of them has arrived.
 
     Raises:
-        TaskFailed: a part failed; its key is the part's place.
+        TaskFailed: a part failed; its key is the part's index.
         WorkersLost: no worker is left.
     """
     if not parts:
@@ -100,7 +100,7 @@ def simulate(
         several = came[part.label]
         several[part.begin] = found
         bodies[part.label] += body_count(part.settings.bodies)
-        # Workers elsewhere do not say how far they are.
+        # Remote workers do not report progress.
         progress(part.label, bodies[part.label] / part.bodies if part.bodies else 1.0)
         if len(several) == sum(each.label == part.label for each in parts):
             outcomes = {begin: outcome for begin, (outcome, _) in several.items()}
@@ -122,7 +122,7 @@ class Simulation:
         return stamp(load_robot().fingerprint, self.engine)
 
     def __call__(self, part: Part, progress: Callable[[float], None] | None = None) -> tuple[Outcome, float]:
-        """What a part gave, and how long that took [s]."""
+        """The result of a part, and its duration [s]."""
         begun = time.monotonic()
         outcome = part.run(part.settings.but(engine=self.engine, progress=progress or _untold))
         return outcome, time.monotonic() - begun

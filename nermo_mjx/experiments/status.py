@@ -1,4 +1,4 @@
-"""How far a directory of experiments is, and that of an identification."""
+"""Status of a directory of experiments, and of an identification."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nermo_mjx.runs.status import Status, last_command
 
 
 def status(out: Path) -> Status:
-    """Which experiments a directory holds, of those that it was asked for."""
+    """The experiments in a directory, out of the requested ones."""
     directory, sessions = Directory(out), read_record(out).get("sessions", [])
     found = {name: stored for name in EXPERIMENTS if (stored := directory.load(name)) is not None}
     bodies = {name: stored for name in found if (stored := directory.load_bodies(name)) is not None}
     asked = {name: None for session in sessions for name in session.get("experiments", [])} or found
-    # What is made from the tables comes last; directories of earlier releases do not say whether it is there.
+    # Files derived from the tables are made last; directories of earlier releases do not record whether they exist.
     entries = {name: directory.entry(name) or {"finished": False} for name in asked}
     missing = [name for name in asked if name not in found or not entries[name].get("finished", True)]
     rows = sum(_rows(stored) for stored in (*found.values(), *bodies.values()))
@@ -37,11 +37,11 @@ def status(out: Path) -> Status:
 
 
 def identification_status(out: Path) -> Status:
-    """How many candidates an identification has walked."""
+    """Number of candidates that an identification has simulated."""
     from nermo_mjx.experiments.identification.memory import FILE, RESULT, candidates
 
     lines = (out / FILE).read_text().splitlines() if (out / FILE).exists() else []
-    # A batch that was not full has some of its points twice.
+    # A batch that was padded contains some of its points twice.
     done = len({tuple(point) for row in candidates(lines[1:]) for point in row["points"]})
     try:
         content: dict[str, Any] = json.loads((out / RESULT).read_text(encoding="utf-8"))
@@ -68,7 +68,7 @@ def _note(name: str, stored: Stored, bodies: Stored | None) -> str:
 
 
 def _engine(first: str) -> str | None:
-    """The engine that the first line of candidates names, as those of earlier releases do."""
+    """The engine in the first line of candidates, where earlier releases stored it."""
     try:
         engine = json.loads(first).get("engine")
     except (ValueError, AttributeError):

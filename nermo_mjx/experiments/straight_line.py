@@ -15,7 +15,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 
 NAME: Final = "straight-line"
 DISTANCE: Final = 2.0
-#: Gait cycles after which a run ends that does not come to the end of the line, such as one with no stride.
+#: Maximum number of gait cycles of a run that does not reach the end of the line, such as one without a stride.
 _LONGEST: Final = 60.0
 _WARMUP: Final = 2.0
 _RECORDED: Final = 8.0
@@ -52,7 +52,7 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
 
 
 def run(settings: Settings) -> Outcome:
-    """Walk all cases in one batch, and those whose gait cycle is looked into in another, which is recorded.
+    """Simulate all cases in one batch, and those whose gait cycle is analysed in another, which is recorded.
 
     Quick: fewer cases, and half a metre.
     """
@@ -71,7 +71,8 @@ def run(settings: Settings) -> Outcome:
 
 
 def cycle_cases() -> tuple[Case, ...]:
-    """Those whose gait cycle was described: trot at 0.8 Hz, with two strides, without and with the spine."""
+    """The cases whose gait cycle is described in the publication: trot at 0.8 Hz, with two strides, without and with
+    the spine."""
     return tuple(_case("trt", 0.8, spine, stride) for stride in (0.8, 1.0) for spine in (False, True))
 
 

@@ -1,4 +1,4 @@
-"""An outcome as a Parquet table and back, and its cases summed up over their repeats.
+"""Conversion of an outcome to a Parquet table and back, and summaries of its cases over their repeats.
 
 Roles of the columns: `case` (what tells the cases apart), `index` (repeat), `metric`, `status`, `code` (that made it).
 """
@@ -42,9 +42,9 @@ def table_of(outcome: Outcome, about: Mapping[str, Any], code: str) -> pa.Table:
 
 
 def outcome_of(table: pa.Table, recordings: Mapping[str, Recording]) -> Outcome:
-    """The outcome that `table_of` made a table of; its recordings are kept beside it."""
+    """The outcome that `table_of` converted to a table; its recordings are stored separately."""
     fields = [field for field in table.schema if meta(field)["role"] != CODE]
-    # Texts become texts again, and not objects.
+    # Texts become string arrays again instead of object arrays.
     columns = {field.name: np.array(table.column(field.name).to_pylist()) for field in fields}
     about = {field.name: Column(meta(field)["unit"], meta(field)["description"]) for field in fields}
     return Outcome(table.schema.metadata[b"experiment"].decode(), columns, about, recordings)
@@ -57,7 +57,7 @@ def case_columns(outcome: Outcome) -> list[str]:
 
 
 def status_counts(outcome: Outcome) -> dict[str, int]:
-    """How many worlds went well, or what became of them; empty if the experiment gives no status."""
+    """Number of successful worlds, or how the others ended; empty if the experiment has no status."""
     if "status" not in outcome.columns:
         return {}
     names, counts = np.unique(outcome.columns["status"], return_counts=True)
@@ -65,14 +65,14 @@ def status_counts(outcome: Outcome) -> dict[str, int]:
 
 
 def case_count(outcome: Outcome) -> int:
-    """Number of different cases, the profiles not counted."""
+    """Number of distinct cases, not counting profiles."""
     names = [name for name in case_columns(outcome) if name != PROFILE]
     return len(set(zip(*(outcome.columns[name].tolist() for name in names), strict=True))) if names else 1
 
 
 @dataclasses.dataclass(frozen=True)
 class CaseTable:
-    """Cases of one profile as a reader sees them: headings with units, their sides, and one row of texts a case."""
+    """Cases of one profile for display: headings with units, their alignment, and one row of texts per case."""
 
     profile: str
     headings: list[str]
@@ -86,7 +86,7 @@ def case_tables(
     """A table of the cases of each profile, with the mean and standard deviation of `metrics` over their repeats.
 
     Args:
-        needs: metric -> column that must be a number for the metric to mean anything.
+        needs: metric -> column that must be a number for the metric to be meaningful.
     """
     needs = needs or {}
     labels = [name for name in case_columns(outcome) if name != PROFILE]
@@ -134,7 +134,7 @@ def _label(value: Any) -> str:
 
 
 def _over_repeats(outcome: Outcome, name: str, rows: list[int], need: str) -> str:
-    """Mean and spread of numbers, how many of how many of truth values, all different texts."""
+    """Mean and spread of numbers, counts of Booleans, all distinct texts."""
     if need in outcome.columns and not np.isfinite(outcome.columns[need][rows]).any():
         return MISSING
     values = np.asarray(outcome.columns[name])[rows]
@@ -148,7 +148,7 @@ def _over_repeats(outcome: Outcome, name: str, rows: list[int], need: str) -> st
         return MISSING
     mean = float(good.mean())
     text = number(mean)
-    # What does not depend on the start, such as theory, has no spread but that of rounding.
+    # Values that do not depend on the start, such as theory, have no spread except rounding.
     if np.ptp(good) > 1e-6 * abs(mean):
         decimals = len(text.partition(".")[2])
         text += f" ± {good.std(ddof=1):.{decimals}f}"

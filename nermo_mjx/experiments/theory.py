@@ -1,4 +1,4 @@
-"""What the publication's theory predicts for a case: speed, turning radii, and where the centre of mass lies.
+"""The publication's theory for a case: speed, turning radii, and the position of the centre of mass.
 
 All of it assumes feet that do not slip; the formulas are those of `control.turning` and `kinematics`.
 """
@@ -22,11 +22,11 @@ from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.mass_model import MassModel
 from nermo_mjx.robot.parameters import SPINE
 
-#: Moments of a stance over which `equal_stride_radius` averages.
+#: Number of times in a stance over which `equal_stride_radius` averages.
 _MOMENTS: Final = 41
 #: The theory is that of the published robot.
 _ROBOT: Final = Geometry()
-#: The feet of each diagonal, front first, by their places in `LIMBS`.
+#: The feet of each diagonal, front first, by their indices in `LIMBS`.
 _DIAGONALS: Final = ((0, 3), (1, 2))
 
 
@@ -43,7 +43,7 @@ def speed(values: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def stride_gain_of(servo: float) -> float:
-    """What the spine adds to a stride without slip, swung by this servo angle [rad] to both sides (5.33) [m]."""
+    """Stride gained without slip by swinging the spine by this servo angle [rad] to both sides (5.33) [m]."""
     return float(stride_gain(joint_angle(jnp.asarray(servo), _ROBOT), _ROBOT))
 
 
@@ -60,8 +60,8 @@ def standing_pitch() -> float:
 def smallest_radius(steering: str, stride: float = 0.06) -> float:
     """Radius at full lock without slip [m]: (5.40-5.42) for `leg` and `mix`, the shoulder axis (5.43) for `spine`.
 
-    (5.43) presumes that the inner feet step less far than the outer ones, as wheels on two axles do; the strides of
-    spine-based turning are equal. What they give is `equal_stride_radius`.
+    (5.43) assumes shorter steps of the inner feet than of the outer ones, as wheels on two axles do; the strides of
+    spine-based turning are equal. For those, see `equal_stride_radius`.
 
     Args:
         steering: of `STEERING`.
@@ -79,14 +79,14 @@ def smallest_radius(steering: str, stride: float = 0.06) -> float:
 def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
     """Radius of the spine base's path in a trot with a bent spine and four equal strides, with least slip [m].
 
-    Two point feet stand at a time. The front one moves back along the torso, the rear one along the turned hip, both
-    alike, and the body moves so that the sum of their squared slip speeds is minimal. Feet whose line of connection is
-    not square to the way can turn the body only by what is across that line: 0.441 m at 0.4 rad of servo, where (5.43)
-    has 0.281 m. The body's motion is averaged over both diagonals and the stance.
+    Two point feet stand at a time. The front one moves back along the torso, the rear one along the turned hip, at the
+    same speed, and the body moves so that the sum of their squared slip speeds is minimal. Feet whose connecting line
+    is not perpendicular to the path can turn the body only by the velocity component across that line: 0.441 m at 0.4
+    rad of servo, where (5.43) has 0.281 m. The body's motion is averaged over both diagonals and the stance.
 
     Args:
         servo: angle of the spine servo, not 0 [rad].
-        stride: l_s [m]; it hardly matters.
+        stride: l_s [m]; it has little effect.
     """
     theta_v = joint_angle(jnp.asarray(servo), _ROBOT)
     back = np.stack([[0.0, 1.0], np.asarray(transform(theta_v, _ROBOT), float)[:2, 1]])
@@ -103,19 +103,19 @@ def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
 
 
 def stability(masses: MassModel, feet: np.ndarray, limb: int, theta_v: float = 0.0) -> float:
-    """How far the centre of mass lies inside the triangle that carries when one leg is lifted (5.35) [m].
+    """Distance of the centre of mass inside the support triangle when one leg is lifted (5.35) [m].
 
     Negative: it lies beyond the diagonal, and the robot tips onto the lifted leg.
 
     Args:
-        masses: of the robot.
+        masses: the robot's.
         feet: (y, z) of each foot from its axis, (4, 2) [m].
-        limb: the lifted one, its place in `LIMBS`.
+        limb: index of the lifted one in `LIMBS`.
         theta_v: angle of each spine joint [rad].
     """
     ground = np.asarray(feet_positions(theta_v, feet, _ROBOT))[..., :2]
     com = np.asarray(centre_of_mass(masses, theta_v, _ROBOT))[:2]
-    # The other diagonal carries, and the foot diagonally opposite to the lifted one.
+    # The other diagonal and the foot diagonally opposite to the lifted one support the robot.
     front, rear = (1, 2) if limb in (0, 3) else (0, 3)
     third = ground[3 - limb]
     side = np.sign(diagonal_distance(third, ground[front], ground[rear]))

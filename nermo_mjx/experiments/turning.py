@@ -1,8 +1,8 @@
-"""Turning: quarter circles and full lock, over gait, frequency, and what turns the robot.
+"""Turning: quarter circles and full lock, over gait, frequency and turning strategy.
 
 The publication's text on this test (A.4.2) keeps the normalised stride "constant at 0.08", a misprint of 0.8
-(erratum 6), so that all cases run at 0.8. The circles of 0.5 m and full lock also run at the other reading, 1.0, which
-the publication's speeds on the straight line were made with (erratum 13).
+(erratum 6), so that all cases run at 0.8. The circles of 0.5 m and full lock also run at the other reading, 1.0, to
+which the publication's speeds on the straight line correspond (erratum 13).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from nermo_mjx.rollout import Run, Setup, Simulator
 
 NAME: Final = "turning"
 RADII: Final = (1.0, 0.5)
-#: Radius that stands for full lock, as in the publication: the turn rate is held at its maximum.
+#: Radius that represents full lock, as in the publication: the turn rate is held at its maximum.
 FULL_LOCK: Final = 0.0
 STRATEGIES: Final = ("leg", "spine", "mix")
 GAITS: Final = ("trt", "trt1", "lat")
@@ -30,10 +30,10 @@ SIDES: Final = {"left": 1.0, "right": -1.0}
 #: Normalised stride of the test, and the other reading of its text.
 STRIDE: Final = 0.8
 OTHER_STRIDE: Final = 1.0
-#: A path is followed if the torso, with all its sway, stays this near to it: 5 % of its radius, at least 2.5 cm.
+#: A path is followed if the torso, including its sway, stays this close to it: 5 % of its radius, at least 2.5 cm.
 BOUND_SHARE: Final = 0.05
 LEAST_BOUND: Final = 0.025
-#: In time means at this share of the speed of theory at least.
+#: In time means at least this share of the theoretical speed.
 _SLOWEST: Final = 0.3
 _WARMUP: Final = 1.0
 _LOCK_CYCLES: Final = 14.0
@@ -112,7 +112,7 @@ def run(settings: Settings) -> Outcome:
 def _mirrored_starts(batch: Worlds) -> Worlds:
     """The batch, with right turns as the mirror images of left ones: they also start on the other pair of legs.
 
-    Of trot and walking trot, whose two diagonal pairs are half a cycle apart; no other gait turns right here.
+    Only for trot and walking trot, whose two diagonal pairs are half a cycle apart.
     """
     right = batch.labels["side"] == "right"
     start = {name: np.where(right, -batch.values[name], batch.values[name]) for name in ("start.x", "start.yaw")}
@@ -124,7 +124,7 @@ def _part(progress: Callable[[float], None], before: float, share: float) -> Cal
 
 
 def _length(values: Mapping[str, np.ndarray], radius: np.ndarray) -> Run:
-    """Time for a quarter circle at the slowest speed that counts; some cycles at full lock."""
+    """Time for a quarter circle at the slowest accepted speed; some cycles at full lock."""
     if (radius == FULL_LOCK).all():
         return Run(cycles=_LOCK_CYCLES, warmup_cycles=2.0)
     arc = radius * np.pi / 2

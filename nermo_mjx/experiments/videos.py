@@ -21,13 +21,13 @@ _AFTER: Final = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """What a video shows.
+    """The content of a video.
 
     Attributes:
-        recording: part of the recording's name; without one of that name, the last recording is shown.
+        recording: part of the recording's name; if none matches, the last recording is shown.
         camera: a following view.
         speed: 1 is real time; a run that has an end is shown faster if it would take too long.
-        until: column with the simulated time at which the run has reached its end, if it may.
+        until: column with the simulated time at which the run reached its end, if it has one.
     """
 
     recording: str = ""
@@ -64,7 +64,7 @@ def shoot(outcome: Outcome, shot: Shot, path: Path, progress: Callable[[float], 
 
 
 def _end(outcome: Outcome, recording: Recording, shot: Shot) -> float:
-    """Simulated time after which nothing more can be seen."""
+    """Simulated time after which nothing more happens."""
     labels = recording.metadata.get("labels", {})
     if shot.until not in outcome.columns or not set(labels) <= set(outcome.columns):
         return math.inf

@@ -76,7 +76,7 @@ class Task:
     Attributes:
         action: `Residual`, `Modulation` or `Targets`.
         observe: groups of `observing.SENSED` and `TOLD`.
-        rewards: weight of each term, see `rewards.TERMS`; also of a `Term` of one's own.
+        rewards: weight of each term, see `rewards.TERMS`; also of a custom `Term`.
         set: parameter -> its value in all episodes: parameters of the setup, `sensing.*` and `command.*`.
         randomize: parameter -> (low, high), drawn uniformly for each episode.
         bodies: draw a body of the identified ensemble for each episode.

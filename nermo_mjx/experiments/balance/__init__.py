@@ -1,4 +1,4 @@
-"""The balance experiment: its protocol, what is measured, and the run."""
+"""The balance experiment: its protocol, measurements and run."""
 
 from nermo_mjx.experiments.balance.experiment import NAME, SETTABLE, run
 

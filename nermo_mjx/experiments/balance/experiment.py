@@ -49,8 +49,8 @@ SPINE_NAMES: Final = ("spine.max_servo_angle", "spine.balance_lift", "spine.offs
 SETTABLE: Final = frozenset(SPINE_NAMES) | {
     name for name, _ in quantities(ModelParameters) if not name.startswith("geometry.")
 }
-#: The published offset compensation (5.31) is on; the text of the balance test does not say. Without it the bent robot
-#: rests on either side of its diagonal, and the speed of the bend decides on which: see `BalanceLoop.servos`.
+#: The published offset compensation (5.31) is on; the text of the balance test does not specify it. Without it the bent
+#: robot rests on either side of its diagonal, depending on the speed of the bend: see `BalanceLoop.servos`.
 OFFSET_COMPENSATION: Final = 1.0
 
 CASE_COLUMNS: Final = {
@@ -69,7 +69,7 @@ THEORY_COLUMN: Final = {
 class Lift:
     """One world: profile, lifted limb (index in `LIMBS`), SBC or not, number of the repeat and of the body.
 
-    The body is 0 where there is one only.
+    The body is 0 if there is only one.
     """
 
     profile: str
@@ -138,7 +138,7 @@ def run(settings: Settings, scene: str = SCENE) -> Outcome:
 
 
 def _measured_bodies(values: Mapping[str, float], bodies: Mapping[str, np.ndarray] | None) -> list[dict[str, float]]:
-    """Body parameters of the models whose centre of mass is measured: one for all, or one a body if masses differ."""
+    """Body parameters of the models whose centre of mass is measured: one for all, or one per body if masses differ."""
     common = {name: value for name, value in values.items() if name not in SPINE_NAMES}
     masses = {name: of for name, of in (bodies or {}).items() if name.startswith("mass.")}
     if not masses:

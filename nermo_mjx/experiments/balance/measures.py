@@ -1,4 +1,4 @@
-"""Measurements of the balance test in each world, and when it counts as passed. Plain NumPy, after the run."""
+"""Measurements of the balance test in each world, and the criterion for passing. Plain NumPy, after the run."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from nermo_mjx.robot.geometry import Geometry
 #: For each lifted limb, the front and the rear foot of the diagonal over which it may tip. The third standing foot is
 #: the one opposite, 3 - limb: it carries the load if the centre of mass is inside the diagonal.
 DIAGONAL: Final = ((1, 2), (0, 3), (0, 3), (1, 2))
-#: A foot that reads more than this touches [N]. The sensor sums contacts in which there is a force and reads exactly 0
-#: without one, so that any small number will do; this one is a thousandth of what a foot carries.
+#: Force above which a foot is in contact [N]. The sensor sums contact forces and reads exactly 0 without contact, so
+#: any small number will do; this one is a thousandth of a foot's load.
 TOUCH: Final = 0.001
 
 ABOUT: Final = {
@@ -58,8 +58,8 @@ ABOUT: Final = {
 def tip_angle() -> float:
     """Rotation about the diagonal at which the lifted foot comes down again [rad].
 
-    Height by which the full compression lifts a foot, over that foot's distance from the diagonal, both from the
-    kinematics of the level stance: 0.20 rad in front, 0.15 rad behind. The smaller one judges all cases.
+    Height by which full compression lifts a foot, over that foot's distance from the diagonal, both from the kinematics
+    of the level stance: 0.20 rad in front, 0.15 rad behind. The smaller one is used for all cases.
     """
     feet, raised = (
         np.asarray(forward(four_legs(Geometry()), STANCE + [[0.0, q2] for q2 in change], ROUTING).foot, float)
@@ -111,7 +111,7 @@ def readings(
 
     Args:
         limb: the lifted one.
-        model: the model that ran.
+        model: the simulated model.
         qpos: (T, nq).
         sensors: as named in `robot.Sensors`, (T, ...).
     """
@@ -140,7 +140,7 @@ def measure(
     Args:
         limb: the lifted one.
         time: end of each tick on the protocol's clock [s].
-        sensors, shown: as in `readings`, and what it gave.
+        sensors, shown: as in `readings`, and its result.
         sole: radius of the sole [m].
     """
 

@@ -1,8 +1,8 @@
 """The balance test as a `physics.engine.Loop`: stand on four feet, bend the spine, lift one leg, swing it.
 
 Servo angles are a pure function of (parameters, time); all eight cases and both profiles are one batch. The published
-test commands joint angles and not feet, so that of the profile `as_published` only the clock applies: the same angles
-2.5 times as fast. Its foot tracking lag is one of inverse kinematics, which nothing here goes through.
+test commands joint angles instead of feet, so only the clock of the profile `as_published` applies: the same angles
+2.5 times as fast. Its foot tracking lag belongs to the inverse kinematics, which is not used here.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class BalanceParameters:
         sbc: 1 with spine balance compensation, else 0.
         clock_ratio: simulated seconds per second of the protocol.
         spine: limit of the servo, d_lift of (5.35), share of the offset compensation (5.31).
-        start: how far q1 and q2 of the legs start from the stance [rad].
-        servo_speed: how fast a servo's target may change [rad/s].
+        start: initial offsets of the legs' q1 and q2 from the stance [rad].
+        servo_speed: maximum rate of change of a servo's target [rad/s].
     """
 
     lifted: Float[ArrayLike, " 4"]
@@ -107,7 +107,7 @@ class BalanceLoop:
 
     @property
     def steps_per_tick(self) -> int:
-        """Physics steps in a control tick."""
+        """Physics steps per control tick."""
         return round(self.dt / self.robot.config.timestep)
 
     def init(self, params: BalanceParameters, sensordata: Float[Array, " n"]) -> BalanceState:
@@ -132,8 +132,8 @@ class BalanceLoop:
     def servos(self, params: BalanceParameters, time: ArrayLike) -> ServoAngles:
         """Commanded angles at a time of the protocol [s], continuous in time.
 
-        A spine bent by 0.1 rad a joint holds one hip 5 mm higher and the other 4 mm lower, so three legs of
-        neutral length would tilt the robot towards the foot to be lifted. The loaded feet compensate for that (5.31).
+        A spine bent by 0.1 rad per joint raises one hip by 5 mm and lowers the other by 4 mm, so three legs of neutral
+        length would tilt the robot towards the foot to be lifted. The loaded feet compensate for that (5.31).
         """
         spine = during(time, "shift") * self.spine_servo(params)
         lifted = jnp.asarray(params.lifted)[:, None]

@@ -21,8 +21,8 @@ PLACE, TURN = 0.001, math.radians(1.0)
 
 @dataclasses.dataclass(frozen=True)
 class Nudge:
-    """How a repeat's start differs: position (3,) [m] (the third is a drop, not negative), attitude (3,) about x, y
-    and z [rad], and q1, q2 of the legs (4, 2) [rad]."""
+    """The perturbation of a repeat's start: position (3,) [m] (the third is a drop, not negative), attitude (3,) about
+    x, y and z [rad], and q1, q2 of the legs (4, 2) [rad]."""
 
     place: np.ndarray
     turn: np.ndarray
@@ -30,7 +30,7 @@ class Nudge:
 
 
 def nudge(seed: int, case: int, repeat: int) -> Nudge:
-    """Uniform draws, the same for a repeat whatever else is in the batch."""
+    """Uniform draws, which for a repeat do not depend on the rest of the batch."""
     draw = np.random.default_rng([seed, case, repeat])
     place = draw.uniform(-PLACE, PLACE, 3)
     place[2] = abs(place[2])
@@ -42,7 +42,7 @@ def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
     legs = four_legs(Geometry())
     axes = np.concatenate([shoulders(Geometry()), hips(0.0, Geometry())]).astype(float)
     neutral = _soles(axes, np.asarray(forward(legs, STANCE, ROUTING).foot, float))
-    # Front and rear legs differ in length, so that the torso pitches by a fraction of a degree when all four stand.
+    # Front and rear legs differ in length, so the torso pitches by a fraction of a degree when all four feet stand.
     pitch = math.atan2(neutral[0, 2] - neutral[2, 2], neutral[2, 1] - neutral[0, 1])
 
     servo = STANCE + start.servo

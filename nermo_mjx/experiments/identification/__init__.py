@@ -1,1 +1,1 @@
-"""Identification of what the publication does not give, and its report."""
+"""Identification of parameters that the publication does not give, and its report."""

@@ -47,11 +47,11 @@ class Candidates:
     """Evaluates points of a space, and records all of them and the best.
 
     Args:
-        workers: have begun `Walking`; parameters outside the space keep their defaults.
+        workers: that have started `Walking`; parameters outside the space keep their defaults.
         cases: parameters of `CASES`, (cases,) each.
         space: d free parameters, the axes of the unit cube.
-        batch: candidates that are simulated together; one shape compiles once.
-        memory: of what was simulated before.
+        batch: number of candidates simulated together; one shape compiles once.
+        memory: of earlier simulations.
         report: called after each batch.
     """
 
@@ -73,7 +73,7 @@ class Candidates:
         self.best_figures: dict[str, float] = {}
 
     def evaluate(self, points: np.ndarray) -> np.ndarray:
-        """Objective of points (n, d) of the unit cube, (n,); batches are as equal in size as possible.
+        """Objective of points (n, d) of the unit cube, (n,); in batches of as equal a size as possible.
 
         Raises:
             WorkersLost: no worker is left; finished walks are kept.
@@ -101,8 +101,8 @@ class Candidates:
         return costs
 
     def _walk(self, blocks: list[np.ndarray]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """Of each block filled up to a batch: speed in each case, and whether it was walked to the end, (n, cases)."""
-        # A batch that is not full is filled up with its own points.
+        """For each block, padded to a batch: speed in each case, and whether the walk was completed, (n, cases)."""
+        # An incomplete batch is padded with its own points.
         batches = [np.resize(block, (self.batch, len(self.space))) for block in blocks]
         found = {}
         for k, points in enumerate(batches):

@@ -1,8 +1,8 @@
 """The identification's uncertainty: many bodies that match the published speeds about as well as the best one.
 
-Free are the identified parameters and, within plausible ranges, the friction of soles and tail. Prior: uniform in the
-logarithms within the bounds. A body belongs to the ensemble if its objective is within a tolerance that was fixed
-beforehand; within it, none is preferred. `sampling` describes how they are found.
+The free parameters are the identified ones and, within plausible ranges, the friction of soles and tail. Prior: uniform
+in the logarithms within the bounds. A body belongs to the ensemble if its objective is within a tolerance that was
+fixed beforehand; within the tolerance, all are equivalent. `sampling` describes how they are found.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from nermo_mjx.experiments.identification.candidates import Candidates
 from nermo_mjx.experiments.identification.sampling import Sweep, sample, thin
 from nermo_mjx.experiments.identification.space import UNCERTAIN, names, parameters_of, point_of
 
-#: Objective of a body of the ensemble, at most: half of the deviation that was called acceptable, at which all targets
-#: are off by one tolerance each.
+#: Maximum objective of a body in the ensemble: half of the deviation declared acceptable, at which all targets are off
+#: by one tolerance each.
 TOLERANCE: Final = 0.5
 
 
@@ -31,10 +31,10 @@ class Bodies:
         objective: (n,).
         weights: (n,); their sum is 1.
         tolerance: of the objective.
-        sweeps: how they were found.
-        found: distinct bodies within the tolerance, of which these were taken.
+        sweeps: of the sampler that found them.
+        found: distinct bodies within the tolerance, from which these were selected.
         effective: effective sample size of those found.
-        share: of the prior within the tolerance, estimated.
+        share: estimated share of the prior within the tolerance.
     """
 
     values: dict[str, np.ndarray]
@@ -63,10 +63,10 @@ def find_bodies(
 
     Args:
         candidates: of the space with the friction of sole and tail.
-        best: what the search found, at the default frictions, and its objective; becomes the first body.
-        near: the search's points within the tolerance, (k, d of the search); the first sweep begins about them as well.
+        best: result of the search, at the default frictions, and its objective; becomes the first body.
+        near: the search's points within the tolerance, (k, d of the search); the first sweep also starts around them.
         defaults: of all parameters.
-        bodies: wanted; sweeps: at most.
+        bodies: requested number; sweeps: maximum number.
     """
     friction = point_of(defaults, UNCERTAIN)
     seeds = np.hstack([near, np.tile(friction, (len(near), 1))])
@@ -81,6 +81,6 @@ def find_bodies(
     if first:
         values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
         costs = np.append(objective, costs)
-        # The default body weighs as much as the others on average.
+        # The default body has the average weight of the others.
         weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
     return Bodies(values, costs, weights, tolerance, found.sweeps, len(found.points), found.effective, found.share)

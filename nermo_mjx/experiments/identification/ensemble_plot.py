@@ -21,7 +21,7 @@ from nermo_mjx.robot.quantity import quantities
 
 _BINS: Final = 12
 _PANEL: Final = 1.42
-#: What stands for the parameters that share a value.
+#: Labels of parameters that share a value.
 _SHORT: Final = {"damping.knee": "damping of\nknee, ankle"}
 
 
@@ -52,7 +52,7 @@ def ensemble_figure(content: Mapping[str, Any]) -> Figure:
             _scale(ax, bounds[j], "x")
             _label(ax, names, i, j)
     page.figure.align_labels()
-    place = page.axes[0, -1].inset_axes((-2.2, 0.6, 3.0, 0.13))  # in the empty corner, and no matter for the layout
+    place = page.axes[0, -1].inset_axes((-2.2, 0.6, 3.0, 0.13))  # in the empty corner, and ignored by the layout
     place.set_in_layout(False)
     bar = page.figure.colorbar(ScalarMappable(shades, COLOURS), cax=place, orientation="horizontal")
     bar.set_label("objective [1]", fontsize=SMALL)
@@ -81,7 +81,7 @@ def _marginal(
 
 
 def _scale(ax: Axes, bounds: tuple[float, float], axis: str) -> None:
-    """A logarithmic axis over the bounds, which are its ticks, with a round value between."""
+    """A logarithmic axis over the bounds, with ticks at the bounds and a round value in between."""
     low, high = bounds
     middle = float(f"{np.sqrt(low * high):.{1 if high > 2 * low else 2}g}")
     along = ax.xaxis if axis == "x" else ax.yaxis

@@ -15,12 +15,12 @@ from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.runs.text import MISSING, table
 
 QUANTILES: Final = (0.05, 0.5, 0.95)
-#: Correlations that are worth a line.
+#: Smallest correlation that is listed.
 _WORTH: Final = 0.3
 
 
 def ensemble_content(bodies: Bodies) -> dict[str, Any]:
-    """An ensemble for identification.json; of parameters that share a value, the first stands for all."""
+    """An ensemble for identification.json; parameters that share a value are represented by the first."""
     size = len(bodies.objective)
     shown = {free.names[0]: bodies.values[free.names[0]] for free in ALL.values()}
     content: dict[str, Any] = {
@@ -57,7 +57,7 @@ def quantiles(values: np.ndarray, weights: np.ndarray) -> list[float]:
 
 
 def correlations(columns: Mapping[str, np.ndarray], weights: np.ndarray) -> dict[str, dict[str, float]]:
-    """Weighted correlations of the logarithms, of each column with each."""
+    """Weighted correlations of the logarithms between all columns."""
     logs = np.array([np.log(column) for column in columns.values()])
     away = logs - (logs @ weights / weights.sum())[:, None]
     covariance = (away * weights) @ away.T
@@ -68,7 +68,7 @@ def correlations(columns: Mapping[str, np.ndarray], weights: np.ndarray) -> dict
 
 
 def csv_text(content: Mapping[str, Any]) -> str:
-    """ensemble.csv: how it was made, then one body a row; the default body comes first if it is one of them."""
+    """ensemble.csv: its origin, then one body per row; the default body comes first if it is one of them."""
     ensemble = content["ensemble"]
     tried = sum(sweep["candidates"] for sweep in ensemble["sweeps"])
     units = {name: about.unit for name, about in quantities(ModelParameters)}

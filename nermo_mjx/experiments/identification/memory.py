@@ -1,4 +1,5 @@
-"""Candidates of an identification on disk: one line per generation, so that a killed search loses no more than that."""
+"""Candidates of an identification on disk: one line per generation, so that a killed search loses at most one
+generation."""
 
 from __future__ import annotations
 
@@ -12,17 +13,17 @@ import numpy as np
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import append_line, clear_errors
 
-#: Files of an identification's directory: what was tried, and what a finished search found.
+#: Files of an identification's directory: the candidates, and the result of a finished search.
 FILE: Final = "candidates.jsonl"
 RESULT: Final = "identification.json"
 
 
 class CandidateFile:
-    """What was walked before, in a file of JSON lines; the first line says what the search is.
+    """Earlier walks, in a file of JSON lines; the first line describes the search.
 
     Args:
-        path: the file; made if it does not exist.
-        about: settings of the search, and of the robot; with others the candidates would not be the same.
+        path: the file; created if it does not exist.
+        about: settings of the search and the robot, which determine the candidates.
         code: short name of the code that adds candidates, see `nermo_mjx.runs.code`.
 
     Raises:
@@ -39,7 +40,7 @@ class CandidateFile:
         if not lines:
             self._append(about)
             return
-        # Earlier releases noted versions and engine here as well; whether they fit is the directory's to say.
+        # Earlier releases also stored versions and engine here; the directory checks whether they match.
         begun = _parsed(lines[0])
         if {name: begun.get(name) for name in about} != about:
             raise ParameterError(f"{path} belongs to a search with other settings: choose another directory.")
@@ -48,7 +49,7 @@ class CandidateFile:
             self._known[points.tobytes()] = np.array(row["speed"], float), np.array(row["walked"], bool)
 
     def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Speed and whether it was walked, (n, cases) each, of points (n, d) seen before; else None."""
+        """Speed and whether the walk was completed, (n, cases) each, of known points (n, d); else None."""
         return self._known.get(np.ascontiguousarray(points, float).tobytes())
 
     def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
@@ -62,7 +63,7 @@ class CandidateFile:
 
 
 def candidates(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """The generations in the lines after the first; one that is cut off was being written when the search died."""
+    """The generations in the lines after the first; a truncated one was being written when the search was killed."""
     for line in lines:
         row = _parsed(line)
         if {"points", "speed", "walked"} <= set(row):

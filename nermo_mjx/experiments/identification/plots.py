@@ -17,7 +17,7 @@ from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MISSING, MUTED, SHADE
 from nermo_mjx.runs.files import DirectoryError
 
-#: Costs above this share of the start's are cut off: candidates that fell say only that they fell.
+#: Costs above this multiple of the start's are cut off: for candidates that fell, only that fact matters.
 _SHOWN: Final = 2.0
 
 
@@ -49,7 +49,7 @@ def _search(content: Mapping[str, Any]) -> Figure:
     ax.scatter(np.arange(len(costs)), np.minimum(costs, top), s=9, color=BAND, lw=0, label="candidate")
     ax.step(np.arange(len(costs)), np.minimum.accumulate(costs), where="post", color=LINE, lw=1.6, label="best so far")
     ax.axhline(objective["start"], color=MUTED, lw=0.9, ls="--", label="at the start")
-    # The first, even search fills whole batches: its length is what the generations leave.
+    # The initial Sobol search fills whole batches: its length is the total minus the generations.
     search = content["settings"]
     sampled = len(costs) - search["generations"] * search["population"]
     if 0 < sampled < len(costs):

@@ -41,7 +41,7 @@ TARGET_HEADINGS: Final = (
 PARAMETER_HEADINGS: Final = (
     ("parameter", "left"), ("start", "right"), ("identified", "right"), ("bounds", "left"), ("why these", "left"),
 )  # fmt: skip
-#: Nearer to a bound than this share of the range of its logarithm, a parameter lies at it.
+#: A parameter is at a bound if it is closer to it than this share of the range of its logarithm.
 _AT_BOUND: Final = 0.01
 
 
@@ -59,10 +59,10 @@ def run_identification(
 
     Args:
         out: the directory.
-        engine: of the simulations; `auto` is the one that the directory was started with, if it was.
+        engine: of the simulations; `auto` is the one that the directory was started with, if any.
         accept_new_code: reuse candidates of other code; the file's `code` tells them apart.
         progress: called with the share done.
-        notify: called with a message about files that were in the way.
+        notify: called with a message about conflicting files.
         workers: what simulates; by default this process. The result is the same.
         wanted: of `search.Search`.
 
@@ -92,7 +92,7 @@ def run_identification(
         about = session(settings=settings, engine=code.engine)
         held.note_session(about)
         started = time.monotonic()
-        # What determines the candidates; the ensemble's settings only determine how far it goes.
+        # Settings that determine the candidates; the ensemble's settings only determine its extent.
         begun = {name: settings[name] for name in ("samples", "generations", "population", "seed")}
         with clear_errors(folder):
             memory = CandidateFile(folder / FILE, begun | {"defaults": defaults}, code.id)
@@ -108,7 +108,7 @@ def run_identification(
 
 
 def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], None] | None) -> dict[str, Any]:
-    """Make the rest of the directory from its result, which has `plots` when all is there."""
+    """Create the rest of the directory from its result, which has `plots` when everything exists."""
     folder = written.held.out
     if content["ensemble"] and content["ensemble"]["size"]:
         written.write(folder / "ensemble.csv", csv_text(content).encode())
@@ -144,7 +144,7 @@ def parameter_rows(content: Mapping[str, Any]) -> list[list[str]]:
 
 
 def _content(found: Identified) -> dict[str, Any]:
-    """What was searched, and what was found."""
+    """The search and its result."""
     known = dict(quantities(ModelParameters))
     targets = {
         name: {

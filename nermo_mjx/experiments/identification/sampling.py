@@ -21,11 +21,11 @@ from scipy.linalg import solve_triangular
 from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
-#: Centres that a mixture has at least, as a fraction of a sweep's points.
+#: Minimum number of centres of a mixture, as a fraction of a sweep's points.
 _CENTRES: Final = 1 / 8
-#: Share of the first sweep's proposals that are made about the seeds.
+#: Share of the first sweep's proposals around the seeds.
 _SEEDED: Final = 0.25
-#: Draws that find which share of a mixture lies in the cube.
+#: Number of draws to estimate the share of a mixture that lies in the cube.
 _INSIDE: Final = 20_000
 
 
@@ -45,9 +45,9 @@ class Sample:
     Attributes:
         points: in the cube, (m, d).
         costs: their objective, (m,).
-        weights: of an even distribution over the region, (m,); their sum is 1.
+        weights: of a uniform distribution over the region, (m,); their sum is 1.
         sweeps: the Sobol sample, and the sweeps after it.
-        share: of the cube within the tolerance, estimated, some per cent too low where it is small.
+        share: estimated share of the cube within the tolerance, a few per cent too low if it is small.
         effective: effective sample size (Kish).
     """
 
@@ -60,7 +60,8 @@ class Sample:
 
 
 class _Mixture:
-    """Normal distributions of one covariance about centres (k, d), of shares (k,), cut off at the unit cube."""
+    """Normal distributions with a common covariance around centres (k, d), with shares (k,), truncated to the unit
+    cube."""
 
     def __init__(
         self, centres: np.ndarray, shares: np.ndarray, covariance: np.ndarray, random: np.random.Generator
@@ -78,7 +79,7 @@ class _Mixture:
         return points[:n]
 
     def density(self, points: np.ndarray) -> np.ndarray:
-        """At points (n, d) of the cube, (n,); at a centre, that of the others: it is there by its own doing."""
+        """Density at points (n, d) of the cube, (n,); at a centre, that of the others, since it would find itself."""
         white, centres = (solve_triangular(self.root, each.T, lower=True).T for each in (points, self.centres))
         away = cdist(white, centres, "sqeuclidean")
         own = away == 0.0
@@ -101,14 +102,14 @@ def sample(
     seed: int,
     seeds: np.ndarray | None = None,
 ) -> Sample:
-    """Sample the region; ends when `size` points' worth of it is known, or after the given number of sweeps.
+    """Sample the region until the effective sample size reaches `size`, or for the given number of sweeps.
 
     Args:
         evaluate: objective of points (n, d), (n,).
         dimension: d.
         tolerance: of the objective.
-        size: points of a sweep, and effective size that is wanted.
-        sweeps: after the Sobol sample, at most.
+        size: points per sweep, and requested effective sample size.
+        sweeps: maximum number after the Sobol sample.
         seed: makes it repeatable.
         seeds: additional points (k, d) to start from; their origin does not matter.
     """

@@ -1,10 +1,10 @@
-"""Identification of what the publication does not give: servo gain and damping, and damping of the joints.
+"""Identification of parameters that the publication does not give: servo gain and damping, and joint damping.
 
-The objective is made of the published speeds on the straight line alone, in the profile `exact`; orientation, turning,
-balance and maze are then predictions. A figure's term is its deviation from what is published, in tolerances stated
+The objective uses only the published speeds on the straight line, in the profile `exact`; orientation, turning,
+balance and maze are then predictions. A figure's term is its deviation from the published value, in tolerances stated
 beforehand: 10 % of a ratio, 2 % of an order. The objective is the root of their mean square. The search is a Sobol
 sample, then CMA-ES (Hansen 2016) from its best point, both in the logarithms of the parameters and inside physical
-bounds; a generation is one batch. An ensemble of all bodies that are near enough follows.
+bounds; a generation is one batch. It is followed by an ensemble of all bodies within the tolerance.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Identified:
         objective: at those; start: at `START`.
         figures, start_figures: target -> (value, residual in tolerances), at those and at `START`.
         costs: objective of every candidate of the search in the order they were tried.
-        bodies: the ensemble; None if it was not asked for.
+        bodies: the ensemble; None if it was not requested.
     """
 
     parameters: dict[str, float]
@@ -50,14 +50,14 @@ class Identified:
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """What is tried.
+    """Extent of the search.
 
     Attributes:
         samples: of the Sobol sequence.
         generations, population: of CMA-ES; as many candidates as a population are simulated together throughout.
-        bodies: of the ensemble, the best one included; 0 leaves it out.
-        sweeps: of the ensemble, at most; each tries as many candidates as bodies are requested.
-        tolerance: objective that a body of the ensemble may have.
+        bodies: size of the ensemble, including the best one; 0 to omit it.
+        sweeps: maximum number for the ensemble; each tries as many candidates as bodies are requested.
+        tolerance: maximum objective of a body in the ensemble.
         seed: of all three; the start of the walks is the same for all candidates.
 
     Raises:
@@ -92,10 +92,10 @@ def identify(
 
     Args:
         engine: of the simulations.
-        memory: of what was simulated before, which is not simulated again.
+        memory: of earlier simulations, which are not repeated.
         progress: called with the share done.
-        workers: what simulates; by default this process. The numbers are the same: a task is a batch, and what is found
-            is judged in the order of the batches.
+        workers: what simulates; by default this process. The numbers are the same: a task is a batch, and results are
+            processed in the order of the batches.
 
     Raises:
         WorkersLost: no worker is left.

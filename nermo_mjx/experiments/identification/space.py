@@ -1,4 +1,4 @@
-"""What is identified: the free parameters, their physical bounds, and the unit cube that a search moves in."""
+"""The search space: the free parameters, their physical bounds, and the unit cube that represents them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Free:
     Attributes:
         names: model parameters that share the value.
         low, high: physical bounds.
-        why: where the bounds come from.
+        why: reason for the bounds.
     """
 
     names: tuple[str, ...]
@@ -27,7 +27,7 @@ class Free:
 
 
 #: Searched. The sole's contact is not: it is that of the author's own model (time constant 8 ms, damping ratio 2,
-#: friction 1.4) with a soft onset, the default of `ModelParameters`. The bounds have physical reasons, and no others.
+#: friction 1.4) with a soft onset, the default of `ModelParameters`. The bounds have physical reasons only.
 FREE: Final[dict[str, Free]] = {
     "kp": Free(
         ("servo.kp",), 4.5, 20.0, "stall torque at an error of 2 degrees to 0.45, about twice a hobby servo's dead band"
@@ -54,7 +54,7 @@ START: Final[dict[str, float]] = {
     "damping.ankle": 0.005,
     "damping.spine": 0.01,
 }
-#: Significant digits of a parameter: what is printed and shipped is what was simulated.
+#: Significant digits of a parameter, so that printed and shipped values are the simulated ones.
 _DIGITS: Final = 4
 
 

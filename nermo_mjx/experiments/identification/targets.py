@@ -14,7 +14,7 @@ from nermo_mjx.experiments.cases import AMPLITUDE, Case
 
 @dataclasses.dataclass(frozen=True)
 class Target:
-    """A published ratio of speeds: its value, or the least of it where only an order is published.
+    """A published ratio of speeds: its value, or a lower bound if only an order is published.
 
     Attributes:
         low, high: published interval; equal for a value.
@@ -26,7 +26,7 @@ class Target:
     tolerance: float
 
     def residual(self, value: np.ndarray) -> np.ndarray:
-        """Deviation from the interval in tolerances, signed; NaN where there is none."""
+        """Deviation from the interval in tolerances, signed; NaN if undefined."""
         with np.errstate(divide="ignore", invalid="ignore"):
             logarithm = np.log(value)
         over = np.maximum(logarithm - math.log(self.high), 0.0) if math.isfinite(self.high) else 0.0
@@ -65,7 +65,7 @@ CASES: Final = tuple(
 )
 #: No-slip speed of the trot at 0.8 Hz (5.22) [m/s].
 _THEORY: Final = 0.096
-#: Objective of a candidate that falls, diverges, or walks backwards: worse than any that walks.
+#: Objective of a candidate that falls, diverges, or walks backwards: worse than any completed walk.
 FAILED: Final = 10.0
 
 

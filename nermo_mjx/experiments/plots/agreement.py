@@ -1,6 +1,6 @@
-"""The numbers of the report as a picture: each as a fraction of the published one, with the numbers beside it.
+"""The numbers of the report as a figure: each as a fraction of the published one, with the numbers next to it.
 
-Of an effect, a ratio that says how much something changes, the share is that of its size, the ratio less 1.
+For an effect, a ratio that expresses how much something changes, the fraction is that of its size, the ratio minus 1.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from nermo_mjx.experiments.plots.marks import published_entry, swatch, tone
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED
 
-#: Shares of the published number between which the axis reaches; what lies beyond is an arrow at its end.
+#: Range of the axis, in shares of the published number; values beyond are arrows at its end.
 LEAST, MOST = -0.5, 2.5
 _COLOUR, _NEAR, _WRONG = LINE, "#e6f1f8", BEST
 _PROFILES: Final = ("exact", "as_published")
@@ -31,7 +31,7 @@ _COLUMNS: Final = {"published": 0.36, "exact": 0.66, "as_published": 0.98}
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
-    """The picture of all numbers that were published and measured."""
+    """The figure of all numbers that were published and measured."""
     yield "report", _report(outcome, [line for line in lines if _reference(line) is not None and _measured(line)])
 
 
@@ -44,12 +44,13 @@ def _number(value: Value) -> float | None:
 
 
 def _neutral(line: Line) -> float:
-    """What counts as 0."""
+    """The value that counts as 0."""
     return 1.0 if line.judged == "effect" else 0.0
 
 
 def _reference(line: Line) -> float | None:
-    """What counts as 1, from `_neutral` on: the published number, the middle of an interval, the end of one from 0."""
+    """The value that counts as 1, relative to `_neutral`: the published number, an interval's middle, or its end if it
+    starts at 0."""
     if isinstance(line.published, tuple):
         low, high = line.published
         return high if low == 0 else 0.5 * (low + high)

@@ -26,7 +26,7 @@ _VERDICT: Final = {"pass": PASS, "fail": FAIL}
 
 
 def verdict_figure(limb: str, sbc: bool, *, hardware: bool = False) -> str:
-    """Name of the figure of the report that holds a verdict."""
+    """Name of the report's figure for a verdict."""
     with_it = "with" if sbc else "without"
     if hardware:
         return f"hardware: {_name(limb)} lifted, {with_it} compensation"
@@ -34,7 +34,7 @@ def verdict_figure(limb: str, sbc: bool, *, hardware: bool = False) -> str:
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
-    """(name, figure) of each picture; None where the outcome has nothing for it."""
+    """(name, figure) of each picture; None if the outcome has no data for it."""
     yield "verdicts", _verdicts(outcome, lines)
     yield "pitch", _over_time(outcome, "pitch", "Pitch while a leg is lifted and swung", "pitch [deg]", 180 / np.pi)
     title = "Centre of mass inside of the support diagonal"
@@ -62,7 +62,7 @@ def _profile(runs: Mapping[tuple[str, bool], Recording]) -> str:
 
 
 def _verdicts(outcome: Outcome, lines: Sequence[Line]) -> Figure:
-    """A tile a leg and source; a tile that differs from the published simulation has a thick frame."""
+    """One tile per leg and source; a tile that differs from the published simulation has a thick frame."""
     said = {line.figure: line.published for line in lines}
     names = profiles(outcome.columns["profile"])
     page = Page("Which legs the robot can lift and swing", (9.4, 3.9), 1, 2, sharey=True)
@@ -105,7 +105,7 @@ def _verdict(outcome: Outcome, profile: str, limb: str, sbc: bool) -> str | None
 
 
 def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: float) -> Figure | None:
-    """One reading over time, axes a lifted leg, a line without and with compensation."""
+    """One reading over time, with axes per lifted leg, and lines without and with compensation."""
     runs = {case: run for case, run in _runs(outcome).items() if sensor in run.sensors}
     if not runs:
         return None

@@ -1,4 +1,4 @@
-"""Grouped bars: the mean of the repeats, their spread, and what theory and the publication say beside it."""
+"""Grouped bars: mean and spread of the repeats, next to theory and publication."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Bar:
     """One case.
 
     Attributes:
-        values: of the repeats, (n,), as shown; NaN for a repeat that gave none. No values: the case was not run.
+        values: of the repeats, (n,), as shown; NaN for a repeat without one. Empty if the case was not run.
         colour: of the bar.
         hatched: whether the bar is hatched.
-        theory: what theory says.
-        published: what the publication reports.
+        theory: theoretical value.
+        published: published value.
     """
 
     values: np.ndarray
@@ -44,25 +44,25 @@ class Bar:
 
     @property
     def ran(self) -> bool:
-        """Whether there was such a case."""
+        """Whether the case was run."""
         return len(self.values) > 0
 
     @property
     def mean(self) -> float:
-        """Mean of the repeats that gave a value; NaN if none did."""
+        """Mean of the repeats with a value; NaN if there are none."""
         good = self.values[np.isfinite(self.values)]
         return float(good.mean()) if len(good) else math.nan
 
     @property
     def failed(self) -> bool:
-        """Whether a repeat gave no value."""
+        """Whether a repeat has no value."""
         return not np.isfinite(self.values).all()
 
 
 def repeats(outcome: Outcome, column: str, **wanted: object) -> np.ndarray:
     """Values of the repeats of one case in shown units (deg, mm, mm/s); NaN for a run that did not end well.
 
-    Empty where the table has no such case.
+    Empty if the table has no such case.
     """
     rows = outcome.where(**wanted)
     values = in_shown_unit(column, outcome.about[column].unit, outcome.columns[column][rows]).values
@@ -78,12 +78,12 @@ def axis_label(outcome: Outcome, column: str, name: str) -> str:
 def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | None = None) -> list[Bar]:
     """Draw groups of bars side by side, and return all bars; without a group, nothing.
 
-    A bar is the mean of the repeats, with one standard deviation up and down where there are several. A cross at the
-    foot of a bar, or in its place, says that a repeat gave no value.
+    A bar is the mean of the repeats, with an error bar of one standard deviation if there are several. A cross at the
+    foot of a bar, or in its place, marks a repeat without a value.
 
     Args:
         groups: name on the axis -> its bars.
-        slots: bars for which a group has room; by default that of the longest group.
+        slots: number of bars that fit in a group; by default that of the longest group.
     """
     if not groups:
         return []
@@ -93,7 +93,7 @@ def draw_bars(ax: Axes, groups: Mapping[str, Sequence[Bar]], *, slots: int | Non
         for j, bar in enumerate(bars):
             _draw(ax, i + (j - (len(bars) - 1) / 2) * width, width, bar)
     if not any(np.isfinite(bar.mean) for bars in groups.values() for bar in bars):
-        ax.bar(0, 0, alpha=0)  # the axis begins at 0 nevertheless
+        ax.bar(0, 0, alpha=0)  # the axis still begins at 0
     ax.set_xticks(range(len(groups)), list(groups))
     ax.tick_params(axis="x", length=0)
     ax.set_xlim(-0.55, len(groups) - 0.45)
@@ -121,7 +121,7 @@ def _draw(ax: Axes, x: float, width: float, bar: Bar) -> None:
 
 
 def bar_entries(bars: Sequence[Bar], *, hatched: str = "") -> list[Artist]:
-    """Legend entries of what these bars show beside their height."""
+    """Legend entries for what these bars show in addition to their height."""
     entries: list[Artist] = []
     if any(np.isfinite(bar.theory) for bar in bars):
         entries.append(Line2D([], [], label="theory, no slip", **_THEORY))
@@ -135,6 +135,6 @@ def bar_entries(bars: Sequence[Bar], *, hatched: str = "") -> list[Artist]:
 
 
 def spread_note(bars: Sequence[Bar]) -> str:
-    """How many repeats there are, and what the error bars are."""
+    """A note on the number of repeats and the meaning of the error bars."""
     most = max((len(bar.values) for bar in bars), default=0)
     return f"mean of {most} repeats; error bars: one standard deviation" if most > 1 else "one run a case"

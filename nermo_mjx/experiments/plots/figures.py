@@ -1,4 +1,4 @@
-"""Which pictures an experiment gives, in the form of the published figures."""
+"""The figures of an experiment, in the form of the published ones."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ DRAWERS: Final[dict[str, Drawer]] = {
 
 
 def figures_of(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
-    """(EXPERIMENT-PICTURE, figure) of each picture of which the outcome has something to show.
+    """(EXPERIMENT-PICTURE, figure) of each picture for which the outcome has data.
 
     Missing parts (a profile, a case, a recording) are left out of the figures.
 
     Args:
         outcome: of the experiment.
-        lines: of its report; they hold what the publication says, which is drawn beside what was simulated.
+        lines: of its report, with the published values, which are drawn next to the simulated ones.
     """
     lines = [line for line in lines if line.experiment == outcome.experiment]
     for drawer in (DRAWERS[outcome.experiment], agreement.figures):
@@ -47,7 +47,7 @@ def figures(out: Path) -> Figures:
     """The images of all experiments that a directory holds.
 
     Raises:
-        DirectoryError: it holds no experiment that can be read.
+        DirectoryError: it contains no readable experiment.
     """
     directory = Directory(out)
     found = [stored.outcome for name in EXPERIMENTS if (stored := directory.load(name)) is not None]

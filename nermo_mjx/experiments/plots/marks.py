@@ -1,7 +1,7 @@
-"""What all images of the experiments share: colours by meaning, entries of legends, and marks.
+"""Elements shared by the experiments' figures: colours by meaning, entries of legends, and marks.
 
 One colour has one meaning throughout.
-The profile `exact` is drawn in full colour, `as_published` lighter, and what the publication reports in black outline.
+The profile `exact` is drawn in full colour, `as_published` lighter, and published values in black outline.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Published = float | tuple[float, float] | None
 
 
 def published(lines: Iterable[Line], figure: str) -> Published:
-    """The publication's number or interval for a figure of the report; None where the lines do not have it."""
+    """The publication's number or interval for a figure of the report; None if the lines do not have it."""
     for line in lines:
         if line.figure == figure and not isinstance(line.published, (bool, str)):
             return line.published
@@ -50,7 +50,7 @@ def profiles(values: Iterable[str]) -> list[str]:
 
 
 def shown(profile: str) -> str:
-    """A profile's name for a reader."""
+    """A profile's display name."""
     return profile.replace("_", " ")
 
 
@@ -75,7 +75,7 @@ def spine_swatches() -> list[Artist]:
 
 
 def profile_swatches(names: Sequence[str]) -> list[Artist]:
-    """Legend entries that tell the profiles apart, where there are several."""
+    """Legend entries for the profiles, if there are several."""
     return [swatch(shown(name), tone("#444444", name)) for name in names] if len(names) > 1 else []
 
 
@@ -97,7 +97,7 @@ def published_entry(name: str = "published") -> Line2D:
 
 
 def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool = True) -> None:
-    """Every other phase on a shade of grey, each with its name above the axes."""
+    """Phases on alternating grey backgrounds, each with its name above the axes."""
     for i, (name, (begin, end)) in enumerate(phases.items()):
         if i % 2 == 0:
             ax.axvspan(begin, end, color=SHADE, lw=0, zorder=-5)
@@ -109,14 +109,14 @@ def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool
 
 
 def angles(recording: Recording) -> np.ndarray:
-    """Roll, pitch and yaw of the torso over time, (T, 3) [deg]; the yaw does not jump."""
+    """Roll, pitch and yaw of the torso over time, (T, 3) [deg]; with unwrapped yaw."""
     found = np.array(attitude(jnp.asarray(recording.sensors["orientation"])), float)
     found[:, 2] = np.unwrap(found[:, 2])
     return np.degrees(found)
 
 
 def seen_from_above(ax: Axes, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(right, ahead) [mm] of places (..., 2) [m] in the robot's frame at the start (x left, y back); equal axes."""
+    """(right, ahead) [mm] of positions (..., 2) [m] in the robot's frame at the start (x left, y back); equal axes."""
     ax.set_aspect("equal")
     ax.set(xlabel="to the right of the start [mm]", ylabel="ahead of the start [mm]")
     return -1e3 * places[..., 0], -1e3 * places[..., 1]

@@ -37,7 +37,7 @@ from nermo_mjx.plotting.style import INK, MISSING, MUTED, horizontal_grid
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import load_robot
 
-#: Published numbers in these pictures: the figures of the report that hold them, by column and spine.
+#: Published numbers in these pictures: their figures in the report, by column and spine.
 NUMBERS: Final = {
     (column, on): f"{name} {'with' if on else 'without'} spine"
     for column, name in (
@@ -46,15 +46,15 @@ NUMBERS: Final = {
     for on in (False, True)
 }
 _TITLES: Final = {"time": "time", "mean_speed": "mean speed", "roll_std": "roll, std", "pitch_std": "pitch, std"}
-#: The stretch of the walk whose sway is shown, from this share of it on [s of the controller's clock].
+#: The part of the walk whose sway is shown, starting at this share of it [s of the controller's clock].
 _FROM, _SECONDS = 0.3, 12.0
-#: Seconds of the controller's clock between two dots on a way, and samples between two of its points.
+#: Seconds of the controller's clock between two dots on a path, and samples between two of its points.
 _DOTS: Final = 10.0
 _THINNED: Final = 4
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
-    """(name, figure) of each picture; None where the outcome has nothing for it."""
+    """(name, figure) of each picture; None if the outcome has no data for it."""
     yield "ways", _ways(outcome)
     yield "sway", _sway(outcome)
     yield "walk", _walk(outcome, lines)
@@ -120,12 +120,12 @@ def _way(ax: Axes, outcome: Outcome, profile: str, on: bool, run: Recording) -> 
 
 
 def _arrival(outcome: Outcome, profile: str, on: bool) -> float:
-    """When the recorded run reached the end [s of the controller's clock]; NaN if it did not."""
+    """Time at which the recorded run reached the end [s of the controller's clock]; NaN if it did not."""
     return outcome.mean("time", profile=profile, spine=on, repeat=0) / clock(profile)
 
 
 def _sway(outcome: Outcome) -> Figure | None:
-    """Roll and pitch over a part of the walk, from the same place on the course on."""
+    """Roll and pitch over a part of the walk, starting at the same point of the course."""
     runs = _runs(outcome)
     if not runs:
         return None

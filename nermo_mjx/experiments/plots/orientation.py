@@ -32,7 +32,7 @@ from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import MISSING, horizontal_grid
 from nermo_mjx.recording import Recording
 
-#: Published numbers in these pictures: the figures of the report that hold them.
+#: Published numbers in these pictures: their figures in the report.
 LARGEST_ROLL: Final = "largest roll of trt, 0.8 Hz, spine"
 COMPENSATION: Final = {
     "std": "roll std of trt, 0.67 Hz, spine, compensated over not",
@@ -41,7 +41,7 @@ COMPENSATION: Final = {
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
-    """(name, figure) of each picture; None where the outcome has nothing for it."""
+    """(name, figure) of each picture; None if the outcome has no data for it."""
     yield "orientation", _orientation(outcome, lines)
     yield "orientation-spread", _spread(outcome)
     yield "offset-compensation", _compensation(outcome, lines)
@@ -58,8 +58,8 @@ def walked_gaits(outcome: Outcome) -> dict[str, list[float]]:
 
 
 def gait_page(title: str, gaits: dict[str, list[float]], rows: int, height: float) -> Page:
-    """A column of axes for each gait, as wide as it has bars."""
-    # The lateral walk is walked without the spine only, so that its groups have half the bars.
+    """A column of axes for each gait, with a width proportional to its number of bars."""
+    # The lateral walk is run only without the spine, so its groups have half the bars.
     widths = [max(1.2, len(fs) * (0.62 if gait == "lat" else 1.0) + 0.3) for gait, fs in gaits.items()]
     size = (max(7.4, 2.1 + 0.92 * sum(widths)), height)
     return Page(title, size, rows, len(gaits), sharey="row", sharex="col", gridspec_kw={"width_ratios": widths})
@@ -130,7 +130,8 @@ def _spread(outcome: Outcome) -> Figure | None:
 
 
 def _compensation(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
-    """Roll with the spine, without and with compensation; the published change is applied to what is measured here."""
+    """Roll with the spine, without and with compensation; the published change is applied to the value measured
+    here."""
     if not outcome.where(compensated=True).any():
         return None
     names = profiles(outcome.columns["profile"])

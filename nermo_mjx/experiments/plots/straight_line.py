@@ -1,4 +1,4 @@
-"""Pictures of the straight line: speed over gait, frequency and stride, without and with the spine."""
+"""Figures of the straight line: speed over gait, frequency and stride, without and with the spine."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from nermo_mjx.experiments.published.measure import clock
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import INK, horizontal_grid
 
-#: Published numbers in these pictures: the figures of the report that hold them.
+#: Published numbers in these pictures: their figures in the report.
 SPEED: Final = "speed of trt, 0.8 Hz, no spine"
 GAIN: Final = "speed of trt, 0.8 Hz, spine over none"
 OVER_LATERAL: Final = "speed of trt over lat, 0.8 Hz, no spine"
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
-    """(name, figure) of each picture; None where the outcome has nothing for it."""
+    """(name, figure) of each picture; None if the outcome has no data for it."""
     yield "speed", _speed(outcome, lines)
     yield "speed-over-stride", _speed_over_stride(outcome, lines)
     yield from orientation.figures(outcome, lines)

@@ -35,7 +35,7 @@ from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import GRID, INK, MISSING
 from nermo_mjx.recording import Recording
 
-#: Published numbers in these pictures: the figures of the report that hold them, by the strategy.
+#: Published numbers in these pictures: their figures in the report, by strategy.
 TIME: Final = {name: f"time for 0.5 m, trt, 0.67 Hz, {name}-based" for name in turning.STRATEGIES}
 RADIUS: Final = {name: f"smallest radius of trt, {name}-based" for name in ("leg", "mix")}
 #: End of the axis of smallest radii [mm].
@@ -46,7 +46,7 @@ _NOT_FOLLOWED: Final = "a repeat did not follow the path"
 
 
 def figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
-    """(name, figure) of each picture; None where the outcome has nothing for it."""
+    """(name, figure) of each picture; None if the outcome has no data for it."""
     outcome = _at_stride(outcome)
     yield "speed", _speed(outcome, lines)
     yield "time", _time(outcome, lines)
@@ -65,7 +65,7 @@ def _page(title: str, outcome: Outcome, rows: int, height: float) -> Page:
 
 
 def _at_stride(outcome: Outcome) -> Outcome:
-    """The rows of the test's own stride; those of the other reading of its text are in the report."""
+    """The rows with the stride of the test; those of the other reading of its text are in the report."""
     rows = outcome.where(stride=turning.STRIDE)
     return dataclasses.replace(outcome, columns={name: values[rows] for name, values in outcome.columns.items()})
 
@@ -167,7 +167,7 @@ def _smallest_radius(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
         drawn += draw_bars(ax, groups)
         ax.set(title=GAIT[gait], xlabel="gait frequency [Hz]")
     page.axes[0, 0].set_ylabel(axis_label(outcome, "turning_radius", "radius"))
-    # A robot that hardly turns, on metres, must not flatten the others.
+    # A robot with a radius of metres must not flatten the others.
     low, high = page.axes[0, 0].get_ylim()
     page.axes[0, 0].set_ylim(low, min(high, _WIDEST))
     note = (
@@ -178,7 +178,7 @@ def _smallest_radius(outcome: Outcome, lines: Sequence[Line]) -> Figure | None:
 
 
 def _metres(value: Published) -> Published:
-    """A radius of the report [m] as shown [mm]."""
+    """A radius of the report [m], converted to [mm]."""
     if isinstance(value, tuple):
         return 1e3 * value[0], 1e3 * value[1]
     return None if value is None else 1e3 * value

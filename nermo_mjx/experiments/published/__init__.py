@@ -1,4 +1,4 @@
-"""What the publication reports of each experiment, and how the same is measured here.
+"""Published figures of each experiment, and how they are measured here.
 
 Source: A. Rohregger, Digital Nermo, Master's thesis, TU Munich, December 2021, chapters 6 and 7 and appendix A. Its
 times and speeds are those of its controller's clock; in the profile `as_published` that clock runs 2.5 times slower

@@ -26,7 +26,7 @@ def _verdict(limb: str, sbc: bool) -> Measure:
 
 
 def _pitch_reduction(end: str) -> Measure:
-    """Share of the resting pitch's size that balance compensation takes away, mean of left and right."""
+    """Relative reduction of the resting pitch by balance compensation, mean of left and right."""
     sizes = (
         [column("pitch_rest", leg=f"{end}_{side}", sbc=sbc) for side in ("left", "right")] for sbc in (True, False)
     )
@@ -52,7 +52,7 @@ def _force(foot: str, lifted: str, sbc: bool) -> Number:
     return measure
 
 
-#: Whether front left and rear right carry more than the others together, before the rear left leg is lifted.
+#: Whether front left and rear right together carry more than the others, before the rear left leg is lifted.
 _diagonal_carries_most: Final = whether(
     lambda front_left, front_right, rear_left, rear_right: front_left + rear_right > front_right + rear_left,
     *(_force(limb, "rear_left", True) for limb in LIMBS),

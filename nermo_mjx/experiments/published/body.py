@@ -1,6 +1,6 @@
 """The body: dimensions (Table 4.1), mass, servos, the finite elements' load case (A.1), the spine's range (5.1.1).
 
-All of it was entered by hand, or follows from what was: no line is predicted.
+All of it was entered by hand, or follows from such values: no line is predicted.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Maze: section 6.2.4, and the hardware's, 7.1; nothing was decided with it in view."""
+"""Maze: section 6.2.4, and the hardware's, 7.1; no decision was made with it in view."""
 
 from __future__ import annotations
 

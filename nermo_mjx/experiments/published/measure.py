@@ -1,4 +1,4 @@
-"""How a figure is measured: small functions from an outcome and a profile to a value, and how they are joined."""
+"""How a figure is measured: small functions from an outcome and a profile to a value, and combinators for them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nermo_mjx.experiments.outcome import Outcome
 
 Measure = Callable[[Outcome, str], Value]
 Number = Callable[[Outcome, str], float]
-#: Source of figures of the hardware, which the twin is compared with as well.
+#: Source of the hardware's figures, with which the twin is also compared.
 HARDWARE: Final = "hardware, 7.1"
 
 
@@ -28,7 +28,7 @@ class Maker(Protocol):
 
 
 def figures_of(kind: Kind, source: str) -> Maker:
-    """Makes figures of a kind; their source is this one, if they name no other."""
+    """Makes figures of a kind, with this default source."""
     own = source
 
     def figure(
@@ -60,7 +60,7 @@ def quotient(above: Number, below: Number) -> Number:
 
 
 def below(one: Number, other: Number) -> Number:
-    """By what share one figure is below another."""
+    """Relative difference by which one figure is below another."""
     ratio = quotient(one, other)
     return lambda outcome, profile: 1.0 - ratio(outcome, profile)
 
@@ -71,7 +71,7 @@ def degrees(measure: Number) -> Number:
 
 
 def largest(*measures: Number) -> Number:
-    """The largest of those that were measured; NaN where none was."""
+    """The largest of the measured ones; NaN if there are none."""
 
     def measure(outcome: Outcome, profile: str) -> float:
         found = [each(outcome, profile) for each in measures]
@@ -81,7 +81,7 @@ def largest(*measures: Number) -> Number:
 
 
 def whether(test: Callable[..., object], *measures: Number) -> Measure:
-    """Whether figures pass a test; None where one of them was not measured."""
+    """Whether figures pass a test; None if one of them was not measured."""
 
     def measure(outcome: Outcome, profile: str) -> bool | None:
         found = [each(outcome, profile) for each in measures]

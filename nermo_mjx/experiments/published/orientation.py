@@ -14,9 +14,9 @@ from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.published.measure import Measure, Number, degrees, figures_of, largest, quotient, whether
 from nermo_mjx.experiments.published.walks import GAITS, TROT, at_each, frequencies, walk
 
-#: What compensation may change of pitch and yaw and still leave them as they are, against its effect on the roll.
+#: Largest effect of compensation on pitch and yaw that counts as none, relative to its effect on the roll.
 _LEFT: Final = 0.05
-#: Correlation from which one angle follows another: half of its variance.
+#: Correlation above which one angle follows another: half of its variance.
 _FOLLOWS: Final = 0.7
 _MEAN_PITCH: Final = (
     '6.2.1, ambiguous and not judged: it "pitches forward", but a right-handed angle about the left is negative for '
@@ -71,7 +71,7 @@ def _either(measure: Callable[[bool], Number]) -> Number:
 
 
 def _size(column: str, spine: bool) -> Number:
-    """How far an angle goes to either side, trot at 0.8 Hz [rad]."""
+    """Amplitude of an angle, trot at 0.8 Hz [rad]."""
     ends = [walk(f"{column}_{end}", *TROT, spine) for end in ("min", "max")]
     return lambda outcome, profile: max(abs(end(outcome, profile)) for end in ends)
 
@@ -81,12 +81,12 @@ def _peak(spine: bool, stride: float = 1.0) -> Number:
 
 
 def _from_standing(outcome: Outcome, profile: str) -> float:
-    """Mean pitch, from the attitude in which the torso stands [rad]."""
+    """Mean pitch, relative to the torso's attitude when standing [rad]."""
     return walk("pitch_mean", *TROT, False)(outcome, profile) - theory.standing_pitch()
 
 
 def _upward_pitch(spine: bool) -> Number:
-    """Largest, nose up of level [deg]."""
+    """Largest pitch, nose up from level [deg]."""
     pitch = degrees(walk("pitch_min", *TROT, spine))
     return lambda outcome, profile: -pitch(outcome, profile)
 

@@ -1,6 +1,6 @@
-"""Why a figure of the profile `exact` does not hold: what was found, and by which test.
+"""Why a figure of the profile `exact` does not hold: the reason, and the test that showed it.
 
-The numbers are of the C engine, by `nermo-mjx experiment ... --set NAME=X`, or of walks of 12 cycles from one start;
+The numbers are from the C engine, by `nermo-mjx experiment ... --set NAME=X`, or of walks of 12 cycles from one start;
 docs/experiments.md has the table of the variants.
 """
 
@@ -33,7 +33,7 @@ _LEAN: Final = "The bent spine moves the centre of mass 6 mm past the diagonal, 
 _MAZE_SWAY: Final = "The torso falls onto the tail in every diagonal stance, 4 degrees nose up and 6 degrees to the side, in the maze as on the straight line. The published stds (0.75 degrees of pitch) are half of what the publication gives for the straight line (up to 2). The author's model has 1.0 to 2.2 of pitch and 3.5 to 7.8 of roll on the straight line, tail on the ground. Without the push-down at mid-stance roll std falls by a third."
 _FRONT: Final = "The robot fails where the published simulation passes; the twin agrees with the simulation, 2 mm inside the diagonal."
 
-#: Experiment -> (reason, the names of the figures that it is of).
+#: Experiment -> (reason, names of the figures that it explains).
 _WHY: Final[dict[str, tuple[tuple[str, tuple[str, ...]], ...]]] = {
     "straight-line": (
         (_NO_SLIP, ("speed of trt over its theory, 0.8 Hz", "speed of trt1 over its theory, mean of the frequencies",

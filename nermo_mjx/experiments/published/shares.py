@@ -26,7 +26,7 @@ def shipped(experiment: str, file: Path = FILE) -> Ensemble | None:
 
 
 def write(directory: str | Path, file: Path = FILE) -> int:
-    """Write the shares of all experiments of a directory, and return of how many bodies they are.
+    """Write the shares of all experiments of a directory, and return the number of bodies.
 
     Raises:
         ValueError: the directory holds no bodies of an experiment with predicted lines, different numbers of them, a

@@ -16,7 +16,7 @@ from nermo_mjx.experiments.published import measure, orientation
 from nermo_mjx.experiments.published.measure import HARDWARE, Measure, below, figures_of, quotient
 from nermo_mjx.experiments.published.walks import GAITS, TROT, at_each, frequencies, mean_of, speed, theory_speed
 
-#: R^2 from which points count as on a line.
+#: Minimum R^2 for points to count as on a line.
 LINEAR: Final = 0.98
 _HARDWARE_067: Final = f'{HARDWARE}; "0.6 Hz" there, which is in no test and evidently 0.67 Hz'
 
@@ -41,7 +41,7 @@ def _saturates(outcome: Outcome, profile: str) -> bool | None:
 
 
 def _stride_linear_with_spine(outcome: Outcome, profile: str) -> bool | None:
-    """A line of its own: through the points with the spine, and above the one without."""
+    """Whether the points with the spine are on a line of their own, above the one without."""
     squared = straight_line.stride_linearity(outcome, profile, spine=True)
     strides = sorted(set(outcome.columns["stride"].tolist()))
     gains = [speed(*TROT, True, s)(outcome, profile) - speed(*TROT, False, s)(outcome, profile) for s in strides]

@@ -1,6 +1,6 @@
 """Turning: section 6.2.2, and 7.1.1, 7.2.1; the hardware's, 7.1.
 
-All of it was looked at when the sole's contact and the stride of this test were decided: no line is predicted. Figures
+All of it was known when the sole's contact and the stride of this test were chosen: no line is predicted. Figures
 are of the normalised stride 0.8; those "at stride 1.0" show the other reading of the test's text.
 """
 
@@ -78,7 +78,7 @@ def _spine_over_leg(outcome: Outcome, profile: str) -> float:
 
 
 def _largest_gain(outcome: Outcome, profile: str) -> float:
-    """Largest gain in speed of spine- over leg-based turning, of the paths that both followed."""
+    """Largest gain in speed of spine- over leg-based turning, over the paths that both followed."""
     pairs = _compared(outcome, profile, ("spine", "leg"))
     return max(spine / leg for spine, leg in pairs) - 1.0 if pairs else float("nan")
 
@@ -115,7 +115,7 @@ def _full_lock(name: str, strategy: str) -> Number:
 
 
 def _beyond_theory(strategy: str) -> Number:
-    """By what share the smallest radius of the trot lies above that of theory."""
+    """Relative excess of the trot's smallest radius over the theoretical one."""
     ratio = quotient(_radius("trt", strategy), _full_lock("theory_radius", strategy))
     return lambda outcome, profile: ratio(outcome, profile) - 1.0
 
@@ -128,9 +128,9 @@ def _off_theory(outcome: Outcome, profile: str) -> float:
 
 
 def _mirrored(outcome: Outcome, profile: str) -> bool:
-    """Whether right is as left within the spread of the repeats, in speed and in the radius at full lock.
+    """Whether right equals left within the spread of the repeats, in speed and in the radius at full lock.
 
-    A single repeat has no spread: then within 0.2 %, which is what rounding grows to on the way.
+    A single repeat has no spread: then within 0.2 %, to which rounding errors grow along the path.
     """
     sides = {side: outcome.where(profile=profile, side=side, stride=STRIDE) for side in turning.SIDES}
     for row in np.flatnonzero(sides["right"]):
@@ -158,7 +158,7 @@ _theory: Final = figures_of("theory", "(5.40-5.42)")
 
 
 def _read_at(stride: float) -> tuple[Figure, ...]:
-    """What is shown for both readings of the stride."""
+    """Figures that are shown for both readings of the stride."""
     where, source = ("", None) if stride == STRIDE else (f" at stride {stride:.1f}", "6.2.2, other reading of A.4.2")
     return (
         _figure(f"paths not followed{where}", _LOST, _failed(stride), source=source),
@@ -176,7 +176,7 @@ def _read_at(stride: float) -> tuple[Figure, ...]:
 
 
 def _tighter(gait: str, strategy: str) -> Number:
-    """By what share the smallest radius of mix-based turning is below another's."""
+    """Relative difference by which the smallest radius of mix-based turning is below another's."""
     return below(_radius(gait, "mix"), _radius(gait, strategy))
 
 

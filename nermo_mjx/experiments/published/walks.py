@@ -1,4 +1,4 @@
-"""Measures of walks on the straight line that several of its figures share."""
+"""Measures of walks on the straight line that several figures share."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def frequencies(outcome: Outcome) -> list[float]:
 
 
 def mean_of(measure: Callable[[float], Number]) -> Number:
-    """Mean of a figure over the published frequencies; NaN where one was not walked."""
+    """Mean of a figure over the published frequencies; NaN if one was not run."""
     return lambda outcome, profile: float(np.mean([measure(f)(outcome, profile) for f in FREQUENCIES]))
 
 
 def at_each(compared: Callable[[float], list[Number]]) -> Callable[[Outcome, str], bool | None]:
-    """Whether figures fall from the first to the last at each frequency; None where one was not measured."""
+    """Whether figures decrease from the first to the last at each frequency; None if one was not measured."""
 
     def measure(outcome: Outcome, profile: str) -> bool | None:
         rows = np.array([[each(outcome, profile) for each in compared(f)] for f in frequencies(outcome)])
