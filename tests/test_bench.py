@@ -226,7 +226,7 @@ def test_the_page_of_searches_says_who_won_and_what_is_missing(tmp_path) -> None
     for some in ("speed, trt, exact: 2;", "speed, trt, cma: 1;", "speed, trt, mixture: 5;", "transport, lat, cma: 5"):
         assert some in missing
     assert "- 8 parameters: all.\n" in page
-    assert "Of the 450 searches of the plan, 443 are not there" in page
+    assert "443 of the 450 planned searches are missing" in page
     assert (tmp_path / "plots" / "gradients_pay_32_speed_trt_60.png").exists()
     add_run(tmp_path, run_of("2026-01-02", search_of("exact", 2, 0.0, found=None), search_of("exact", 3, 0.1)))
     assert "the gradient **loses**, 100 mm/s against 110 mm/s" in (tmp_path / "gradients_pay.md").read_text()

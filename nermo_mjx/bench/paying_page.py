@@ -45,11 +45,11 @@ def draw_searches(folder: Path, lines: Sequence[Line], write: Callable[[Path, by
 
 
 _INTRODUCTION: Final = (
-    "Made by `nermo-mjx bench gradients-pay --into`, from what `results.jsonl` holds. Each search is a process of its",
-    "own that stops when it has used its processor time: imports, the traced program and the compiled one from the",
-    "cache, and all evaluations. *Found* is the median over the seeds of what the best point gives on the engine `c`,",
-    "the mean of eight walks from starts that no search has seen; speeds in mm/s, else the objective, lower is better.",
-    "At equal simulated time a gradient of reverse mode counts as five runs; the curves are the searches' own values.",
+    "Made by `nermo-mjx bench gradients-pay --into` from `results.jsonl`. Each search is a separate process that stops",
+    "when it has used its processor time, which includes imports, the traced program and the compiled one from the",
+    "cache, and all evaluations. *Found* is the median over the seeds of the best point's result on the engine `c`,",
+    "the mean of eight walks from starts that no search has seen; speeds in mm/s, else the objective; lower is better.",
+    "At equal simulated time a gradient in reverse mode counts as five runs; the curves are the searches' own values.",
 )  # fmt: skip
 
 
@@ -95,8 +95,8 @@ def _missing(cells: Sequence[Cell], found: Mapping[Cell, Sequence[Line]]) -> lis
         if (*key, each["seed"]) not in there:
             absent[key] = absent.get(key, 0) + 1
     if not absent:
-        return ["All searches of the plan are there."]
-    text = [f"Of the {len(planned)} searches of the plan, {sum(absent.values())} are not there:", ""]
+        return ["All planned searches are finished."]
+    text = [f"{sum(absent.values())} of the {len(planned)} planned searches are missing:", ""]
     for size in CASES[_CASE].options["parameters"].default:
         here = {key[1:]: count for key, count in absent.items() if key[0] == size}
         whole = sum(each["parameters"] == size for each in planned)

@@ -174,8 +174,8 @@ def gait(function: F) -> F:
         number("--offset-compensation", "Rear legs compensate the hip's rise: a fraction, or all without a number.",
                is_flag=False, flag_value=1.0, metavar="[X]"),
         choice("--trajectory", TRAJECTORIES, "Shape of the foot path; free: with movable points."),
-        choice("--head", HEADS, "gaze: the neck keeps the picture still while the torso sways."),
-        choice("--tail-motion", TAIL_MOTIONS, "What the articulated tail does."),
+        choice("--head", HEADS, "gaze: the neck keeps the image still while the torso sways."),
+        choice("--tail-motion", TAIL_MOTIONS, "Motion of the articulated tail."),
         choice("--profile", PROFILES, "Controller as described, or as published."),
     ]  # fmt: skip
     for option in reversed(listed):

@@ -41,10 +41,10 @@ Examples:
 @click.option(
     "--send",
     metavar="URL",
-    help="Send it to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
+    help="Send the angles to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
 )
-@click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="Of MQTT or ROS.")
-@options.number("--seconds", "How long it is sent; by default until Ctrl-C.", options.POSITIVE)
+@click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="MQTT or ROS topic.")
+@options.number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
 @options.report
 def command(
     rate: float | None,
@@ -69,14 +69,14 @@ def command(
     A channel file has a line for each connected servo,
     NAME: {channel: 0, direction: -1, zero: 90, low: 20, high: 160}.
 
-    --send plays the table again and again in real time. Over MQTT a message
-    is a JSON list of degrees, a number a channel; to ROS 2, through a
+    --send plays the table repeatedly in real time. Over MQTT a message
+    is a JSON list of degrees, one per channel; to ROS 2, through a
     rosbridge server, a Float32MultiArray of radians.
     """
     if out is None and send is None:
         raise WrongUse("Give --out FILE.csv, --send URL, or both.")
     if send is None and seconds is not None:
-        raise WrongUse("--seconds says how long --send lasts: give --send URL, too.")
+        raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
     with stdout_reserved():
         from nermo_mjx.hardware import servo_table
         from nermo_mjx.runs.files import replace_file
