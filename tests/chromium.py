@@ -102,7 +102,7 @@ class Browser:
             page.close()
 
     def events(self, session: str) -> list[dict[str, Any]]:
-        """What a page has told of itself so far."""
+        """What a page has reported so far."""
         return [event for event in self._events if event.get("sessionId") == session]
 
     def _receive(self, deadline: float, what: str) -> dict[str, Any]:

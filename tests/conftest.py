@@ -61,7 +61,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, Any, Any]:
-    """What is there afterwards stays until the end: the garbage collector need not look at it again and again."""
+    """Existing objects live until the end: the garbage collector need not traverse them repeatedly."""
     result = yield
     gc.freeze()
     gc.enable()
@@ -84,7 +84,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """In the process that collects reports: what is long is noted, and told."""
+    """In the process that collects reports: long tests are recorded and reported."""
     tiers.note(_passed)
     terminalreporter.write_line(f"tests marked long (pytest -m long): {tiers.sentence()}")
 

@@ -1,4 +1,4 @@
-"""A published experiment that simulates nothing: what it is asked for decides what it gives."""
+"""A published experiment that simulates nothing: its results depend only on its settings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07)}
 
 @dataclasses.dataclass
 class Fake:
-    """Counts its runs, and fails if it is told to. A body walks as much faster as its friction says."""
+    """Counts its runs, and fails on request. A body's speed is proportional to its friction."""
 
     name: str
     error: BaseException | None = None

@@ -1,4 +1,4 @@
-"""A sweep of real walks on a Ray cluster of three nodes, one of which is killed, and another added, again and again.
+"""A sweep of real walks on a Ray cluster of three nodes, one of which is killed, and another added, repeatedly.
 
 ray_disturbed.py OUT [--rows N] [--cycles C] [--chunk N] [--every SECONDS] [--kill-driver]: the table of one process and
 that of a cluster on this machine's loopback interface, in folders of OUT; what is there already is not computed again.
@@ -63,7 +63,7 @@ def drive(asked, out):
 
 
 def started(asked, address):
-    """A process that drives."""
+    """A driver process."""
     of = [f"--{name}={getattr(asked, name)}" for name in ("rows", "chunk", "cycles")]
     kill = ["--kill-driver"] * asked.kill_driver
     return subprocess.Popen([sys.executable, __file__, asked.out, *of, *kill, "--drive", address])
@@ -113,7 +113,7 @@ def disturbed(asked, out, log):
 
 
 def account(log):
-    """What the log tells: chunks, how many were begun again, and how many of these no loss explains.
+    """Contents of the log: chunks, how many were restarted, and how many restarts no loss explains.
 
     A beginning that was not its chunk's last is explained if its node was killed, or its driver, and it was the last
     one of its process, or the last but one, whose result was on its way.

@@ -32,7 +32,7 @@ IDENTIFY = {"engine": "c", "samples": 7, "generations": 1, "population": 4, "bod
 
 
 class LoggingSimulator(FakeSimulator):
-    """Tells which batch it begins; not before, as it travels."""
+    """Reports which batch it starts; only once it runs, since it is pickled first."""
 
     def run(self, values, run, **more):
         first = [float(values[name][0]) for name in ("frequency", "spine.amplitude", "spine.phase")]
@@ -177,7 +177,7 @@ def listening():
 
 
 def tasks():
-    """What becomes of tasks, by the flaw of their computer."""
+    """Results of tasks, by the flaw of their computer."""
     ended, said = {}, []
     with ray_workers.RayWorkers(say=said.append) as workers:
         for flaw in (None, 3, "dies", "code", "cold"):

@@ -1,4 +1,4 @@
-"""Where the code is published stands in one place; whatever depends on it follows, and nothing names another place."""
+"""The address of the published code is defined in one place; everything that depends on it follows."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_what_depends_on_the_address_is_up_to_date(address: ModuleType) -> None:
 
 
 def test_no_other_address_is_named_anywhere(address: ModuleType) -> None:
-    """As long as the code is not published, none at all."""
+    """While the code is not published, there is none."""
     known = {"OWNER", *(address.repository() or "").split("/")[-2:-1]}
     for path in (*READ, *address.texts(None)):
         for owner in re.findall(r"github(?:\.com)?/([\w.-]+)/nermo", path.read_text(encoding="utf-8")):
@@ -73,7 +73,7 @@ def test_an_address_brings_badges_links_and_what_notebooks_install(address: Modu
 
 
 def test_an_address_can_be_changed_and_taken_back(address: ModuleType, copy: Path) -> None:
-    """Byte for byte, whatever stood there before."""
+    """Byte for byte, independent of the previous content."""
     before = address.texts(None, copy)
     for each in (ADDRESS.replace("someone", "else"), ADDRESS, ADDRESS):
         for path, text in address.texts(each, copy).items():

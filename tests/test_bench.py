@@ -1,4 +1,4 @@
-"""Which measurements a user asks for, that one that fails costs no other, and the page that runs leave."""
+"""Selection of measurements, isolation of failures, and the page of results."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_every_case_can_be_imported_and_has_columns() -> None:
     [("os:_exit", {"status": 3}, "ended without a result"), ("os:chdir", {"path": "/none"}, "FileNotFoundError: ")],
 )
 def test_a_measurement_that_fails_is_a_sentence(place: str, option: dict[str, Any], message: str) -> None:
-    """The process may be gone, or have raised."""
+    """The process may have died or raised."""
     case = Benchmark("", place, {name: Option((value,)) for name, value in option.items()})
     _, figures = apart(case, option)
     assert message in figures["error"]
@@ -103,7 +103,7 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
 
 
 def test_rows_of_a_case_with_parts() -> None:
-    """A profile has a row a stage, a tuning one a search."""
+    """A profile has a row per stage, a tuning one per search."""
     stages = [{"stage": "solver", "us": 2.0}, {"stage": "tendons", "us": 1.0}]
     found = list(rows({"case": "profile", "engine": "c", "worlds": 1, "step_us": 3.0, "stages": stages}))
     assert [(row["engine"], row["stage"], row["us"]) for row in found] == [("c", "solver", 2.0), ("c", "tendons", 1.0)]
@@ -116,7 +116,7 @@ def run_of(date: str, *lines: dict[str, Any], hardware: dict[str, Any] | None = 
 
 
 def walk_of(rate: float, **more: Any) -> dict[str, Any]:
-    """A measurement of the throughput that went well."""
+    """A successful measurement of the throughput."""
     return {
         "case": "throughput", "engine": "c", "worlds": 64, "steps_per_second": rate, "ratio": 0.9,
         "plain_steps_per_second": rate, "peak_bytes": 1e9, "trace_s": 1.0, "compile_s": 1.0,
@@ -233,7 +233,7 @@ def test_the_page_of_searches_says_who_won_and_what_is_missing(tmp_path) -> None
 
 
 def test_a_search_that_is_there_is_not_made_again(tmp_path, monkeypatch) -> None:
-    """What is kept is one line a measurement, as soon as it is made; the next call goes on with what is missing."""
+    """Each measurement is stored as one line as soon as it is made; the next call continues with the missing ones."""
     made: list[int] = []
 
     def measured(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

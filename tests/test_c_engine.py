@@ -101,7 +101,7 @@ def test_lanes_give_every_world_its_own_result(worlds: int) -> None:
 
 
 def test_the_loop_is_one_function_that_runs_on_the_thread_of_its_block(simulator, walks) -> None:
-    """Else it is a hundred, which XLA's threads run on the cores that physics has; the engine is a tenth slower."""
+    """Otherwise there are a hundred, which XLA's threads run on the physics' cores; the engine is a tenth slower."""
     sim = simulator(spine="stride_extension")
     batch = sim.prepare(some(walks, np.arange(4)), RUN)
     session = sim.engine.open(batch.params, batch.qpos, batch.fields)

@@ -47,7 +47,7 @@ def call(*arguments: str | Path) -> Result:
 
 
 def refused(*arguments: str | Path) -> str:
-    """The message of a command that was used wrongly: exit code 2, nothing on standard output, no traceback."""
+    """The message of a misused command: exit code 2, nothing on standard output, no traceback."""
     result = call(*arguments)
     assert result.exit_code == 2, result.output
     assert result.stdout == ""
@@ -88,7 +88,7 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 def test_a_walk_imports_neither_splines_nor_tables() -> None:
-    """Together they take a quarter of what a walk imports, and only courses and result tables need them."""
+    """Together they take a quarter of a walk's import time, and only courses and result tables need them."""
     script = (
         "import sys\nimport nermo_mjx.rollout, nermo_mjx.runs\n"
         "from nermo_mjx.rollout import Setup\nSetup().load()\n"
@@ -486,7 +486,7 @@ def test_an_experiment_that_fails_or_is_stopped_says_what_is_kept(fakes: dict[st
 def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
     fakes: dict[str, Fake], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """1 where another process works, which may be waited for; 2 where other code made it, until that is accepted."""
+    """1 if another process is working, which can be waited for; 2 if other code made it, until that is accepted."""
     run = ("experiment", "turning", "--out", tmp_path, "--no-video", "--quiet")
     with RunDirectory(tmp_path, "experiments"):
         result = call(*run)
@@ -507,7 +507,7 @@ def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
 
 @pytest.fixture
 def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """An identification that finds what it began with; what it was asked for."""
+    """An identification that returns its start; records its arguments."""
     from nermo_mjx.experiments.identification import search as identification
     from nermo_mjx.rollout import Setup
 
@@ -604,7 +604,7 @@ def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
 
 
 def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """A failed measurement is told beside the others; DIR gets a line a run, and their page."""
+    """A failed measurement is reported with the others; DIR gets a line per run, and their page."""
     figures = {"steps_per_second": 1e4, "plain_steps_per_second": math.nan, "ratio": 0.5, "peak_bytes": 1e9}
     good = {"case": "throughput", "engine": "c", "worlds": 4, **figures}
     bad = {"case": "throughput", "engine": "mjx", "worlds": 4, "error": "no memory"}

@@ -141,7 +141,7 @@ def test_a_mean_of_very_many_variants_has_the_normal_interval() -> None:
 
 
 def test_runs_of_one_seed_are_compared_with_each_other() -> None:
-    """What they share falls out: the interval is several times as narrow as without."""
+    """Their common part cancels: the interval is several times narrower than without."""
     data = table(seeds="shared")
     place = data.schema.get_field_index("seed")
     without = data.set_column(place, data.schema.field("seed"), pa.array(np.arange(data.num_rows)))
@@ -171,7 +171,7 @@ def test_several_values_are_each_compared_with_the_base() -> None:
 
 
 def test_without_repeats_there_is_no_interval_and_a_sentence_says_so() -> None:
-    """One run of one variant tells no noise; two variants do."""
+    """One run of one variant gives no estimate of noise; two variants do."""
     data = table(repeats=1)
     found = compare(data, by="spine", where={"gait": "trt", "frequency": 0.4})
     row = found.rows("stride_extension")[0]

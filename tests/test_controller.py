@@ -160,7 +160,7 @@ def walks_along(controller, params, values, ticks=TICKS):
         return jax.tree.map(np.asarray, states)
 
 
-#: Steers by turns to both sides, by the stride.
+#: Steers alternately to both sides, by the stride.
 WINDING = tabulated(np.linspace(0.0, 4.0, 201), 1.0, 0.8 * np.sin(np.linspace(0.0, 20.0, 201)))
 
 
@@ -484,7 +484,7 @@ def test_the_turn_expected_of_the_strides_is_that_of_the_turn_rate_held_long_eno
 @pytest.mark.parametrize("harmonic", [1, 3])
 @pytest.mark.parametrize("steering", ["leg", "mix"])
 def test_guidance_does_not_steer_against_the_sway(steering, harmonic):
-    """On a line, with a sway of 1 cm at the gait's frequency or thrice that: no turn rate is left there in the end.
+    """On a line, with a sway of 1 cm at the gait's frequency or three times that: no turn rate remains in the end.
 
     The published gains answer to such a sway with a turn rate of 0.7 and more.
     """

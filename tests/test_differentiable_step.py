@@ -179,7 +179,7 @@ class Measured:
     differences: np.ndarray
 
 
-#: What another of them shows almost alike: another integrator of the same joint, another cone of the same contacts.
+#: Cases that resemble another one: another integrator of the same joint, another cone of the same contacts.
 LONG = ("a pendulum at its limit, RK4", "a sphere and a box on a plane, pyramidal")
 
 

@@ -1,4 +1,4 @@
-"""The door for trainers of Gymnasium: its own checks of a vector environment, and what an episode's end says."""
+"""The Gymnasium interface: Gymnasium's own checks of a vector environment, and the information at an episode's end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the head looks and what the tail does: closed forms, signs, and what they do for the walking robot."""
+"""Head and tail control: closed forms, signs, and their effect on the walking robot."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
 
 
 def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
-    """Killed in the search, and again in the ensemble: the same ensemble.csv as at one go, nothing simulated twice."""
+    """Killed in the search, and again in the ensemble: the same ensemble.csv as without, nothing simulated twice."""
     settings = {**SMALL, "generations": 4, "bodies": 24, "sweeps": 3, "engine": "c"}
     run.run_identification(tmp_path / "whole", **settings)
     needed, pretended.calls = pretended.calls, 0

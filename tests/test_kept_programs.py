@@ -1,4 +1,4 @@
-"""A traced program outlives its process, and is never another one's."""
+"""A cached traced program is reused by other processes, and never confused with another one."""
 
 import jax
 import jax.numpy as jnp

@@ -101,7 +101,8 @@ def test_a_world_of_its_own_geometry_has_its_hips_where_the_kinematics_say(robot
 
 
 def test_each_servo_bends_its_own_plane_by_the_published_law():
-    """On the test stand all four joints of a plane bend alike, within 4 % of (5.26); the other plane stays straight."""
+    """On the test stand all four joints of a plane bend equally, within 4 % of (5.26); the other plane stays
+    straight."""
     model = assemble_spine(robot="nermo_41").compile()
     data = mujoco.MjData(model)
     planes = [[f"spine_{plane}_{i}" for i in range(1, 5)] for plane in ("joint", "vertical")]

@@ -1,4 +1,4 @@
-"""Other controllers than the published one: in a simulator, in sweep and tuning files, and under `jax.grad`."""
+"""Custom controllers: in a simulator, in sweep and tuning files, and under `jax.grad`."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def test_no_robot_is_built_to_check_a_setup(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_each_part_of_the_published_controller_can_be_replaced() -> None:
-    """With the part that it has, it is the same controller; a spine of one's own is a function."""
+    """With the part that it has, it is the same controller; a custom spine is a function."""
     assert Controller(spine=SpineModes("stride_extension")) == published_controller(spine="stride_extension")
     waving = Controller(spine=lambda params, phase, turn_rate, feet, stance: params.spine.amplitude * phase)
     params = Setup(controller=waving, gait="lat").world({"spine.amplitude": 0.2}).control
@@ -314,7 +314,7 @@ def test_other_files_still_name_the_published_parameters() -> None:
 
 
 def lengths(function: Callable[[Any], float], argument: Any) -> float:
-    """What a function of a traced argument finds at once."""
+    """Arguments of a function that are collected in one traced call."""
     found = []
     jax.eval_shape(lambda traced: found.append(function(traced)), argument)
     return found[0]
@@ -334,7 +334,7 @@ def test_the_length_of_a_run_is_known_unless_it_hangs_on_what_is_traced() -> Non
 
 
 def without_touch(network: Any) -> Any:
-    """A network that does not feel its feet, which read nothing at the start of a `Rollout`."""
+    """A network without foot forces, which read zero at the start of a `Rollout`."""
 
     class Blind(type(network)):
         def reads(self, phase, sensors):

@@ -1,4 +1,4 @@
-"""Metrics of one's own: what a function of the sensors is reduced to, where it may be named, and what is refused."""
+"""Custom metrics: reductions of a function of the sensors, where it may be named, and what is rejected."""
 
 from __future__ import annotations
 

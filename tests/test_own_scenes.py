@@ -1,4 +1,4 @@
-"""A scene of one's own: from a file, a text or an `MjSpec` to a robot that stands, walks and falls in it."""
+"""Custom scenes: from a file, a text or an `MjSpec` to a robot that stands, walks and falls in it."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def test_meshes_are_found_beside_the_file(tmp_path):
 
 
 def test_what_a_text_becomes_is_read_as_itself():
-    """Else a directory would not know its own scene again; also with turns that MuJoCo rounds while it writes."""
+    """Otherwise a directory would not recognise its own scene; even with rotations that MuJoCo rounds while writing."""
     turned = YARD.replace('pos="0 -1 0.5"', 'pos="0 -1 0.5" euler="0 0 33.3"')
     for text in (YARD, turned, scene()):
         assert resolve_scene(resolve_scene(text)) == resolve_scene(text)
@@ -218,7 +218,8 @@ def test_a_walk_half_a_metre_up_is_the_walk_on_the_flat(simulator):
 
 @pytest.mark.parametrize("height", [-1.0, 0.5])
 def test_a_robot_that_lies_on_its_belly_has_fallen_at_any_height(height):
-    """Let go with its legs in the ground it stands up or not; with its torso at the ground it has fallen at once."""
+    """Released with its legs in the ground it may stand up or not; with its torso at the ground it has fallen at
+    once."""
     sim = Simulator(Setup(scene=scene(PLANE.format(height=height))), "c")
     batch = sim.prepare({"frequency": np.full(2, 0.8)}, Run(cycles=2, warmup_cycles=0))
     batch.qpos[1, sim.robot.joints.root + 2] = height + 0.02

@@ -1,4 +1,4 @@
-"""What engines step is the robot without what is only drawn."""
+"""Engines step the robot without its visual elements."""
 
 from __future__ import annotations
 

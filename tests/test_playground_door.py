@@ -1,4 +1,4 @@
-"""The door for MuJoCo Playground: found in its registry, stepped under jit, vmap and scan, put back by its wrappers."""
+"""The MuJoCo Playground interface: found in its registry, stepped under jit, vmap and scan, reset by its wrappers."""
 
 from __future__ import annotations
 

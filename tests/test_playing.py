@@ -101,7 +101,7 @@ class Window:
 
 
 def test_a_recording_plays_in_real_time_or_faster_and_again(recording: Recording) -> None:
-    """Time goes on with the clock, times the speed, and begins again at the end; the window is closed in the end."""
+    """Time follows the clock, times the speed, and restarts at the end; finally the window is closed."""
     window = Window(60)
     play(recording, speed=2.0, viewer=window)
     shown = np.array(window.shown)

@@ -1,4 +1,4 @@
-"""`nermo-mjx plot`: the figures of directories once more, from their tables alone."""
+"""`nermo-mjx plot`: the figures of directories redrawn from their tables alone."""
 
 from __future__ import annotations
 

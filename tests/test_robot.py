@@ -471,7 +471,7 @@ def test_the_pinned_versions_are_installed():
 
 @pytest.mark.parametrize("tail", TAILS)
 def test_exported_xml_is_self_contained_and_the_same_model(tail):
-    """`to_xml` names no file, keeps every order, and runs 100 steps alike: to a millimetre and a milliradian.
+    """`to_xml` names no file, keeps every order, and gives the same 100 steps: to a millimetre and a milliradian.
 
     It prints six digits; contacts and stiff tendons amplify the rest to some 1e-4.
     """

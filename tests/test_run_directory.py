@@ -1,4 +1,4 @@
-"""The room for what a run leaves: one writer, one kind, one code; nothing is lost, mixed or deleted."""
+"""Run directories: one writer, one kind, one code; nothing is lost, mixed or deleted."""
 
 import dataclasses
 import json

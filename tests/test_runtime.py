@@ -1,4 +1,4 @@
-"""What is settled where JAX is first needed: no hang on small machines, a compilation cache, and nothing overridden."""
+"""Settings made when JAX is first needed: no hang on small machines, a compilation cache, and no overrides."""
 
 from __future__ import annotations
 

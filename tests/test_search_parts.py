@@ -52,7 +52,7 @@ def test_falls_come_after_broken_constraints_and_these_by_how_much():
 
 @pytest.mark.parametrize("spec", [SPEED, FRONT, ATLAS], ids=["cma", "nsga2", "cma_me"])
 def test_points_stay_within_the_bounds_whatever_happens(spec):
-    """Also where every run falls, or all points are alike."""
+    """Even if every run falls, or all points are equal."""
     search = Search.from_dict(spec)
     for answer in ("falls", "alike"):
         optimizer = make_optimizer(search, 12)

@@ -27,7 +27,7 @@ def values(table, *names):
 
 
 def numbers(out):
-    """All that two directories of one search must have alike."""
+    """Everything that must be equal in two directories of one search."""
     table = read_table(out).drop_columns(["code"])
     best = json.loads((Path(out) / "best.json").read_text())
     return table.to_pydict(), best

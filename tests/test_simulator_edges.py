@@ -102,7 +102,7 @@ def test_a_servo_past_the_bound_does(timestep: float, kp: float) -> None:
 
 @pytest.mark.parametrize(("physics", "kv", "most"), [("reference", 0.5, "0.485"), ("fast", 0.3, "0.184333")])
 def test_a_servo_too_stiff_beside_its_damping_is_refused(physics: str, kv: float, most: str) -> None:
-    """By the simulator and by the rollout alike, with what is allowed."""
+    """By both the simulator and the rollout, with what is allowed."""
     setup, values = Setup(physics=physics), {"servo.kp": 100.0, "servo.kv": kv}
     sentence = rf"^servo\.kv is {kv}: allowed is \[0, {most}\] N m s/rad beside servo\.kp 100"
     for refuse in (Simulator(setup, "c").parameters, Rollout(setup)):

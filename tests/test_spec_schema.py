@@ -91,7 +91,7 @@ GOOD = [
 
 @pytest.mark.parametrize(("kind", "more"), GOOD)
 def test_what_is_read_is_valid(schemas, kind, more):
-    """A schema that refuses what works would teach to ignore it."""
+    """A schema that rejects valid files would be ignored."""
     from nermo_mjx.sweep import Sweep
     from nermo_mjx.tune import Tuning
 

@@ -25,7 +25,7 @@ def test_of_a_list_of_merged_mappings_the_first_one_wins():
 
 
 def test_an_alias_stands_for_its_value_and_is_not_shared():
-    """Whoever changes one of the two does not change the other."""
+    """Changing one of the two does not change the other."""
     read = data("a: &a [1, {b: 2}]\nc: *a\n")
     assert read["c"] == read["a"] == [1, {"b": 2}]
     assert read["c"] is not read["a"]

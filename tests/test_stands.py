@@ -151,7 +151,7 @@ SPINE_SERVO = [side * float(q) for q in (0.05, 0.1, 0.2, 0.3, 0.38) for side in 
 
 @pytest.mark.parametrize("servo", SPINE_SERVO)
 def test_spine_servo_bends_the_spine_as_predicted(servo):
-    """The joints bend alike, within 10 % of `joint_angle` (5 to 6 % less in fact), and positive means left.
+    """The joints bend equally, within 10 % of `joint_angle` (5 to 6 % less in fact), and positive means left.
 
     The servo sags by 5 % under the four springs, k (r_sp / d_1)^2 / 4 = 0.32 N m/rad against its own 6.3. The rest, up
     to 1.3 %, is between the outer tendon's length, which the formula follows, and the inner one's, which pulls.

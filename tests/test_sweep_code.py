@@ -1,4 +1,4 @@
-"""Which code made a sweep's rows: it is noted for each, and rows of two codes are not mixed without being told to."""
+"""The code that made a sweep's rows: recorded for each row, and rows of two codes are mixed only on request."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_rows_of_another_version_are_not_mixed_without_a_word(begun, newer):
 
 
 def test_accepted_code_keeps_what_is_there_and_tells_the_rows_apart(begun, newer):
-    """Two chunks of each; later the same code goes on without being accepted again."""
+    """Two chunks of each; later the same code resumes without being accepted again."""
     newer()
     with pytest.raises(SweepInterrupted):
         run_sweep(SPEC, begun, simulator=FakeSimulator(stop_at=1), accept_new_code=True)

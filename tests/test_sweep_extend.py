@@ -1,4 +1,4 @@
-"""Sweeps that go on as larger ones, take rows from other directories, and are merged: always the table of one go."""
+"""Sweeps that are extended, reuse rows of other directories, and are merged: always the table of a single run."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_an_extended_directory_is_that_of_one_go(tmp_path, small, large, shared)
 
 @pytest.mark.parametrize("move", range(1, 12))
 def test_an_extension_that_is_killed_at_any_moment_loses_nothing(tmp_path, monkeypatch, move):
-    """Killed before its n-th change of the directory, and gone on with: each row is still simulated once."""
+    """Killed before its n-th change of the directory, and resumed: each row is still simulated once."""
     small, large, shared = EXTENSIONS["another value"]
     run_sweep(small, tmp_path, chunk=2, simulator=FakeSimulator())
     before = {path.read_bytes() for path in tmp_path.glob("results/*")}
@@ -250,7 +250,7 @@ def test_rows_are_taken_from_another_directory(tmp_path):
 
 
 def test_directories_merge_into_one(tmp_path):
-    """The union of their rows, each once, as a sweep of these rows run in one go; nothing is simulated."""
+    """The union of their rows, each once, as in a single sweep of these rows; nothing is simulated."""
     sources = [tmp_path / name for name in ("a", "b")]
     plain = {"plots": False, "gait": "lat", "vary": {"frequency": [0.5, 0.7], **FRICTION}}
     run_sweep(plain, sources[0], simulator=FakeSimulator())
@@ -272,7 +272,7 @@ def test_directories_merge_into_one(tmp_path):
 
 
 def test_draws_of_a_row_are_the_same_whatever_else_is_varied(tmp_path):
-    """So that merged directories and one go agree: a row's draws hang on its own values alone."""
+    """So that merged directories and a single run agree: a row's draws depend only on its own values."""
     turned = changed(vary={"contact.friction": [1.2, 1.0], "frequency": [0.9, 0.5, 0.7]})
     few, many = sample(Sweep.from_dict(SMALL)), sample(Sweep.from_dict(turned))
     for rows in (few, many):

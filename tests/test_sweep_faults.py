@@ -1,4 +1,4 @@
-"""What goes wrong while a sweep runs: one sentence each time, and a directory that goes on."""
+"""Failures while a sweep runs: one sentence each, and a directory that can be resumed."""
 
 import contextlib
 import errno
@@ -313,7 +313,7 @@ def kill_at_random(out, process, chance, startup):
 
 
 def test_kills_at_random_moments_lose_nothing(tmp_path, reference):
-    """SIGKILL in the middle of whatever it is: in the end the table is that of an undisturbed run."""
+    """SIGKILL at a random moment: in the end the table is that of an undisturbed run."""
     context, chance = multiprocessing.get_context("forkserver"), random.Random(2)
     for _ in range(5):
         process = context.Process(target=sweep_fake.work, args=(tmp_path,), kwargs={"chunk": 1, "delay": 0.02})
@@ -349,7 +349,7 @@ def test_twenty_kills_of_the_command_lose_nothing(tmp_path):
 
 
 def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path, reference):
-    """One sentence for whoever comes second, while the first one is at work."""
+    """One sentence for the second process while the first one is working."""
     context = multiprocessing.get_context("forkserver")
     process = context.Process(target=sweep_fake.work, args=(tmp_path,), kwargs={"chunk": 9, "delay": 0.5})
     process.start()
@@ -365,7 +365,7 @@ def test_a_second_process_is_refused_and_the_first_one_goes_on(tmp_path, referen
 
 
 def test_a_lost_shard_is_named_by_the_others(tmp_path, reference):
-    """Who runs says which chunks are missing, and the command that runs them."""
+    """The process that runs reports which chunks are missing, and the command that runs them."""
     result = run_sweep(SPEC, tmp_path, chunk=4, shard=(0, 3), simulator=FakeSimulator())
     result = run_sweep(SPEC, tmp_path, chunk=4, shard=(2, 3), simulator=FakeSimulator())
     assert (result.complete, result.rows_done, result.rows) == (False, 24, 36)

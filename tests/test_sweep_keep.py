@@ -1,4 +1,4 @@
-"""What a sweep keeps beside its table: time series of chosen signals, and recordings of chosen rows."""
+"""Outputs of a sweep besides its table: time series of selected signals, and recordings of selected rows."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_a_list_a_csv_and_a_parquet_file_say_the_same(tmp_path, expected):
 
 
 def test_the_directory_needs_the_file_no_more(tmp_path, expected):
-    """Its rows are copied into it: it can be moved, gone on with, replayed, and rows can be added."""
+    """Its rows are copied into it: it can be moved, resumed and replayed, and rows can be added."""
     (tmp_path / "design.csv").write_text(CSV)
     out = tmp_path / "out"
     run_sweep({"rows": str(tmp_path / "design.csv"), "plots": False}, out, chunk=1, simulator=FakeSimulator())

@@ -1,4 +1,5 @@
-"""One sweep as the shards of a job array: one table, whoever ends last sums up, and unlike machines do not mix."""
+"""One sweep as the shards of a job array: one table, the last shard writes the summary, and different machines do not
+mix."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sweeps of any size: chunks that fit the machine, rows made when they are wanted, and memory that stays flat."""
+"""Sweeps of any size: chunks that fit the machine, rows created on demand, and constant memory."""
 
 import gc
 import itertools

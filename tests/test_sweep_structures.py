@@ -1,4 +1,4 @@
-"""Sweeps over what is chosen by name: gait, spine, pilot, scene... Each is a setup of its own, all are one table."""
+"""Sweeps over named choices: gait, spine, pilot, scene... Each combination is a setup, and all are in one table."""
 
 from __future__ import annotations
 

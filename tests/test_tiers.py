@@ -1,4 +1,4 @@
-"""The tests themselves: each has a mark for what it needs, and what is not run every day says when it was."""
+"""The tests themselves: each is marked by its requirements, and tests that are not run daily record their last run."""
 
 from __future__ import annotations
 

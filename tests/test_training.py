@@ -1,4 +1,4 @@
-"""A training's directory: what it refuses, what a kill leaves, and its policy as a controller."""
+"""A training's directory: rejected inputs, resuming after a kill, and its policy as a controller."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def train(out, more=None, **how):
 
 
 def lasting(out):
-    """The history but for the effort, which no two runs have alike."""
+    """The history without the effort, which differs between runs."""
     return pq.read_table(out / "history.parquet").drop_columns([*EFFORT, "code"])
 
 

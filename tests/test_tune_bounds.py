@@ -24,7 +24,7 @@ def test_there_and_back():
 
 @pytest.mark.parametrize("u", [-1e30, -50.0, -3.0, 0.0, 2.0, 50.0, 1e6])
 def test_no_coordinate_leads_out_of_the_bounds(u):
-    """Whatever an optimizer does, the parameter stays where it may and is a number."""
+    """Whatever an optimizer does, the parameter stays finite and within its bounds."""
     x = from_unconstrained(BOUNDS, jnp.full(3, u))
     assert bool(((x >= BOUNDS.low) & (x <= BOUNDS.high)).all())
 

@@ -128,7 +128,7 @@ def swapped(out, step):
 
 @pytest.mark.parametrize("damage", [cut, flip_bits, empty, without_about, flipped_about, without_numbers, swapped])
 def test_a_damaged_checkpoint_falls_back_to_the_one_before(done, damage):
-    """Whatever happened to the newest, it is kept aside, the iteration is done again, and the end is the same."""
+    """If the newest is damaged in any way, it is moved aside, the iteration is repeated, and the result is the same."""
     damage(done.out, steps(done.out)[-1])
     before, said = content(done.out / "checkpoints" / "7"), []
     result, problem = tune(done.out, warn=said.append)
@@ -226,7 +226,7 @@ def changed_default(monkeypatch, name, value):
 
 
 def test_a_changed_default_is_refused_by_name_and_loses_nothing(done, monkeypatch):
-    """A new version with another default: the checkpoints and the history stay, until the user goes on with them."""
+    """A new version with another default: checkpoints and history are kept until the user resumes them."""
     before = content(done.out)
     changed_default(monkeypatch, "contact.friction", 0.77)
     sentence = rf"with other defaults: contact\.friction \({FRICTION:g} there, 0\.77 here\); .*--accept-new-code"

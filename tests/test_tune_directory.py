@@ -138,7 +138,7 @@ def test_a_history_that_cannot_be_read_now_stays_where_it_is(tmp_path, monkeypat
 
 
 def test_a_directory_that_compares_with_a_recording_can_be_moved(tmp_path):
-    """Elsewhere, and with the original recording gone, it is drawn and gone on with."""
+    """Moved, and with the original recording gone, it can be drawn and resumed."""
     (tmp_path / "walk.npz").write_bytes(b"a walk")
     tuning = Tuning.from_dict(COMPARED | {"recording": str(tmp_path / "walk.npz")})
     run_tuning(tuning, tmp_path / "here", problem=FakeProblem(tuning))

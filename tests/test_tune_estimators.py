@@ -127,7 +127,7 @@ def test_the_mixture_is_no_worse_than_either(function):
 
 
 def test_the_mixture_beats_both_where_neither_is_good():
-    """On ripples the two orders are about alike good, and the mixture is better than both."""
+    """On ripples the two orders are about equally good, and the mixture is better than both."""
     first, zeroth, both = (
         np.asarray(trials(name, rough).gradient, float).std(axis=0) for name in ("smoothed", "evolution", "mixture")
     )

@@ -1,4 +1,4 @@
-"""Tunings by CMA-ES and by differences: what they find, what they cost, and that they go on with the same numbers."""
+"""Tunings by CMA-ES and by differences: their results, their cost, and that they resume with the same numbers."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def tune(out, change=None, warn=None, accept_new_code=False, **of_problem):
 
 
 def lasting(table):
-    """The history without the one column that no two runs have alike."""
+    """The history without the one column that differs between runs."""
     return table.drop_columns(["wall_seconds"])
 
 

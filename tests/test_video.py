@@ -180,7 +180,7 @@ def test_side_by_side_needs_a_recording_and_an_even_picture(model: mujoco.MjMode
 
 
 def trotting(model: mujoco.MjModel, seconds: float = 4.0) -> Recording:
-    """A box with the sensors of a robot: the diagonal pairs stand for half a second each, by turns."""
+    """A box with the sensors of a robot: the diagonal pairs stand alternately, for half a second each."""
     bare = walk(model, seconds, speed=0.1)
     first = (bare.time % 1.0) < 0.5
     force = np.stack([first, ~first, ~first, first], axis=1) * 0.7

@@ -63,7 +63,8 @@ def test_zero_stride_stays_in_place(simulator):
 
 @pytest.mark.parametrize("steering", ["leg", "spine", "mix"])
 def test_positive_turn_rate_turns_left_and_negative_right(simulator, steering):
-    """Every strategy follows the one sign convention: positive is left, yaw and path alike, and right mirrors left."""
+    """Every strategy follows the one sign convention: positive is left for both yaw and path, and right mirrors
+    left."""
     sim = simulator(steering=steering, pilot="open_loop")
     result = sim.run({"frequency": 0.67, "pilot.turn_rate": np.array([0.9, -0.9])}, Run(cycles=6, warmup_cycles=2))
     left, right = result.metrics["yaw_mean"]

@@ -1,4 +1,4 @@
-"""The engine warp: who may use it, what it says to the others, and that it walks as C does. Warp runs on a CPU, too."""
+"""The engine warp: its requirements, its error messages, and that it walks as C does. Warp also runs on a CPU."""
 
 from __future__ import annotations
 
