@@ -1,4 +1,4 @@
-// Views of the robot: from where they look, how they follow, and what it sees itself.
+// Views of the robot: their directions, how they follow it, and its own cameras.
 
 import { PerspectiveCamera, Quaternion, Vector3, OrbitControls } from "three";
 
@@ -45,7 +45,7 @@ export class CameraMan {
     this.camera.updateProjectionMatrix();
   }
 
-  /** The point to follow has moved [m]. */
+  /** Update the followed point [m]. */
   moveTo(x, y, z) {
     const before = this.target.clone();
     this.target.set(x, y, z);
@@ -67,7 +67,7 @@ export class CameraMan {
   setFollow(on) {
     this.follow = on;
     if (!on || this.view === "eyes") return;
-    // Catches up with the robot, from the side that it looks from.
+    // Catches up with the robot, keeping its direction.
     this.camera.position.add(this.target).sub(this.controls.target);
     this.controls.target.copy(this.target);
   }
@@ -77,7 +77,7 @@ export class CameraMan {
     this.camera.updateProjectionMatrix();
   }
 
-  /** Goes nearer (factor below 1) or farther. */
+  /** Zooms in (factor below 1) or out. */
   zoom(factor) {
     this.camera.position.sub(this.controls.target).multiplyScalar(factor).add(this.controls.target);
     this.controls.update();

@@ -1,4 +1,4 @@
-// A recording over time: where bodies, tendons and contacts are at any moment, between samples too.
+// A recording over time: bodies, tendons and contacts at any time, including between samples.
 
 import { read } from "viewer/data.js";
 import { carried, joined } from "viewer/frames.js";
@@ -59,7 +59,7 @@ export class Clip {
     return { row, next, share };
   }
 
-  /** The last sample at or before a time, with room for rounding. */
+  /** The last sample at or before a time, with a tolerance for rounding. */
   rowAt(time) {
     let low = 0;
     let high = this.time.length - 1;

@@ -14,12 +14,12 @@ export function theme() {
   return Object.fromEntries(NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
-/** Calls back when light becomes dark, or dark light. */
+/** Calls back when the theme changes between light and dark. */
 export function onThemeChange(call) {
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", call);
 }
 
-// Blue to orange over purple: apart for the colour-blind, and never so dark or so pale that a thin line is lost on the
+// Blue to orange over purple: distinct for the colour-blind, and never so dark or pale that a thin line is lost on the
 // robot's black servos or on a light mat.
 const TENSION = [
   [0.2, 0.56, 0.95], [0.5, 0.47, 0.95], [0.76, 0.38, 0.8], [0.93, 0.35, 0.48], [0.98, 0.47, 0.16], [1.0, 0.66, 0.0],

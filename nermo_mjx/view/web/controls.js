@@ -5,7 +5,7 @@ import { VIEWS } from "viewer/camera.js";
 
 const find = (id) => document.getElementById(id);
 
-/** Wires the transport's elements to the player, both ways. */
+/** Connects the transport's elements and the player, in both directions. */
 export function wireTransport(player) {
   const scrub = find("scrub");
   Object.assign(scrub, { min: player.begin, max: player.end, step: "any" });
@@ -42,7 +42,7 @@ export function wireViews(names, choose) {
   };
 }
 
-/** Fills the list of ways to compare, or hides it where there is nothing to. */
+/** Fills the list of comparison modes, or hides it if there is nothing to compare. */
 export function wireComparison(two, choose) {
   const select = find("compare");
   select.hidden = !two;

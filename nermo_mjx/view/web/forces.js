@@ -1,4 +1,4 @@
-// Contact forces as arrows that begin where the robot touches.
+// Contact forces as arrows that start at the contact points.
 
 import { Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh, Matrix4, MeshStandardMaterial, Quaternion, Vector3 } from "three";
 import { LIMBS } from "viewer/colours.js";

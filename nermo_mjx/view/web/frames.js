@@ -1,4 +1,4 @@
-// Puts together what nermo_mjx/view/frames.py took apart: bodies and tendons about the root, in the world's directions.
+// Reverses nermo_mjx/view/frames.py: bodies and tendons relative to the root, in the world's directions.
 
 /**
  * Positions and quaternions of bodies (rows of `parents.length` each), given in their parents' frames; a parent comes
@@ -35,7 +35,7 @@ export function carried(frames, points, { position, quaternion }, count) {
   return moved;
 }
 
-/** Takes the three numbers at `at` out of a body's frame. */
+/** Transforms the three numbers at `at` out of a body's frame. */
 function carry(position, quaternion, body, points, at) {
   const [w, a, b, c] = quaternion.subarray(4 * body, 4 * body + 4);
   const [x, y, z] = points.subarray(at, at + 3);

@@ -1,4 +1,4 @@
-// From the geoms of a model to what is drawn: one mesh a body, its geoms merged, each in its colour.
+// From the geoms of a model to render meshes: one per body, with its geoms merged, each in its colour.
 
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry, Matrix4, PlaneGeometry,
@@ -9,7 +9,7 @@ import { read } from "viewer/data.js";
 
 /** Edges sharper than this stay sharp [rad]. */
 const CREASE = 0.6;
-/** What three.js takes for one vertex lies within 0.01; the robot's are tenths of a millimetre apart. */
+/** three.js merges vertices within 0.01; the robot's are tenths of a millimetre apart. */
 const SCALE = 1e5;
 
 /**
@@ -21,12 +21,12 @@ const FINE = { sides: (radius) => (radius > 0.006 ? 24 : radius > 0.0025 ? 14 : 
 const COARSE = { sides: (radius) => (radius > 0.006 ? 10 : radius > 0.0025 ? 8 : 5), error: { most: 8e-4, share: 0.25 } };
 const OUTLINE = { sides: (radius) => (radius > 0.006 ? 8 : 4), error: { most: 2e-3, share: 0.5 } };
 
-/** Resolves when models can be read; where the simplifier cannot run, coarse meshes are the fine ones. */
+/** Resolves when models can be read; if the simplifier cannot run, coarse meshes equal the fine ones. */
 export async function prepare() {
   if (MeshoptSimplifier.supported) await MeshoptSimplifier.ready.catch(() => (MeshoptSimplifier.supported = false));
 }
 
-/** A model's bodies by name, and for each the merged geometry of what is seen and of what collides (or null). */
+/** A model's bodies by name, and for each the merged visual and collision geometry (or null). */
 export class Model {
   constructor(header, parts) {
     this.bodies = header.bodies;
@@ -39,7 +39,7 @@ export class Model {
     }));
   }
 
-  /** Of each body `seen` and `collides`, made when first asked for. */
+  /** `seen` and `collides` of each body, created on first use. */
   get fine() {
     return (this.made ??= this.#shapes(FINE));
   }
@@ -49,7 +49,7 @@ export class Model {
     return (this.simplified ??= this.#shapes(COARSE));
   }
 
-  /** What is seen again, with as few as a shadow needs. */
+  /** The visual geometry with as few triangles as a shadow needs. */
   get outline() {
     return (this.flattened ??= this.#shapes(OUTLINE).map((shape) => shape.seen));
   }
@@ -80,7 +80,7 @@ function meshGeometry({ vertices, faces }, error) {
 
 function simplified(vertices, faces, error) {
   if (!MeshoptSimplifier.supported) return faces;
-  // Vertices stand there once for each crease.
+  // Vertices are repeated for each crease.
   const same = MeshoptSimplifier.generatePositionRemap(vertices, 3);
   const closed = faces.map((vertex) => same[vertex]);
   const most = Math.min(error.most, error.share * thickness(vertices, closed));

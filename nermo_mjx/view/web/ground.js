@@ -74,7 +74,7 @@ export class Ground {
     this.even.uniforms.light.value = encoded(light);
   }
 
-  /** Stays below the robot, a whole number of tiles away from the origin, so that lines stay where they are. */
+  /** Stays below the robot, a whole number of tiles from the origin, so that the lines do not move. */
   moveTo(x, y) {
     this.group.position.set(Math.round(x / TILE) * TILE, Math.round(y / TILE) * TILE, 0);
   }

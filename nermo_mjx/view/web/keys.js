@@ -25,7 +25,7 @@ const SHORTCUTS = [
   [["Escape"], "close", "Esc", "close a panel"],
 ];
 
-/** Calls `actions[name](key, event)` for each shortcut pressed outside of a field. */
+/** Calls `actions[name](key, event)` for each shortcut pressed outside a field. */
 export function wireKeys(actions, shortcuts = SHORTCUTS) {
   addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;

@@ -1,4 +1,4 @@
-// Puts the page together: data, picture, plots, controls.
+// Assembles the page: data, picture, plots, controls.
 
 import { Clip } from "viewer/clip.js";
 import { onThemeChange, theme } from "viewer/colours.js";
@@ -54,7 +54,7 @@ async function start() {
   document.documentElement.dataset.ready = "yes";
 }
 
-/** The picture, or null with a sentence in its place where the browser cannot draw it. */
+/** The picture, or null, with a message in its place, if the browser cannot draw it. */
 function makeStage(clips) {
   const tension = Math.max(...clips.map((clip) => clip.greatestTension));
   fillScales(tension, clips.some((clip) => clip.tendons.length));
@@ -121,7 +121,7 @@ function wireControls(player, stage, plots, clips) {
   });
 }
 
-/** Lets the time go on with the screen's frames; draws only what has changed. */
+/** Advances the time with the screen's frames; draws only changes. */
 function run(player, stage) {
   let before = performance.now();
   const frame = (now) => {

@@ -29,7 +29,7 @@ export function fillHead(clips) {
   });
 }
 
-/** Tables of everything the recordings say about themselves; with two, side by side, what differs marked. */
+/** Tables of the recordings' metadata; two recordings are shown side by side, with differences marked. */
 export function fillDetails(clips) {
   const body = find("details-body");
   const titles = [...new Set(clips.flatMap((clip) => clip.details.map((table) => table.title)))];
@@ -49,7 +49,7 @@ export function fillDetails(clips) {
   }
 }
 
-/** The scales in the picture's corner: what colours and arrows mean. */
+/** The scales in the picture's corner: meaning of colours and arrows. */
 export function fillScales(greatestTension, hasTendons) {
   find("tension-bar").style.background = tensionGradient();
   find("tension-most").textContent = `${greatestTension.toPrecision(greatestTension < 10 ? 2 : 3)} N`;

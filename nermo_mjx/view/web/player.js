@@ -1,4 +1,4 @@
-// The time that is shown, and how it goes on.
+// The displayed time and its progress.
 
 export const SPEEDS = [0.05, 0.1, 0.25, 0.5, 1, 2, 4];
 
@@ -15,7 +15,7 @@ export class Player {
     this.listeners = [];
   }
 
-  /** Calls back when the time, or anything else, has changed. */
+  /** Calls back when the time or any other state has changed. */
   onChange(call) {
     this.listeners.push(call);
   }
@@ -29,7 +29,7 @@ export class Player {
     this.#changed();
   }
 
-  /** Goes so many samples forward, or back, and stays there. */
+  /** Steps forward or backward by a number of samples, and pauses. */
   nudge(samples) {
     this.playing = false;
     const row = Math.round((this.time - this.begin) / this.step) + samples;
@@ -58,7 +58,7 @@ export class Player {
     this.#changed();
   }
 
-  /** So many seconds have passed on the wall's clock. */
+  /** Advances by wall-clock seconds. */
   tick(seconds) {
     if (!this.playing) return;
     const time = this.time + seconds * this.speed;

@@ -60,7 +60,7 @@ export class Plot {
     const mark = document.createElement("i");
     mark.style.background = `var(--${line.colour})`;
     const value = document.createElement("output");
-    // Where values are shown there is no room for more.
+    // No space for more next to the values.
     chip.append(mark, this.about.bars ? line.name : short(line), value);
     if (!this.about.bars) this.readouts.set(line.name, value);
     chip.addEventListener("click", () => {
@@ -102,7 +102,7 @@ export class Plot {
       this.canvas.width = Math.round(width * ratio);
       this.canvas.height = Math.round(this.height * ratio);
     }
-    // Drawn by the processor: long curves take seconds where WebGL is emulated, and hardly less on a graphics card.
+    // Drawn by the CPU: long curves take seconds with emulated WebGL, and hardly less on a graphics card.
     const paper = this.canvas.getContext("2d", { willReadFrequently: true });
     paper.setTransform(ratio, 0, 0, ratio, 0, 0);
     paper.clearRect(0, 0, width, this.height);

@@ -1,9 +1,9 @@
-// The column of plots: which times they show, and in which order they are drawn.
+// The column of plots: their time range and drawing order.
 
 import { Plot } from "viewer/plot.js";
 
 const HEIGHT = 104;
-/** Length of the window that goes with the time [s]. */
+/** Length of the window that follows the time [s]. */
 const WINDOW = 2;
 
 export class Plots {
@@ -21,7 +21,7 @@ export class Plots {
       return made;
     });
     new ResizeObserver(() => this.draw()).observe(element);
-    // Only what is seen is drawn while the window moves.
+    // Only visible plots are drawn while the window moves.
     this.seen = new Set();
     const watch = new IntersectionObserver((entries) => {
       for (const entry of entries) {

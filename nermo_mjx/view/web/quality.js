@@ -1,4 +1,4 @@
-// How well a picture is drawn: stills as well as can be, moving ones so that they come in time.
+// Rendering quality: the best for stills, reduced for animations to keep the frame rate.
 
 /**
  * `share` of the screen's pixels in each direction; `plain`: without gloss, and with shadows on the ground alone; `coarse`:
@@ -15,17 +15,17 @@ const LEVELS = [
 const STILL_IN_SOFTWARE = { share: 2, plain: true, coarse: false };
 /** Pixels for each of the page's in one direction, at most. */
 const MOST = 2;
-/** Slower than this is slow [s]: 30 frames a second, with room for a clock that ticks in milliseconds. */
+/** Frame time above which rendering is slow [s]: 30 frames per second, allowing for a clock in milliseconds. */
 const SLOW = 0.0345;
-/** Share of the newest frame in the running mean of their times, and how many of them a level is given. */
+/** Weight of the newest frame in the running mean of frame times, and number of frames per level. */
 const NEWEST = 0.15;
 const PATIENCE = 16;
-/** The first frames of a level compile and load; a later one counts for no more than this, so that one hitch is none [s]. */
+/** Limit of a frame's time [s], so that one hitch has little effect; the first frames of a level compile and load. */
 const WARM_UP = 4;
 const HITCH = 0.1;
-/** A pause beyond this was no drawing, but a hidden page [s]. */
+/** A longer pause was due to a hidden page, not to drawing [s]. */
 const HIDDEN = 3;
-/** What has not changed for so long is a still [s]. */
+/** A picture that has not changed for this long is a still [s]. */
 const REST = 0.25;
 
 export class Quality {
@@ -39,7 +39,7 @@ export class Quality {
     this.shown = null;
   }
 
-  /** So much time has passed since the last frame [s], in which the picture has changed or not. */
+  /** Call with the time since the last frame [s], and whether the picture has changed. */
   note(seconds, changed) {
     const moving = changed && this.quiet === 0;
     this.quiet = changed ? 0 : this.quiet + seconds;
@@ -57,12 +57,12 @@ export class Quality {
     return this.quiet < REST ? LEVELS[this.level] : this.still;
   }
 
-  /** How many pixels are drawn for each of the page's, in one direction. */
+  /** Rendered pixels per page pixel, in one direction. */
   get pixelRatio() {
     return Math.min(Math.min(devicePixelRatio, MOST) * (this.shown?.share ?? 1), MOST);
   }
 
-  /** Whether another picture of the same is wanted. */
+  /** Whether the same picture should be drawn again. */
   get unsettled() {
     return this.shown !== this.still;
   }

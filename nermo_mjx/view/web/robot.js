@@ -41,7 +41,7 @@ export class RobotView {
     this.#dress();
   }
 
-  /** Shows what collides, through what is seen. */
+  /** Shows the collision geometry through the visual one. */
   showCollisions(on) {
     this.collisions = on;
     this.#dress();
@@ -52,7 +52,7 @@ export class RobotView {
     this.#dress();
   }
 
-  /** A translucent robot in one colour, to tell it from the other; null makes it solid and itself again. */
+  /** A translucent robot in one colour, to distinguish it from the other; null restores its normal look. */
   ghost(colour) {
     this.colour = colour;
     this.#dress();
@@ -77,7 +77,7 @@ export class RobotView {
       mesh.receiveShadow = !this.plain;
     }
     for (const mesh of this.collides) mesh.visible = this.collisions;
-    // The scene stands once, in the first robot's group.
+    // The scene exists once, in the first robot's group.
     const moving = new Set(this.clip.moving);
     this.bodies.forEach((body, i) => (body.visible = !ghost || moving.has(i)));
   }

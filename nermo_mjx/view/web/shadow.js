@@ -4,7 +4,7 @@ import { Group, Matrix4, Mesh, MeshBasicMaterial, NotEqualStencilFunc, ReplaceSt
 
 const ABOVE = 0.0002;
 
-/** From where the sun shines, upwards; its shadows lie the other way. */
+/** Direction towards the sun; shadows point the opposite way. */
 export const SUN = { x: 0.24, y: 0.2, z: 1 };
 
 export class FlatShadow {
@@ -13,7 +13,7 @@ export class FlatShadow {
     this.group.matrixAutoUpdate = false;
     const [x, y] = [-SUN.x / SUN.z, -SUN.y / SUN.z];
     this.group.matrix.copy(new Matrix4().set(1, 0, x, 0, 0, 1, y, 0, 0, 0, 0, ABOVE, 0, 0, 0, 1));
-    // The stencil darkens each point once, however many shapes lie over it.
+    // The stencil darkens each point once, no matter how many shapes overlap.
     this.material = new MeshBasicMaterial({
       color: "#000000", transparent: true, depthWrite: false,
       stencilWrite: true, stencilRef: 1, stencilFunc: NotEqualStencilFunc, stencilZPass: ReplaceStencilOp,
@@ -21,7 +21,7 @@ export class FlatShadow {
     this.bodies = [];
   }
 
-  /** Makes it of one geometry (or null) a body. */
+  /** Creates it from one geometry (or null) per body. */
   cast(geometries) {
     if (!this.bodies.length) this.bodies = geometries.map((geometry) => this.#body(geometry));
     geometries.forEach((geometry, i) => geometry && (this.bodies[i].geometry = geometry));

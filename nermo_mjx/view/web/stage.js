@@ -10,7 +10,7 @@ import { SUN } from "viewer/shadow.js";
 import { TendonView } from "viewer/tendons.js";
 import { TrailView } from "viewer/trail.js";
 
-/** How far apart robots walk that are shown beside each other [m]. */
+/** Distance between robots shown side by side [m]. */
 const APART = 0.16;
 
 export class Stage {
@@ -102,7 +102,7 @@ export class Stage {
     this.arrange(this.way);
   }
 
-  /** Which things are drawn; keys `tendons`, `forces`, `trail`, `shadows`, `collisions`. */
+  /** The visible elements; keys `tendons`, `forces`, `trail`, `shadows`, `collisions`. */
   show(what) {
     for (const actor of this.actors) {
       actor.tendons.mesh.visible = what.tendons;
@@ -152,7 +152,7 @@ export class Stage {
     this.man.ride(eyes, body.position.clone().add(group.position), body.quaternion);
   }
 
-  /** Whether the camera goes with the robot; it catches up where it had stayed. */
+  /** Whether the camera follows the robot; when switched on, it catches up. */
   setFollow(on) {
     this.man.setFollow(on);
     this.stale = true;
@@ -171,12 +171,12 @@ export class Stage {
     this.renderer.setSize(width, height, false);
     const before = this.man.camera.aspect;
     this.man.resize(width / height);
-    // Views are as wide as the picture was; one that nobody has turned fits itself anew.
+    // Views keep their extent; one that the user has not changed is fitted again.
     if (before !== width / height && !this.turned) this.look(this.man.view);
     this.stale = true;
   }
 
-  /** Draws what has changed, better once it has come to rest; `seconds` have passed since the last call. */
+  /** Draws changes, at higher quality once the picture is still; `seconds` have passed since the last call. */
   draw(seconds) {
     this.quality.note(seconds, this.stale);
     const { wanted } = this.quality;
@@ -200,7 +200,7 @@ export class Stage {
     this.resize();
   }
 
-  /** The light that the ground sends back, as a share of a white one's, and how much a shadow darkens its pixels. */
+  /** The light reflected by the ground, as a share of a white one's, and how much a shadow darkens its pixels. */
   #lightOnGround() {
     const up = (lamp) => lamp.position.clone().sub(lamp.target.position).normalize().z;
     const shine = (lamp) => lamp.color.clone().multiplyScalar(lamp.intensity * up(lamp) / Math.PI);
@@ -210,7 +210,7 @@ export class Stage {
     return { light, shade: 1 - (1 - sun.g / light.g) ** (1 / 2.2) };
   }
 
-  /** Where a body of a clip is in the world [m]. */
+  /** World position of a clip's body [m]. */
   bodyPosition(clip, name) {
     const actor = this.actors[clip];
     const body = actor.robot.bodies[actor.clip.model.bodies.indexOf(name)];

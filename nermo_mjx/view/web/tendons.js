@@ -5,7 +5,7 @@ import { tensionColour } from "viewer/colours.js";
 
 /** Below this a tendon is slack [N]. */
 const SLACK = 0.01;
-/** Drawn thicker than they are by this factor, to be seen from a distance. */
+/** Factor by which they are drawn thicker, to be visible from a distance. */
 const THICKER = 1.4;
 const Y = new Vector3(0, 1, 0);
 

@@ -1,6 +1,6 @@
 // Round values for axes.
 
-/** Round values between two, about so many, a multiple of one of `steps` apart, and the digits that they need. */
+/** About `count` round values between two, spaced by a multiple of one of `steps`, and their number of digits. */
 export function round(low, high, count, steps = [1, 2, 5]) {
   const rough = (high - low) / Math.max(count, 1) || 1;
   const power = 10 ** Math.floor(Math.log10(rough));

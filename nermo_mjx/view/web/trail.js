@@ -1,4 +1,4 @@
-// Where the robot went: the torso's way on the ground, and a print for every step.
+// The robot's trail: the torso's path on the ground, and a footprint for every step.
 
 import { BufferAttribute, BufferGeometry, CircleGeometry, Color, Group, InstancedMesh, Line, LineBasicMaterial, Matrix4, MeshBasicMaterial } from "three";
 import { LIMBS } from "viewer/colours.js";

@@ -1,12 +1,12 @@
-// One axis: where values lie on it, its ticks, and the bins that cells have.
+// One axis: positions of values, ticks, and the bins of cells.
 
 import { extent, number } from "viewer/explore/table.js";
 import { round, roundLog } from "viewer/ticks.js";
 
-/** Cells of a column that has neither steps nor a measure's. */
+/** Number of cells of a column without steps or a measure. */
 const BINS = 30;
 const MARGIN = 0.04;
-/** Points of a name are spread over so much of its step, so that they do not hide each other. */
+/** Share of a name's step over which its points are spread, so that they do not hide each other. */
 const SPREAD = 0.6;
 
 export class Axis {
@@ -16,7 +16,7 @@ export class Axis {
    */
   constructor(field, { cells, measure, log, places }) {
     this.field = field;
-    // The cells of an atlas are evenly wide.
+    // The cells of an atlas have equal widths.
     this.log = Boolean(log && field.positive && !(cells && measure));
     this.steps = field.stepped && (cells || field.isText) && !measure ? field.known.length : 0;
     if (this.steps) {
@@ -36,13 +36,13 @@ export class Axis {
     return this.log ? Math.log10(value) : value;
   }
 
-  /** The share of the axis at which a run lies. */
+  /** The position of a run as a share of the axis. */
   at(place) {
     const value = this.field.values[place];
     if (!this.steps) return this.share(value);
     const code = this.field.codes[place];
     if (code >= this.steps) return NaN;
-    // The same place each time: by the golden ratio, neighbours lie far apart.
+    // A fixed position for each run: with the golden ratio, neighbours lie far apart.
     const spread = this.field.isText ? SPREAD * (((place * 0.618034) % 1) - 0.5) : 0;
     return (code + 0.5 + spread) / this.steps;
   }

@@ -1,4 +1,4 @@
-// Runs gathered in cells of two axes, each with the value of one of them, or with their mean.
+// Runs grouped in cells of two axes, each cell with the value of one of its runs, or with their mean.
 
 /**
  * The cells that some runs fill. `of` is `best`, `mean` or `worst`; each has its bins, its runs from the best to the

@@ -1,4 +1,4 @@
-// The plot: runs as points or cells, drawn on one canvas, and on another over it what is pointed at and chosen.
+// The plot: runs as points or cells on one canvas, and the hovered and selected ones on another above it.
 
 import { Axis } from "viewer/explore/axis.js";
 import { cellsOf } from "viewer/explore/cells.js";
@@ -8,9 +8,9 @@ import { clipped, ring, sheet, sprite } from "viewer/explore/drawing.js";
 const TOP = 12;
 const RIGHT = 16;
 const BOTTOM = 42;
-/** Radius of a point where there are so many at most [pixels]. */
+/** Radius of a point, by the maximum number of points [pixels]. */
 const RADII = [[300, 5.5], [1500, 4.5], [6000, 3.4], [Infinity, 2.7]];
-/** How near a pointer must come to a point [pixels]. */
+/** Maximum distance of the pointer from a point [pixels]. */
 const REACH = 14;
 /** A cell at least this wide and high has its value written in it [pixels]. */
 const ROOM = [42, 17];
@@ -125,7 +125,7 @@ export class Chart {
     const status = this.table.field("status");
     const well = status ? status.texts.indexOf("ok") : 0;
     this.items = Array.from(this.passing, place).filter(inside);
-    // The best are drawn last, over the others.
+    // The best are drawn last, above the others.
     const cost = (item) => (this.colouring.field.isText ? 0 : this.colouring.field.cost(values[item.place]));
     const drawn = this.items.map((item) => [cost(item), item]).sort(([a], [b]) => (b > a ? 1 : b < a ? -1 : 0));
     for (const [, item] of drawn) {
@@ -167,7 +167,7 @@ export class Chart {
     }
   }
 
-  /** The item that shows a run; undefined if none does. */
+  /** The item that shows a run, or undefined. */
   itemOf(place) {
     return this.items.find((item) => (item.places ? item.places.includes(place) : item.place === place));
   }
@@ -185,7 +185,7 @@ export class Chart {
     return best;
   }
 
-  /** Draws what is pointed at, what is chosen, and a rectangle that is being drawn. */
+  /** Draws the hovered and the selected item, and the current brush. */
   mark(rectangle = null) {
     const { clientWidth: width, clientHeight: height } = this.marks.parentElement;
     const paper = sheet(this.marks, width, height);

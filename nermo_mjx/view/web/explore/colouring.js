@@ -1,4 +1,4 @@
-// Colours of numbers and of things, and the scale that explains them.
+// Colours of numbers and of categories, and their legend.
 
 import { element } from "viewer/dialogs.js";
 import { extent } from "viewer/explore/table.js";
@@ -27,7 +27,7 @@ export class Colouring {
     return level < 0 ? this.palette.missing : this.levels[level];
   }
 
-  /** Ink that can be read on a colour. */
+  /** Text colour that is legible on a colour. */
   ink(level) {
     const [r, g, b] = [1, 3, 5].map((at) => (parseInt(this.css(level).slice(at, at + 2), 16) / 255) ** 2.2);
     return 0.2126 * r + 0.7152 * g + 0.0722 * b > 0.2 ? "#15181b" : "#ffffff";

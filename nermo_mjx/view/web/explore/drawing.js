@@ -1,4 +1,4 @@
-// What plots are drawn with: canvases as fine as the screen, points, rings, names that fit.
+// Drawing primitives: canvases at the screen's resolution, points, rings, shortened names.
 
 /**
  * A canvas of so many of the page's pixels, ready to draw on. The processor draws: copying ten thousand points on emulated
@@ -36,7 +36,7 @@ export function sprite(colour, ink, radius, bad) {
   paper.beginPath();
   paper.arc(middle, middle, radius, 0, 2 * Math.PI);
   paper.fill();
-  // So that neither end of the scale is lost on its ground.
+  // So that both ends of the scale stand out from the background.
   paper.globalAlpha = 0.5;
   Object.assign(paper, { strokeStyle: ink, lineWidth: 0.7 });
   paper.stroke();
@@ -49,7 +49,7 @@ export function ring(paper, x, y, radius) {
   paper.stroke();
 }
 
-/** As much of a text as fits. */
+/** A text, shortened to fit. */
 export function clipped(paper, text, width) {
   if (paper.measureText(text).width <= width) return text;
   let length = text.length;

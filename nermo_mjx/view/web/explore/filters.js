@@ -1,10 +1,10 @@
-// What passes: ranges of numbers, and names that are switched on and off.
+// Filters: ranges of numbers, and names that are switched on and off.
 
 import { element } from "viewer/dialogs.js";
 import { Range } from "viewer/explore/range.js";
 
 export class Filters {
-  /** `changed` is called when other runs pass than before. */
+  /** `changed` is called when the set of passing runs changes. */
   constructor(list, table, recorded, changed) {
     Object.assign(this, { list, table, recorded, changed });
     this.pass = new Uint8Array(table.count).fill(1);
@@ -47,7 +47,7 @@ export class Filters {
     this.update();
   }
 
-  /** Lets go of one column, or of all. */
+  /** Clears the filter of one column, or of all. */
   release(field = null) {
     for (const part of this.parts) if (!field || part.field === field) part.release();
     this.update();

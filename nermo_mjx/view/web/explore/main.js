@@ -1,4 +1,4 @@
-// Puts the page of a directory together: table, filters, plot, the chosen run, its recording.
+// Assembles the page of a directory: table, filters, plot, the selected run, its recording.
 
 import { onThemeChange, theme } from "viewer/colours.js";
 import { unpack } from "viewer/data.js";
@@ -13,7 +13,7 @@ import { wireKeys } from "viewer/keys.js";
 
 const find = (id) => document.getElementById(id);
 
-/** As in keys.js; those without a name are the plot's own. */
+/** As in keys.js; those without a name belong to the plot. */
 const SHORTCUTS = [
   [["Tab"], "", "Tab", "to the plot, the filters, the chosen run"],
   [[], "", "← → ↑ ↓", "in the plot: walk from run to run"],
@@ -112,7 +112,7 @@ class Explorer {
     });
   }
 
-  /** Draws all anew after another choice, or when other runs pass. */
+  /** Redraws everything after a change of the choices or filters. */
   show() {
     const { view, table, filters } = this;
     const colour = table.field(view.colour);
@@ -138,7 +138,7 @@ class Explorer {
     this.panel.show(chosen, cell, this.filters.places, this.table.field(this.view.colour));
   }
 
-  /** Chooses a run, or none with -1; `focus` goes to its numbers. */
+  /** Selects a run, or none with -1; `focus` moves the focus to its numbers. */
   choose(place, focus = false) {
     this.chart.chosen = place;
     this.#fillRow();
@@ -153,12 +153,12 @@ class Explorer {
     if (this.recorded.has(place) && !this.theatre.isOpen) this.theatre.open(row, `Row ${row}`);
   }
 
-  /** Rows whose recordings are kept, of those that pass. */
+  /** Passing rows that have recordings. */
   #recordedRows() {
     return Array.from(this.filters.places).filter((place) => this.recorded.has(place)).map((place) => this.table.rows[place]);
   }
 
-  /** Keeps the runs in a rectangle of shares of the axes; with null, lets go of both. */
+  /** Keeps the runs in a rectangle of shares of the axes; null clears both filters. */
   brush(shares) {
     const { across, up } = this.chart;
     if (!shares) {
@@ -169,7 +169,7 @@ class Explorer {
       const within = [low, high].map((share) => Math.min(Math.max(share, 0), 1));
       let [from, to] = within.map((share) => axis.value(share));
       if (axis.steps && !axis.field.isText) {
-        // Whole steps whose middle is inside, or the one that the rectangle lies in.
+        // Whole steps with their middle inside, or the one that contains the rectangle.
         [from, to] = [Math.ceil(from), Math.floor(to)];
         if (from > to) from = to = Math.round((axis.value(within[0]) + axis.value(within[1])) / 2);
         const { known } = axis.field;

@@ -1,8 +1,8 @@
-// Pointer and keys on the plot: what is under them is told, chosen, or brushed.
+// Pointer and keys on the plot: hovering, selecting and brushing.
 
 import { element } from "viewer/dialogs.js";
 
-/** A pointer that has moved less has clicked [pixels]. */
+/** A pointer movement below this is a click [pixels]. */
 const STILL = 5;
 
 /** `choose(place)` with a run, -1 for none; `brush(rectangle of shares or null)`. */
@@ -69,7 +69,7 @@ function shares({ left, top, width, height }, [x, y, w, h]) {
   return [(x - left) / width, (x + w - left) / width, 1 - (y + h - top) / height, 1 - (y - top) / height];
 }
 
-/** The item to which a key goes; null where there is none, undefined for another key. */
+/** The item that a key moves to; null if there is none, undefined for other keys. */
 function stepped(chart, key) {
   const { items } = chart;
   const { field } = chart.colouring;
@@ -87,7 +87,7 @@ function stepped(chart, key) {
   return nearest(items, from, ways[key]);
 }
 
-/** The nearest item in a direction: what lies aside counts twice, and what lies more aside than ahead is passed over. */
+/** The nearest item in a direction: sideways distance counts twice, and items more sideways than ahead are skipped. */
 function nearest(items, from, [dx, dy]) {
   let [best, least] = [null, Infinity];
   for (const item of items) {

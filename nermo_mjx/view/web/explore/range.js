@@ -3,7 +3,7 @@
 import { element } from "viewer/dialogs.js";
 import { sheet } from "viewer/explore/drawing.js";
 
-/** Places of a handle, and bars of a histogram, of a column without steps. */
+/** Positions of a handle, and bars of a histogram, for a column without steps. */
 const PLACES = 200;
 const BARS = 40;
 const HEIGHT = 30;
@@ -109,7 +109,7 @@ export class Range {
     this.thumbs.to.value = this.to;
     this.thumbs.from.setAttribute("aria-valuetext", this.field.shown(this.low));
     this.thumbs.to.setAttribute("aria-valuetext", this.field.shown(this.high));
-    // Where both meet at the right end, the lower one must be within reach.
+    // If both meet at the right end, the lower one must stay accessible.
     this.thumbs.from.style.zIndex = this.from > this.last / 2 ? 1 : 0;
   }
 
@@ -135,7 +135,7 @@ export class Range {
       this.#show();
       return;
     }
-    // Handles stand near, and the values are what was asked for.
+    // Handles are at the nearest positions, and the values are the exact ones.
     [this.from, this.to] = [within(Math.floor(this.#place(Math.max(low, this.field.low)))), within(Math.ceil(this.#place(Math.min(high, this.field.high))))];
     this.#show();
     [this.low, this.high] = [Math.max(low, this.field.low), Math.min(high, this.field.high)];

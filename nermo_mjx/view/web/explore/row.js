@@ -1,4 +1,4 @@
-// The chosen run: its numbers, its commands, its recording; where none is chosen, the best ones and those recorded.
+// The selected run: its numbers, commands and recording; without a selection, the best runs and the recorded ones.
 
 import { element } from "viewer/dialogs.js";
 
@@ -11,7 +11,7 @@ export class RowPanel {
     Object.assign(this, { panel, table, commands, recorded, choose, play });
   }
 
-  /** Shows a run, and steps to others of its cell; with -1, lists of `places`, those that pass. */
+  /** Shows a run, with steps to others of its cell; with -1, lists of `places`, the passing runs. */
   show(place, cell, places, colour) {
     this.panel.replaceChildren();
     this.panel.scrollTop = 0;
@@ -131,7 +131,7 @@ function command(what, text) {
   return block;
 }
 
-/** Copies a text; where the browser does not let pages do that, selects it. */
+/** Copies a text, or selects it if the browser does not allow copying. */
 async function copied(text, element) {
   try {
     await navigator.clipboard.writeText(text);
@@ -154,7 +154,7 @@ export function csvOf(table, places) {
 
 const counted = (many) => many.toLocaleString("en");
 
-/** What the page's head says of the directory. */
+/** Description of the directory in the page's head. */
 export function headOf(header, table) {
   const counts = [`${counted(header.total)} ${header.kind === "atlas" ? "cells" : "runs"}`];
   const status = table.field("status");

@@ -1,11 +1,11 @@
-// The runs and their columns: numbers in SI units, texts, and how both are shown.
+// The runs and their columns: numbers in SI units, texts, and their display.
 
 import { read } from "viewer/data.js";
 
-/** Colours leave out this share of the values at an end where a few wild ones would take most of them; as in figures. */
+/** Share of outliers at an end excluded from the colours where they would take most of the scale; as in figures. */
 const TAIL = 0.05;
 const MOST_OF = 0.5;
-/** A scale is logarithmic where the greatest values are so many times the middle one. */
+/** A scale is logarithmic if the greatest values are this many times the median. */
 const SKEW = 12;
 
 export class Table {
@@ -29,11 +29,11 @@ export class Table {
 
 export class Field {
   constructor(about, parts) {
-    // `stepped`: whether an axis has a step for each of its values.
+    // `stepped`: whether an axis has one step per value.
     Object.assign(this, about, { stepped: about.stepped || Boolean(about.texts) });
     this.isText = Boolean(about.texts);
     const values = read(parts, about.values);
-    /** What each of the runs has: the place of its value in `known`, if those are listed. */
+    /** For each run, the index of its value in `known`, if those are listed. */
     this.codes = values instanceof Uint16Array ? values : null;
     if (this.isText) this.known = about.texts;
     this.values = this.codes && !this.isText ? Float64Array.from(values, (code) => this.known[code] ?? NaN) : values;
@@ -43,7 +43,7 @@ export class Field {
     this.positive = !this.isText && this.low > 0;
   }
 
-  /** Whether a logarithmic scale suits it better: it was spread so, or a few values are many times the others. */
+  /** Whether a logarithmic scale fits better: it was sampled so, or a few values are many times the others. */
   get wantsLog() {
     const at = (share) => this.sorted[Math.round(share * (this.sorted.length - 1))];
     return this.positive && (this.log || at(0.98) > SKEW * at(0.5));
@@ -58,7 +58,7 @@ export class Field {
     return this.name.replaceAll("_", " ");
   }
 
-  /** A value with its unit, as people read it. */
+  /** A value with its unit, for display. */
   shown(value, unit = true, digits = 4) {
     if (this.isText) return this.texts[value] ?? "–";
     if (!Number.isFinite(value)) return "–";
@@ -76,20 +76,20 @@ export class Field {
     return Number.isFinite(value) ? String(this.known ? value : Number(value.toPrecision(7))) : "";
   }
 
-  /** From where to where colours go. */
+  /** The range of the colours. */
   get span() {
     const at = (share) => this.sorted[Math.round(share * (this.sorted.length - 1))];
     const [low, high, most] = [at(TAIL), at(1 - TAIL), MOST_OF * (this.high - this.low)];
     return [low - this.low > most ? low : this.low, this.high - high > most ? high : this.high];
   }
 
-  /** A number that is less where a value is better; of a column without a better side, where it is higher. */
+  /** A number that is lower for better values; without a better direction, for higher values. */
   cost(value) {
     if (!Number.isFinite(value)) return Infinity;
     return this.better === "low" ? value : this.better === "zero" ? Math.abs(value) : -value;
   }
 
-  /** What the best side of its values is called. */
+  /** Name of the best direction of its values. */
   get best() {
     return this.better ? "best" : "highest";
   }

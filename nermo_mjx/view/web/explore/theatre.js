@@ -1,4 +1,4 @@
-// A recording in 3D: the viewer's own page in a frame, put together from what this page holds.
+// A recording in 3D: the viewer's page in a frame, assembled from the parts in this page.
 
 import { read, unpack } from "viewer/data.js";
 import { togglePanel } from "viewer/dialogs.js";
@@ -62,7 +62,7 @@ export class Theatre {
     if (frame.isConnected && !matchMedia("(prefers-reduced-motion: reduce)").matches) inside.viewer.player.toggle(true);
   }
 
-  /** Shows the theatre, and puts all else out of reach. */
+  /** Shows the theatre, and makes everything else inert. */
   #cover(on) {
     find("theatre").hidden = !on;
     for (const each of document.querySelectorAll("body > header, #chart, #row, #filters, body > footer")) each.inert = on;
