@@ -23,6 +23,8 @@ from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
+pytestmark = pytest.mark.compiles
+
 ALL = {name: float(about.default) for name, about in quantities(ModelParameters)}
 #: A value for every parameter that is not the default, all different.
 OTHER = {name: (value or 0.5) * (0.6 + 0.03 * i) for i, (name, value) in enumerate(ALL.items())}
