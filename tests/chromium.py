@@ -37,7 +37,7 @@ def find() -> str | None:
 
 
 class Page(abc.ABC):
-    """What tests ask of a page in whichever browser."""
+    """The interface of a page for tests, in any browser."""
 
     @abc.abstractmethod
     def evaluate(self, script: str) -> Any:

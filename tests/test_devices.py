@@ -95,7 +95,7 @@ print(json.dumps(about))
 
 @pytest.fixture(scope="module")
 def four_devices(tmp_path_factory) -> dict[str, Any]:
-    """What a process with four devices says of five worlds."""
+    """Output of a process with four devices for five worlds."""
     settings = ("JAX_", "PJRT_", "NERMO_", "XLA_")
     environment = {key: value for key, value in os.environ.items() if not key.startswith(settings)}
     environment["XLA_FLAGS"] = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"

@@ -40,7 +40,7 @@ def test_a_notebook_carries_no_output_and_installs_as_the_others_do(path: Path) 
 
 
 class Shell:
-    """Takes note of what an install cell would run."""
+    """Records the commands that an install cell would run."""
 
     def __init__(self) -> None:
         self.names: dict[str, Any] = {"get_ipython": lambda: self}

@@ -36,7 +36,7 @@ print(*names)
 
 
 def said(script: str, **settings: str) -> str:
-    """What a new process prints."""
+    """Output of a new process."""
     environment = os.environ | {"PYTHONPATH": str(Path(start.__file__).parents[2])} | settings
     words = [sys.executable, "-c", script]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300)

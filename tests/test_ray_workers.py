@@ -52,7 +52,7 @@ def started(*arguments):
 
 
 def told(process):
-    """What a process of `ray_fake.py` says in the end."""
+    """The final output of a process of `ray_fake.py`."""
     out, log = process.communicate(timeout=300)
     assert process.returncode == 0, log[-3000:]
     return json.loads(out.splitlines()[-1])

@@ -81,7 +81,7 @@ def gradients(values, shares):
 
 @pytest.mark.compiles
 def test_an_atlas_along_gradients_fills_more_than_its_first_batch(tmp_path):
-    """Gradients stand in the table; a search that goes on reads them there, and asks for none again."""
+    """Gradients are stored in the table; a resumed search reads them there instead of recomputing them."""
     result = run_search(MEGA, tmp_path / "out", simulator=FakeSimulator(), gradients=gradients)
     table = result.table
     column = table.column("gradient.speed.frequency").to_numpy()

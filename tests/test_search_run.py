@@ -192,7 +192,7 @@ def test_another_search_does_not_take_the_directory(tmp_path):
 
 
 def test_a_directory_keeps_the_size_of_its_batches(tmp_path):
-    """Without a batch in the file, another machine goes on as the first one began."""
+    """Without a batch size in the file, another machine resumes with that of the first one."""
     spec = {key: value for key, value in SPEED.items() if key != "batch"}
     run_search(spec | {"batch": 10, "budget": 20}, tmp_path / "out", simulator=FakeSimulator())
     run_search(spec | {"budget": 40}, tmp_path / "out", simulator=(fake := FakeSimulator()))
@@ -206,7 +206,7 @@ def test_a_simulation_that_fails_keeps_what_is_done(tmp_path):
 
 
 def test_no_walk_of_a_first_batch_is_no_end(tmp_path):
-    """Where everything falls, an atlas goes on looking, and says in the end that there was nothing."""
+    """If everything falls, an atlas keeps searching, and finally reports that it found nothing."""
     spec = ATLAS | {"vary": WALK["vary"] | {"frequency": {"uniform": [1.41, 1.5]}}, "budget": 48}
     with pytest.raises(SearchFailed, match="no point"):
         run_search(spec, tmp_path / "out", simulator=(fake := FakeSimulator()))

@@ -72,7 +72,7 @@ def test_nothing_beats_a_point_of_the_front_and_all_else_is_beaten(seed: int) ->
     assert not lost[best].any()
     on_it = {(x[i], y[i]) for i in best}
     assert {(x[i], y[i]) for i in np.flatnonzero(~lost)} == on_it
-    assert len(on_it) == len(best), "points alike in both count once"
+    assert len(on_it) == len(best), "points that are best in both count once"
     assert (np.diff(x[best]) > 0).all()
     assert (np.diff(y[best]) < 0).all()
 

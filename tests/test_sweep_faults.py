@@ -160,7 +160,8 @@ def mounted(folder, *options):
 
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="only root may mount")
 def test_a_really_full_disk_keeps_what_is_finished(tmp_path, reference):
-    """A file system of a few pages fills up with chunks; with room again, the sweep goes on. Read-only is said, too."""
+    """A file system of a few pages fills up with chunks; with space again, the sweep resumes. Read-only is reported,
+    too."""
     disk = tmp_path / "disk"
     mounted(disk, "-o", "size=128k")
     try:
@@ -189,7 +190,7 @@ def test_a_really_full_disk_keeps_what_is_finished(tmp_path, reference):
     ],
 )
 def test_a_failed_simulation_names_its_chunk_and_rows(tmp_path, reference, error, expected, sentence):
-    """What is finished before it stays, and the sweep goes on from there."""
+    """Finished chunks are kept, and the sweep resumes from there."""
     with pytest.raises(expected, match=r"^chunk 2 \(rows 9, 10, 11, 12 and 5 more\) " + sentence) as caught:
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(fail_at=2, error=error))
     assert caught.value.__cause__ is error

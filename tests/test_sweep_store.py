@@ -146,7 +146,7 @@ def test_shards_share_a_directory_but_not_a_shard(tmp_path):
 
 
 def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(tmp_path):
-    """Where the system refuses more bytes, finished chunks stay, and the run can go on later."""
+    """If the system rejects more bytes, finished chunks are kept, and the run can be resumed later."""
     handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
     simulator = FakeSimulator()
     try:

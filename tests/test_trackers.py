@@ -18,7 +18,7 @@ from nermo_mjx.sweep import SweepInterrupted
 
 
 def two_sessions(out: Path, name: str) -> dict[str, float]:
-    """A sweep that is stopped and goes on; the numbers that its table has in the end."""
+    """A sweep that is stopped and resumed; the numbers in its final table."""
     with pytest.raises(SweepInterrupted):
         run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), log=[name])
     run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(falls_above=0.1), log=[name])

@@ -170,7 +170,7 @@ def test_what_a_killed_process_left_half_written_is_removed(done):
 
 
 def test_a_full_disk_is_one_sentence(tmp_path, capfd):
-    """Where the system refuses more bytes, what is finished stays, nothing else is printed, and it goes on later."""
+    """If the system rejects more bytes, finished work is kept, nothing else is printed, and it can be resumed later."""
     handler, limits = signal.signal(signal.SIGXFSZ, signal.SIG_IGN), resource.getrlimit(resource.RLIMIT_FSIZE)
     tuning, problem = Tuning.from_dict(SPEC), FakeProblem(Tuning.from_dict(SPEC))
 
@@ -190,7 +190,7 @@ def test_a_full_disk_is_one_sentence(tmp_path, capfd):
 
 
 def test_another_precision_is_refused_and_nothing_is_lost(done):
-    """A tuning in float32 does not go on in float64: its numbers would be others."""
+    """A tuning in float32 cannot be resumed in float64: its numbers would differ."""
     before = steps(done.out)
     with (
         jax.enable_x64(True),

@@ -188,7 +188,7 @@ class Terminal(io.StringIO):
 
 
 def shown(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> None:
-    """Whatever is shown goes to the stream, at once."""
+    """All output goes to the stream immediately."""
 
     class Seen(Progress):
         def __init__(self, *arguments: Any, **options: Any) -> None:

@@ -167,7 +167,7 @@ def test_another_recording_is_another_tuning(tmp_path):
 
 @pytest.mark.parametrize("gone", [False, True])
 def test_an_earlier_directory_with_an_absolute_path_goes_on_working(tmp_path, gone):
-    """While the recording is there, the tuning goes on, and takes it in; figures are drawn in any case."""
+    """If the recording exists, the tuning resumes and copies it; figures are drawn in any case."""
     (tmp_path / "walk.npz").write_bytes(b"a walk")
     tuning, out = Tuning.from_dict(COMPARED | {"recording": str(tmp_path / "walk.npz")}), tmp_path / "out"
     run_tuning(tuning, out, problem=FakeProblem(tuning))

@@ -452,7 +452,7 @@ def test_the_video_shows_the_walk_after_its_warm_up(finished, monkeypatch, tmp_p
 
 
 def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
-    """One sentence with the remedy; nothing walks for a video that cannot be."""
+    """One sentence with the remedy; nothing is simulated for an impossible video."""
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
@@ -466,7 +466,7 @@ def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
 
 
 def test_an_old_video_does_not_outlive_its_best(finished, tmp_path):
-    """A tuning that goes on moves it aside first: stopped, the directory shows no video of another point."""
+    """A resumed tuning moves it aside first: if stopped, the directory does not show a video of another point."""
     shutil.copytree(finished.out, tmp_path / "out")
     (tmp_path / "out" / "video.mp4").write_text("of iteration 6")
     with pytest.raises(TuningInterrupted):

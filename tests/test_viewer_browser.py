@@ -68,7 +68,7 @@ def opened(tab: chromium.Tab, path: Path, width: int = 560, height: int = 420, d
 
 
 def stage_picture(tab: chromium.Tab) -> np.ndarray:
-    """What is drawn in 3D, without the tools over it."""
+    """The 3D picture without the overlaid tools."""
     tab.evaluate("viewer.stage.stale = true")
     tab.wait(RESTING)
     box = tab.evaluate("(() => { const r = document.getElementById('stage').getBoundingClientRect();"

@@ -174,7 +174,7 @@ def _what_was_run(content: Mapping[str, Any], chosen: list[Experiment]) -> Itera
     shift = f"{1e3 * START_SPREAD['start.x']:g} mm, {math.degrees(START_SPREAD['start.yaw']):g} degree"
     yield (
         f"- Repeats differ by a seeded shift of the start: at most {shift} and {START_SPREAD['start.phase']:g} of a "
-        "gait cycle; in the balance test, of pose and servo angles. Both profiles start alike."
+        "gait cycle; in the balance test, of pose and servo angles. Both profiles have the same starts."
     )
     for command in dict.fromkeys(content["experiments"][each.name]["command"] for each in chosen):
         yield f"- Command: `{command}`"

@@ -95,7 +95,7 @@ class ServoTable:
         lines = [
             *([about] if about else []),
             f"{self.how_many} of {1 / self.frequency:.6g} s, {len(self.time)} rows, {self.rate:.6g} rows/s; "
-            "after the last row, go on with the first.",
+            "after the last row, continue with the first.",
             "columns are in the order of the channels: "
             + ", ".join(f"{channel.number} {channel.servo}" for channel in self.channels),
             *([self.too_fast] if self.too_fast else []),

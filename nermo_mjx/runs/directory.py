@@ -189,7 +189,7 @@ def read_record(out: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError) as error:
-        raise DirectoryError(f"{out / RUN} cannot be read ({error}): move it away to go on without it.") from None
+        raise DirectoryError(f"{out / RUN} cannot be read ({error}): move it away to continue without it.") from None
     return record if isinstance(record, dict) else {}
 
 
