@@ -27,7 +27,8 @@ from typing import Any, Final
 SAFE_THREADS: Final = 8
 #: Worlds per batch that stay well below the hang where the number of threads can no longer be changed.
 GUARDED_BATCH: Final = 32
-MIN_COMPILE_SECONDS: Final = 0.5
+#: A walk starts with several programs that compile in 0.1 to 0.5 s each; from the cache they take a few milliseconds.
+MIN_COMPILE_SECONDS: Final = 0.1
 #: Largest size of the cache of compiled programs; the longest unused are removed. A program of a walk is 1 to 5 MB.
 MOST_CACHE_BYTES: Final = 2 * 1024**3
 #: XLA options for a CPU: its older emitter for fused loops, with which a walk in MJX compiles in 16 s instead of
