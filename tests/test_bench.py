@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from nermo_mjx.bench import CASES, apart, run_bench
 from nermo_mjx.bench.columns import COLUMNS, rows
-from nermo_mjx.bench.page import add_run
+from nermo_mjx.bench.page import add_run, figures
 from nermo_mjx.bench.registry import Benchmark, Option, plan
 from nermo_mjx.cli import main
 from nermo_mjx.cli.choices import BENCH_CASES
@@ -65,9 +65,9 @@ def test_every_case_can_be_imported_and_has_columns() -> None:
 def test_a_measurement_that_fails_is_a_sentence(place: str, option: dict[str, Any], message: str) -> None:
     """The process may have died or raised."""
     case = Benchmark("", place, {name: Option((value,)) for name, value in option.items()})
-    _, figures = apart(case, option)
-    assert message in figures["error"]
-    assert "\n" not in figures["error"]
+    _, result = apart(case, option)
+    assert message in result["error"]
+    assert "\n" not in result["error"]
 
 
 @pytest.mark.process
@@ -227,7 +227,9 @@ def test_the_page_of_searches_says_who_won_and_what_is_missing(tmp_path) -> None
         assert some in missing
     assert "- 8 parameters: all.\n" in page
     assert "443 of the 450 planned searches are missing" in page
-    assert (tmp_path / "plots" / "gradients_pay_32_speed_trt_60.png").exists()
+    made = {path.stem for path in (tmp_path / "plots").glob("*.png")}
+    assert made == {"gradients_pay_32_speed_trt_60"}
+    assert {name for name, _ in figures(tmp_path)} == made  # what `nermo-mjx plot` draws
     add_run(tmp_path, run_of("2026-01-02", search_of("exact", 2, 0.0, found=None), search_of("exact", 3, 0.1)))
     assert "the gradient **loses**, 100 mm/s against 110 mm/s" in (tmp_path / "gradients_pay.md").read_text()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,9 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from nermo_mjx.bench import paying_page
 from nermo_mjx.bench.columns import COLUMNS, rows, titled
-from nermo_mjx.bench.history import RESULTS, Measured, append, read
-from nermo_mjx.bench.paying_page import draw_searches
+from nermo_mjx.bench.history import RESULTS, History, Measured, append, read
 from nermo_mjx.bench.registry import CASES
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
@@ -37,10 +38,9 @@ def draw_page(folder: Path, write: Callable[[Path, bytes], None] = replace_file)
         write: how pages and plots are written; by default they replace existing ones.
     """
     history = read(folder)
-    searches = [each.good for measured in history.machines.values() for each in measured
-                if each.case == "gradients-pay" and each.good]  # fmt: skip
-    if searches:
-        draw_searches(folder, searches, write)
+    if searches := _searches(history):
+        write_figures(paying_page.figures(searches), folder / "plots", write)
+        write(folder / paying_page.PAGE, paying_page.text(searches).encode())
     text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
     for remark in history.remarks:
         text += [remark, ""]
@@ -64,8 +64,15 @@ def figures(out: Path) -> Figures:
         raise DirectoryError(f"{out / RESULTS} cannot be read: {error.strerror}.") from None
     if not history.machines:
         raise DirectoryError(f"{out / RESULTS} cannot be read: no line of it is a run. Measure with nermo-mjx bench.")
-    each = enumerate(history.machines.items(), 1)
-    return (figure for number, (machine, measured) in each for figure in _figures(machine, measured, number))
+    machines = enumerate(history.machines.items(), 1)
+    own = (figure for number, (machine, measured) in machines for figure in _figures(machine, measured, number))
+    return itertools.chain(own, paying_page.figures(_searches(history)))
+
+
+def _searches(history: History) -> list[Mapping[str, Any]]:
+    """Searches of the case that has a page of its own."""
+    return [each.good for measured in history.machines.values() for each in measured
+            if each.case == "gradients-pay" and each.good]  # fmt: skip
 
 
 def _tables(measured: Sequence[Measured]) -> Iterator[str]:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.bench.registry import CASES
-from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, LINE, SERIES, horizontal_grid
 from nermo_mjx.runs.text import table
@@ -27,21 +25,34 @@ Line = Mapping[str, Any]
 Cell = tuple[Any, ...]
 
 
-def draw_searches(folder: Path, lines: Sequence[Line], write: Callable[[Path, bytes], None]) -> None:
-    """Write FOLDER/gradients_pay.md and its plots from the figures of the finished searches."""
-    cells: dict[Cell, list[Line]] = {}
-    for line in lines:
-        cells.setdefault(tuple(line[name] for name in _WAY), []).append(line)
-    figures = {_name(cell): _figure(cell, own) for cell, own in cells.items() if len({x["method"] for x in own}) > 1}
-    paths = [path for path in write_figures(figures.items(), folder / "plots", write) if path.suffix == ".png"]
-    text = ["# Where gradients pay: the searches", "", *_INTRODUCTION, ""]
+def figures(lines: Sequence[Line]) -> Iterator[tuple[str, Figure]]:
+    """A figure for each cell that more than one method searched."""
+    return ((_name(cell), _figure(cell, own)) for cell, own in _cells(lines).items() if _compares(own))
+
+
+def text(lines: Sequence[Line]) -> str:
+    """The page, in Markdown, from the finished searches."""
+    cells = _cells(lines)
     headings = ["parameters", "task", "gait", "budget [CPU s]", "method", "seeds", "found", "range",
                 "at equal simulated time", "to the first evaluation [CPU s]", "evaluations"]  # fmt: skip
-    text += [table(headings, [row for cell, own in cells.items() for row in _rows(cell, own)]), ""]
-    text += [sentence for cell, own in cells.items() if (sentence := _verdict(cell, own))]
-    text += ["", *_missing(list(cells), cells), ""]
-    text += [f"![{path.stem}](plots/{path.name})" for path in paths]
-    write(folder / PAGE, ("\n".join(text).rstrip() + "\n").encode())
+    parts = ["# Where gradients pay: the searches", "", *_INTRODUCTION, ""]
+    parts += [table(headings, [row for cell, own in cells.items() for row in _rows(cell, own)]), ""]
+    parts += [sentence for cell, own in cells.items() if (sentence := _verdict(cell, own))]
+    parts += ["", *_missing(list(cells), cells), ""]
+    parts += [f"![{name}](plots/{name}.png)" for name in (_name(cell) for cell, own in cells.items() if _compares(own))]
+    return "\n".join(parts).rstrip() + "\n"
+
+
+def _cells(lines: Sequence[Line]) -> dict[Cell, list[Line]]:
+    """The searches by what is searched, smallest number of parameters first."""
+    cells: dict[Cell, list[Line]] = {}
+    for line in sorted(lines, key=lambda line: line["parameters"]):
+        cells.setdefault(tuple(line[name] for name in _WAY), []).append(line)
+    return cells
+
+
+def _compares(own: Sequence[Line]) -> bool:
+    return len({line["method"] for line in own}) > 1
 
 
 _INTRODUCTION: Final = (
