@@ -119,7 +119,7 @@ def test_examples_in_the_help_are_valid_commands() -> None:
 def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.control.free_stepping import FREE
     from nermo_mjx.control.fusion import MODES, NO_MODE
-    from nermo_mjx.control.parameters import PROFILES, STEERING
+    from nermo_mjx.control.published import PROFILES, STEERING
     from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
     from nermo_mjx.physics.engine import ENGINES

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nermo_mjx.control.parameters import PROFILES
+from nermo_mjx.control.published import PROFILES
 from nermo_mjx.experiments import maze, straight_line, theory, turning
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, worlds
 from nermo_mjx.experiments.judgement import Asked, AtMost, Effect, Number, Range, Same, Shown

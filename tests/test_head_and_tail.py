@@ -12,7 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from nermo_mjx import SERVOS, Run, Setup, load_robot, servo_table
-from nermo_mjx.control import ControlParameters, CounterRoll, CounterYaw, Gaze, Pace, sway
+from nermo_mjx.control import ControlParameters, Pace, sway
+from nermo_mjx.control.head import named_head
+from nermo_mjx.control.tail import named_tail
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot import ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
@@ -52,7 +54,7 @@ def test_the_head_looks_along_the_course_whatever_the_torso_does(torso: Rotation
     params = params_with(head_lead=0.0, head_pan=pan)
     course = torso.as_euler("ZXY")[0] + 0.2
     begun = sway.Course(jnp.asarray(course, jnp.float32), jnp.zeros(()))
-    _, angles = Gaze().update(params, begun, sensors_at(torso), PACE, 1e-9)
+    _, angles = named_head("gaze").update(params, begun, sensors_at(torso), PACE, 1e-9)
     looks = torso * Rotation.from_euler("z", float(angles.neck)) * Rotation.from_euler("x", float(angles.tilt))
     wanted = [np.sin(course + pan), -np.cos(course + pan), 0.0]
     np.testing.assert_allclose(looks.apply([0.0, -1.0, 0.0]), wanted, atol=1e-6)
@@ -64,7 +66,7 @@ def test_the_gaze_is_where_the_torso_will_be_when_the_servos_have_followed() -> 
     torso = TILTED[0]
     then = torso * Rotation.from_rotvec(rate * lead)
     course = sway.Course(jnp.asarray(0.3, jnp.float32), jnp.zeros(()))
-    angles = [np.array(Gaze().update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
+    angles = [np.array(named_head("gaze").update(params_with(head_lead=ahead), course, seen, PACE, 1e-9)[1])
               for ahead, seen in ((lead, sensors_at(torso, tuple(rate))), (0.0, sensors_at(then)),
                                   (0.0, sensors_at(torso)))]  # fmt: skip
     assert np.abs(angles[0] - angles[1]).max() < 1e-3 < 0.03 < np.abs(angles[2] - angles[1]).max()
@@ -102,7 +104,7 @@ def test_a_gradient_goes_through_the_gaze() -> None:
 
     def neck(gain: jax.Array, sensors: Sensors) -> jax.Array:
         params = replace_quantities(ControlParameters(), {"head.gain": gain})
-        return sum(Gaze().update(params, sway.begin(sensors, ROBOT), sensors, PACE, 0.01)[1])
+        return sum(named_head("gaze").update(params, sway.begin(sensors, ROBOT), sensors, PACE, 0.01)[1])
 
     for torso in (Rotation.identity(), TILTED[0]):
         slopes = jax.grad(neck, argnums=(0, 1))(jnp.asarray(1.0), sensors_at(torso))
@@ -130,8 +132,9 @@ def test_the_tail_turns_with_the_body_and_props_it() -> None:
     """Torso 0.1 rad to the left of its course: tip to the right. Torso leaning 0.1 rad to the left: tip to the left."""
     params = params_with(tail_yaw_gain=3.0, tail_roll_gain=3.0)
     course = sway.Course(jnp.zeros(()), jnp.zeros(()))
-    _, against_yaw = CounterYaw().update(params, course, sensors_at(Rotation.from_euler("z", 0.1)), PACE, 1e-9)
-    _, against_roll = CounterRoll().update(params, (), sensors_at(Rotation.from_euler("y", 0.1)), PACE, 1e-9)
+    turned, leaning = (sensors_at(Rotation.from_euler(axis, 0.1)) for axis in "zy")
+    _, against_yaw = named_tail("counter_yaw").update(params, course, turned, PACE, 1e-9)
+    _, against_roll = named_tail("counter_roll").update(params, (), leaning, PACE, 1e-9)
     assert (float(against_yaw), float(against_roll)) == (pytest.approx(-0.3, abs=1e-5), pytest.approx(0.3, abs=1e-5))
 
 

@@ -11,9 +11,11 @@ import numpy as np
 from jaxtyping import Bool
 
 from nermo_mjx.control import trajectory
-from nermo_mjx.control.parameters import ControlParameters, Stance, choice, published_values, with_gait_factor
+from nermo_mjx.control.parameters import ControlParameters, Stance
+from nermo_mjx.control.published import published_values, with_gait_factor
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.geometry import Geometry, geometry_of, names_geometry
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError, check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.runtime import start_jax

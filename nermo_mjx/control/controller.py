@@ -25,22 +25,24 @@ from nermo_mjx.control import build, clock, fusion, pilot, trajectory
 from nermo_mjx.control.course import course_through
 from nermo_mjx.control.free_stepping import FREE, FreeStepping
 from nermo_mjx.control.fusion import SpineLike, SpineModes
-from nermo_mjx.control.head import HeadLike, HeldHead, named_head
-from nermo_mjx.control.parameters import ControlParameters, choice, with_gait_factor
+from nermo_mjx.control.head import HeadLike, named_head
+from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.path import PATHS, PathPoint
 from nermo_mjx.control.pilot import Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
 from nermo_mjx.control.protocol import leg_servos
+from nermo_mjx.control.published import with_gait_factor
 from nermo_mjx.control.sagittal import SagittalLike, SagittalModes
 from nermo_mjx.control.state import ControllerState, canonical, with_dtypes_of
 from nermo_mjx.control.stepping import GaitLike, Stepping
 from nermo_mjx.control.sway import Pace
-from nermo_mjx.control.tail import HeldTail, TailLike, named_tail
+from nermo_mjx.control.tail import TailLike, named_tail
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.kinematics.body import rear_foot_rise
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import Sensors, ServoAngles
 from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Array, Scalar
@@ -72,8 +74,8 @@ class Controller:
     control_rate: float = 100.0
     pilot_rate: float = 50.0
     parameters: Any = dataclasses.field(default_factory=ControlParameters, compare=False, repr=False)
-    head: HeadLike = dataclasses.field(default_factory=HeldHead)
-    tail: TailLike = dataclasses.field(default_factory=HeldTail)
+    head: HeadLike = dataclasses.field(default_factory=named_head)
+    tail: TailLike = dataclasses.field(default_factory=named_tail)
     sagittal: SagittalLike | None = None
 
     def __post_init__(self) -> None:

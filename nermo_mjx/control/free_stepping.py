@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control import clock, trajectory
-from nermo_mjx.control.parameters import FOOT_POINTS, ControlParameters
+from nermo_mjx.control.free_parameters import FOOT_POINTS
+from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.control.stepping import Stepping
 from nermo_mjx.kinematics.leg import four_reaches

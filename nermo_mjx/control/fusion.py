@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import HARMONICS, ControlParameters, Spine, choice
+from nermo_mjx.control.parameters import HARMONICS, ControlParameters, Spine
 from nermo_mjx.control.power import signed_power
 from nermo_mjx.kinematics.balance import balance_angle
 from nermo_mjx.kinematics.body import hip_height_offset
@@ -23,6 +23,7 @@ from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.assembly import RobotConfig
 from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.robot import mass_model_of
 from nermo_mjx.shapes import Array, Planar, Scalar, Scalars

@@ -11,22 +11,36 @@ the neck alone.
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Final, NamedTuple, Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from nermo_mjx.control import sway
-from nermo_mjx.control.parameters import ControlParameters, Head, choice
+from nermo_mjx.control.appendage import AppendageLike, Memoryless, OnCourse
 from nermo_mjx.control.sway import Course, Pace
 from nermo_mjx.kinematics.attitude import turned_back
-from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import Sensors
+from nermo_mjx.robot.nearest import choice
+from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.shapes import Array, Scalars
 
 GAZE: Final = "gaze"
-HEADS: Final = ("none", GAZE)
+
+
+@parameter_tree
+class Head:
+    """Direction of the head, and stabilisation of its gaze; the tilt needs a robot with a servo for it."""
+
+    pan: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="neck beside straight ahead, positive left")
+    tilt: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="head from level, positive down")
+    into_turn: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="how far the neck looks into a full turn")
+    gain: Any = quantity(1.0, unit="1", low=0.0, high=2.0, doc="share of the torso's sway that the gaze takes out")
+    bandwidth: Any = quantity(
+        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that the gaze holds, per gait cycle"
+    )
+    lead: Any = quantity(
+        0.0, unit="s", low=0.0, high=0.2, doc="how far ahead the gyro carries the torso's rotation, for slow servos"
+    )
 
 
 class HeadAngles(NamedTuple):
@@ -36,72 +50,33 @@ class HeadAngles(NamedTuple):
     tilt: Scalars
 
 
-@runtime_checkable
-class HeadLike(Protocol):
-    """Head control: pure functions of parameters and their own memory, any pytree. Values are unbatched."""
-
-    def start(self, params: Any, pace: Pace) -> tuple[Any, HeadAngles]:
-        """Memory and angles before the first sensor reading; the start pose is built from them."""
-
-    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        """The memory of `start` updated with the first readings."""
-
-    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, HeadAngles]:
-        """Memory and angles one control tick of `dt` seconds later."""
+class HeadLike(AppendageLike[HeadAngles], Protocol):
+    """Head control, see `AppendageLike`."""
 
 
-def named_head(name: str) -> HeadLike:
-    """The head control of this name in `HEADS`."""
-    return Gaze() if choice("head", name, HEADS) == GAZE else HeldHead()
-
-
-@dataclasses.dataclass(frozen=True)
-class HeldHead:
+def held(head: Head, pace: Pace, sensors: Sensors | None = None) -> HeadAngles:
     """Looks in the torso's direction, offset by `head.pan`, `head.tilt` and `head.into_turn`."""
-
-    def start(self, params: ControlParameters, pace: Pace) -> tuple[Any, HeadAngles]:
-        """See `HeadLike`."""
-        return (), _held(params.head, pace)
-
-    def init(self, params: ControlParameters, memory: Any, sensors: Sensors) -> Any:
-        """See `HeadLike`."""
-        return memory
-
-    def update(
-        self, params: ControlParameters, memory: Any, sensors: Sensors, pace: Pace, dt: float
-    ) -> tuple[Any, HeadAngles]:
-        """See `HeadLike`."""
-        return self.start(params, pace)
-
-
-@dataclasses.dataclass(frozen=True)
-class Gaze:
-    """Looks along the robot's course and level, with the offsets that `HeldHead` has from the torso's direction."""
-
-    def start(self, params: ControlParameters, pace: Pace) -> tuple[Course, HeadAngles]:
-        """See `HeadLike`."""
-        return Course(jnp.zeros(()), jnp.zeros(())), _held(params.head, pace)
-
-    def init(self, params: ControlParameters, memory: Course, sensors: Sensors) -> Course:
-        """See `HeadLike`."""
-        return sway.begin(sensors, geometry_of(params))
-
-    def update(
-        self, params: ControlParameters, memory: Course, sensors: Sensors, pace: Pace, dt: float
-    ) -> tuple[Course, HeadAngles]:
-        """See `HeadLike`."""
-        head, held = params.head, _held(params.head, pace)
-        course = sway.observe(memory, sensors, head.bandwidth * pace.cycle_rate, dt, geometry_of(params))
-        seen = turned_back(sensors.orientation, _direction(course.heading + held.neck, held.tilt))
-        seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
-        level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)
-        wanted = HeadAngles(jnp.arctan2(seen[0], -seen[1]), jnp.arctan2(-seen[2], level))
-        return course, HeadAngles(*(own + head.gain * (to - own) for own, to in zip(held, wanted, strict=True)))
-
-
-def _held(head: Head, pace: Pace) -> HeadAngles:
     neck = head.pan + head.into_turn * pace.turn_rate
     return HeadAngles(neck, jnp.zeros_like(neck) + head.tilt)
+
+
+def gaze(head: Head, pace: Pace, sensors: Sensors, course: Course) -> HeadAngles:
+    """Looks along the robot's course and level, with the offsets that `held` has from the torso's direction."""
+    offset = held(head, pace)
+    seen = turned_back(sensors.orientation, _direction(course.heading + offset.neck, offset.tilt))
+    seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
+    level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)
+    wanted = HeadAngles(jnp.arctan2(seen[0], -seen[1]), jnp.arctan2(-seen[2], level))
+    return HeadAngles(*(own + head.gain * (to - own) for own, to in zip(offset, wanted, strict=True)))
+
+
+_HEADS: Final[dict[str, HeadLike]] = {"none": Memoryless("head", held), GAZE: OnCourse("head", held, gaze)}
+HEADS: Final = tuple(_HEADS)
+
+
+def named_head(name: str = "none") -> HeadLike:
+    """The head control of this name in `HEADS`."""
+    return _HEADS[choice("head", name, HEADS)]
 
 
 def _direction(heading: Scalars, down: Scalars) -> Float[Array, " 3"]:

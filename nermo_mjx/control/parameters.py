@@ -4,30 +4,19 @@ time."""
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
+from nermo_mjx.control.free_parameters import FootPaths, Limb, Trim
+from nermo_mjx.control.head import Head
+from nermo_mjx.control.tail import Tail
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.nearest import nearest
-from nermo_mjx.robot.parameters import FRONT_LEG, GAIT_PATTERNS, LIMBS, REAR_LEG
-from nermo_mjx.robot.quantity import ParameterError, flat, group, parameter_tree, quantity
+from nermo_mjx.robot.parameters import FRONT_LEG, LIMBS, REAR_LEG
+from nermo_mjx.robot.quantity import flat, group, parameter_tree, quantity
 
-#: Pairs of limbs, then limbs: the value of a pair applies to both of its limbs, and that of a limb is added to it.
-PAIRS_AND_LIMBS = ("front", "rear", *LIMBS)
 #: Harmonics of the spine's Fourier series.
 HARMONICS = 6
-#: Points of a foot's path: touch-down, three in stance, lift-off, three in swing.
-FOOT_POINTS = 8
-
-#: Control rate of the published foot tracking lag [Hz], and the share of the foot error that it closed per tick.
-PUBLISHED_TRACKING = {"rate": 80.0, "gain": 0.11}
-PUBLISHED_CLOCK_RATIO = 0.4
-#: The published pilot is a PD from the cross-track error to the turn rate, and limit-cycles: it aims at a point 12 mm
-#: ahead at 0.08 m/s, a tenth of the trunk, reacts to the torso's sway, and ignores that a turn rate of 0.4 changes the
-#: legs' strides by only 1 %. The profile `exact` is guided by curvature instead (`guidance`).
-PUBLISHED_PILOT = {"pilot.error_gain": 40.0, "pilot.change_gain": 300.0, "pilot.guidance": 0.0}
 
 
 @parameter_tree
@@ -120,52 +109,6 @@ class Spine:
     )
 
 
-def _of_limbs(default: float, **about: Any) -> Any:
-    return quantity((default,) * len(PAIRS_AND_LIMBS), labels=PAIRS_AND_LIMBS, **about)
-
-
-@parameter_tree
-class Limb:
-    """Differences between limbs, with the trajectory 'free'. The values of a pair and of its limb are combined."""
-
-    stride: Any = _of_limbs(1.0, unit="1", low=0.0, high=2.0, doc="the limb's stride, as a share of that of the gait")
-    lift: Any = _of_limbs(0.0, unit="m", low=-0.02, high=0.02, doc="higher mid-swing than stance.swing_amplitude")
-    duty: Any = _of_limbs(0.0, unit="1", low=-0.4, high=0.4, doc="longer stance than duty, as a share of the cycle")
-    phase: Any = _of_limbs(0.0, unit="1", low=-0.5, high=0.5, doc="later stance than offset, as a share of the cycle")
-
-
-def _foot_path() -> Any:
-    return quantity(
-        (0.0,) * 2 * FOOT_POINTS,
-        unit="m",
-        low=-0.02,
-        high=0.02,
-        labels=tuple(f"{axis}{point}" for axis in "yz" for point in range(1, FOOT_POINTS + 1)),
-        doc="y backward or z up, 1 touch-down, 2-4 stance, 5 lift-off, 6-8 swing",
-    )
-
-
-@parameter_tree
-class FootPaths:
-    """Displacements of eight points of a foot's path, with the trajectory 'free'. A pair's are added to its limb's."""
-
-    front: Any = _foot_path()
-    rear: Any = _foot_path()
-    front_left: Any = _foot_path()
-    front_right: Any = _foot_path()
-    rear_left: Any = _foot_path()
-    rear_right: Any = _foot_path()
-
-
-@parameter_tree
-class Trim:
-    """Offsets of servo angles, with the trajectory 'free'. A pair's value is added to its limb's."""
-
-    spine: Any = quantity(0.0, unit="rad", low=-0.4, high=0.4, doc="added to the spine servo, positive left")
-    hip: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the hip servo, positive backward")
-    knee: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the knee servo")
-
-
 @parameter_tree
 class Turning:
     """How a turn rate is shared between legs and spine (5.38, 5.39). lb = (1, 0), sb = (0, 1), mb = (1, 1)."""
@@ -212,43 +155,6 @@ class Pilot:
     turn_rate: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="turn rate held by the pilot 'open_loop'")
     radius: Any = quantity(1.0, unit="m", low=0.05, high=1000.0, doc="radius of the pilot 'arc'")
     direction: Any = quantity(1.0, unit="1", low=-1.0, high=1.0, doc="side of the pilot 'arc': +1 left, -1 right")
-
-
-@parameter_tree
-class Head:
-    """Direction of the head, and stabilisation of its gaze; the tilt needs a robot with a servo for it."""
-
-    pan: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="neck beside straight ahead, positive left")
-    tilt: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="head from level, positive down")
-    into_turn: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="how far the neck looks into a full turn")
-    gain: Any = quantity(1.0, unit="1", low=0.0, high=2.0, doc="share of the torso's sway that the gaze takes out")
-    bandwidth: Any = quantity(
-        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that the gaze holds, per gait cycle"
-    )
-    lead: Any = quantity(
-        0.0, unit="s", low=0.0, high=0.2, doc="how far ahead the gyro carries the torso's rotation, for slow servos"
-    )
-
-
-@parameter_tree
-class Tail:
-    """How the articulated tail moves; a positive servo angle moves the tip to the left."""
-
-    angle: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="servo angle about which it moves")
-    swing_amplitude: Any = quantity(0.5, unit="rad", low=0.0, high=1.0, doc="largest servo amplitude of the swing")
-    swing_gain: Any = quantity(
-        4.5, unit="rad s^2/m^2", low=0.0, high=1e4, doc="servo amplitude of the swing over the square of gait.speed"
-    )
-    swing_phase: Any = quantity(
-        np.pi, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="of the swing A cos(2 pi phase + tail.swing_phase)"
-    )
-    # Both were chosen by sweeps of the trot at 0.8 Hz (docs/control.md): with higher values the robot rolls or slows
-    # down.
-    yaw_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle against the torso's yaw off course")
-    roll_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle over the torso's roll")
-    bandwidth: Any = quantity(
-        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that yaw is counted from, per gait cycle"
-    )
 
 
 @parameter_tree
@@ -300,58 +206,3 @@ def with_geometry(params: Any) -> Any:
     own = {field.name: getattr(params, field.name) for field in dataclasses.fields(params)}
     changed = {name: new for name, value in own.items() if (new := with_geometry(value)) is not value}
     return dataclasses.replace(params, **changed) if changed else params
-
-
-#: Weights (leg, spine) of the three published turning strategies.
-STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.0), "mix": (1.0, 1.0)}
-#: Measured over expected curvature (`turning.path_curvature`), by type of steering. Measured without a path, at
-#: constant turn rates with expected radii of 0.5 and 1 m: mean over three gaits, three frequencies and strides
-#: of 0.8 and 1.0 (docs/experiments.md has the spread).
-GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
-PROFILES: tuple[str, ...] = ("exact", "as_published")
-
-
-def published_values(gait: str, *, steering: str = "leg", profile: str = "exact") -> dict[str, float]:
-    """Named parameter values of a published gait, turning strategy and profile (`exact` or `as_published`).
-
-    The values are keyed as `quantities(ControlParameters)` names them, for `replace_quantities`.
-
-    Raises:
-        ParameterError: an unknown gait, steering or profile.
-    """
-    pattern = GAIT_PATTERNS[choice("gait", gait, GAIT_PATTERNS)]
-    leg, spine = STEERING[choice("steering", steering, STEERING)]
-    choice("profile", profile, PROFILES)
-    values = {"duty": pattern.duty, "gait_factor": pattern.gait_factor}
-    values |= {"turning.leg": leg, "turning.spine": spine, "pilot.grip": GRIP[steering]}
-    values |= {f"offset.{limb}": offset for limb, offset in zip(LIMBS, pattern.offsets, strict=True)}
-    if profile == "as_published":
-        values |= {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO}
-        values |= PUBLISHED_PILOT
-    return values
-
-
-def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values; if they name a duty factor but no gait factor, with its gait factor 1 / duty (A.2).
-
-    While a foot is in stance, for the share d of a cycle, the body moves by one stride: 1 / d strides per cycle
-    (erratum 20).
-    """
-    if "duty" in values and "gait_factor" not in values:
-        return {**values, "gait_factor": 1.0 / values["duty"]}
-    return dict(values)
-
-
-def choice(field: str, name: str, options: Iterable[str]) -> str:
-    """`name` if it is one of `options`.
-
-    Raises:
-        ParameterError: it is not; the message names the field, the value, the nearest option and all of them.
-    """
-    names = list(options)
-    if name in names:
-        return name
-    near = nearest(str(name), names)
-    hint = f"did you mean {near!r}? " if near else ""
-    allowed = ", ".join(names) if len(names) <= 12 else f"{', '.join(names[:4])}, ... ({len(names)} names)"
-    raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {allowed}.")

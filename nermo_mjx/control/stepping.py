@@ -10,8 +10,9 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control import clock, trajectory, turning
-from nermo_mjx.control.parameters import ControlParameters, choice
+from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.pilot import Drive
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.shapes import Array, Scalar, Scalars
 
 

@@ -10,128 +10,79 @@ which the torso leans. As a counterweight it would move to the other side, with 
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Final, Protocol
 
 import jax.numpy as jnp
+import numpy as np
 
 from nermo_mjx.control import sway
-from nermo_mjx.control.parameters import ControlParameters, choice
+from nermo_mjx.control.appendage import AppendageLike, Memoryless, OnCourse
 from nermo_mjx.control.sway import Course, Pace
 from nermo_mjx.kinematics.attitude import attitude
-from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import Sensors
+from nermo_mjx.robot.nearest import choice
+from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.shapes import Scalars
 
 SWING, COUNTER_YAW, COUNTER_ROLL = "swing", "counter_yaw", "counter_roll"
-TAIL_MOTIONS: Final = ("none", SWING, COUNTER_YAW, COUNTER_ROLL)
 
 
-@runtime_checkable
-class TailLike(Protocol):
-    """Tail control: pure functions of parameters and their own memory, any pytree. Values are unbatched.
+@parameter_tree
+class Tail:
+    """How the articulated tail moves; a positive servo angle moves the tip to the left."""
 
-    An angle is that of the tail's servo, positive bends the tip to the left [rad].
-    """
-
-    def start(self, params: Any, pace: Pace) -> tuple[Any, Scalars]:
-        """Memory and angle before the first sensor reading; the start pose is built from them."""
-
-    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        """The memory of `start` updated with the first readings."""
-
-    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Scalars]:
-        """Memory and angle one control tick of `dt` seconds later."""
-
-
-def named_tail(name: str) -> TailLike:
-    """The tail control of this name in `TAIL_MOTIONS`."""
-    parts: dict[str, TailLike] = {
-        "none": HeldTail(), SWING: TailSwing(), COUNTER_YAW: CounterYaw(), COUNTER_ROLL: CounterRoll(),
-    }  # fmt: skip
-    return parts[choice("tail_motion", name, TAIL_MOTIONS)]
+    angle: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="servo angle about which it moves")
+    swing_amplitude: Any = quantity(0.5, unit="rad", low=0.0, high=1.0, doc="largest servo amplitude of the swing")
+    swing_gain: Any = quantity(
+        4.5, unit="rad s^2/m^2", low=0.0, high=1e4, doc="servo amplitude of the swing over the square of gait.speed"
+    )
+    swing_phase: Any = quantity(
+        np.pi, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="of the swing A cos(2 pi phase + tail.swing_phase)"
+    )
+    # Both were chosen by sweeps of the trot at 0.8 Hz (docs/control.md): with higher values the robot rolls or slows
+    # down.
+    yaw_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle against the torso's yaw off course")
+    roll_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle over the torso's roll")
+    bandwidth: Any = quantity(
+        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that yaw is counted from, per gait cycle"
+    )
 
 
-@dataclasses.dataclass(frozen=True)
-class HeldTail:
+class TailLike(AppendageLike[Scalars], Protocol):
+    """Tail control, see `AppendageLike`: its angle is that of the tail's servo, positive bends the tip to the left
+    [rad]."""
+
+
+def held(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
     """Stays at `tail.angle`."""
-
-    def start(self, params: ControlParameters, pace: Pace) -> tuple[Any, Scalars]:
-        """See `TailLike`."""
-        return (), _held(params, pace)
-
-    def init(self, params: ControlParameters, memory: Any, sensors: Sensors) -> Any:
-        """See `TailLike`."""
-        return memory
-
-    def update(
-        self, params: ControlParameters, memory: Any, sensors: Sensors, pace: Pace, dt: float
-    ) -> tuple[Any, Scalars]:
-        """See `TailLike`."""
-        return self.start(params, pace)
+    return jnp.zeros_like(pace.phase) + tail.angle
 
 
-@dataclasses.dataclass(frozen=True)
-class TailSwing:
+def swing(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
     """Swings once per gait cycle about `tail.angle`, as in the author's software."""
-
-    def start(self, params: ControlParameters, pace: Pace) -> tuple[Any, Scalars]:
-        """See `TailLike`."""
-        tail = params.tail
-        amplitude = jnp.minimum(tail.swing_gain * pace.speed**2, tail.swing_amplitude)
-        return (), _held(params, pace) + amplitude * jnp.cos(2.0 * jnp.pi * pace.phase + tail.swing_phase)
-
-    def init(self, params: ControlParameters, memory: Any, sensors: Sensors) -> Any:
-        """See `TailLike`."""
-        return memory
-
-    def update(
-        self, params: ControlParameters, memory: Any, sensors: Sensors, pace: Pace, dt: float
-    ) -> tuple[Any, Scalars]:
-        """See `TailLike`."""
-        return self.start(params, pace)
+    amplitude = jnp.minimum(tail.swing_gain * pace.speed**2, tail.swing_amplitude)
+    return held(tail, pace) + amplitude * jnp.cos(2.0 * jnp.pi * pace.phase + tail.swing_phase)
 
 
-@dataclasses.dataclass(frozen=True)
-class CounterYaw:
+def counter_yaw(tail: Tail, pace: Pace, sensors: Sensors, course: Course) -> Scalars:
     """Bends to the right by `tail.yaw_gain` times the torso's yaw to the left of the robot's course."""
-
-    def start(self, params: ControlParameters, pace: Pace) -> tuple[Course, Scalars]:
-        """See `TailLike`."""
-        return Course(jnp.zeros(()), jnp.zeros(())), _held(params, pace)
-
-    def init(self, params: ControlParameters, memory: Course, sensors: Sensors) -> Course:
-        """See `TailLike`."""
-        return sway.begin(sensors, geometry_of(params))
-
-    def update(
-        self, params: ControlParameters, memory: Course, sensors: Sensors, pace: Pace, dt: float
-    ) -> tuple[Course, Scalars]:
-        """See `TailLike`."""
-        tail = params.tail
-        course = sway.observe(memory, sensors, tail.bandwidth * pace.cycle_rate, dt, geometry_of(params))
-        beside = sway.wrapped(attitude(sensors.orientation)[2] - course.heading)
-        return course, tail.angle - tail.yaw_gain * beside
+    return tail.angle - tail.yaw_gain * sway.wrapped(attitude(sensors.orientation)[2] - course.heading)
 
 
-@dataclasses.dataclass(frozen=True)
-class CounterRoll:
+def counter_roll(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
     """Bends to the side to which the torso leans, by `tail.roll_gain` times its roll."""
-
-    def start(self, params: ControlParameters, pace: Pace) -> tuple[Any, Scalars]:
-        """See `TailLike`."""
-        return (), _held(params, pace)
-
-    def init(self, params: ControlParameters, memory: Any, sensors: Sensors) -> Any:
-        """See `TailLike`."""
-        return memory
-
-    def update(
-        self, params: ControlParameters, memory: Any, sensors: Sensors, pace: Pace, dt: float
-    ) -> tuple[Any, Scalars]:
-        """See `TailLike`."""
-        return memory, params.tail.angle + params.tail.roll_gain * attitude(sensors.orientation)[0]
+    return held(tail, pace) if sensors is None else tail.angle + tail.roll_gain * attitude(sensors.orientation)[0]
 
 
-def _held(params: ControlParameters, pace: Pace) -> Scalars:
-    return jnp.zeros_like(pace.phase) + params.tail.angle
+_TAILS: Final[dict[str, TailLike]] = {
+    "none": Memoryless("tail", held),
+    SWING: Memoryless("tail", swing),
+    COUNTER_YAW: OnCourse("tail", held, counter_yaw),
+    COUNTER_ROLL: Memoryless("tail", counter_roll),
+}
+TAIL_MOTIONS: Final = tuple(_TAILS)
+
+
+def named_tail(name: str = "none") -> TailLike:
+    """The tail control of this name in `TAIL_MOTIONS`."""
+    return _TAILS[choice("tail_motion", name, TAIL_MOTIONS)]

@@ -20,8 +20,9 @@ from typing import Final, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from nermo_mjx.control.parameters import PUBLISHED_TRACKING, Stance, Tracking
+from nermo_mjx.control.parameters import Stance, Tracking
 from nermo_mjx.control.power import signed_power
+from nermo_mjx.control.published import PUBLISHED_TRACKING
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scalars
 
 #: Weights of (nearer end, mid point, farther end) at u, for one coordinate.

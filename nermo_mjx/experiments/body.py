@@ -13,7 +13,6 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.parameters import choice
 from nermo_mjx.experiments.cases import LABELS
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.experiments.settings import Settings, body_count
@@ -22,6 +21,7 @@ from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg
 from nermo_mjx.robot.equipment import VISUAL_GROUP
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVO_RANGE
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
 
 NAME: Final = "body"

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.control.parameters import published_values
+from nermo_mjx.control.published import published_values
 from nermo_mjx.experiments.outcome import BODY, Column
 from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.recording import Recording, recording_of

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from nermo_mjx.control.parameters import choice
 from nermo_mjx.experiments import balance, body, maze, published, straight_line, turning
 from nermo_mjx.experiments.cases import settable
 from nermo_mjx.experiments.line import Figure
@@ -14,6 +13,7 @@ from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.experiments.videos import Shot
+from nermo_mjx.robot.nearest import choice
 
 
 @dataclasses.dataclass(frozen=True)

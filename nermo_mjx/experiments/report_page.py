@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Final
 
-from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
+from nermo_mjx.control.published import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.judgement import AGREES
 from nermo_mjx.experiments.line import KINDS
 from nermo_mjx.experiments.report import HEADINGS, cells, published

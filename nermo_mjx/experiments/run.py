@@ -15,7 +15,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES
+from nermo_mjx.control.published import PROFILES
 from nermo_mjx.experiments import ensemble, report
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored

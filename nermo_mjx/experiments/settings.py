@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES, choice
+from nermo_mjx.control.published import PROFILES
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.rollout.parameters import WorldParameters
 

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import STEERING, ControlParameters
+from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.published import STEERING
 from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.balance import diagonal_distance
 from nermo_mjx.kinematics.body import centre_of_mass, feet_positions, stride_gain

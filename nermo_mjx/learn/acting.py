@@ -18,7 +18,7 @@ from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.interface import SERVOS
-from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.shapes import Array, Scalar
 
@@ -149,8 +149,7 @@ class Modulation:
             raise ParameterError("modulation has no ranges: name at least one parameter of the controller.")
         for name, (low, high) in self.ranges.items():
             if name not in known:
-                near = nearest(name, list(known))
-                hint = f": did you mean {near!r}?" if near else "."
+                hint = did_you_mean(name, known)
                 raise ParameterError(f"modulation has {name!r}, which is no parameter of the controller{hint}")
             if not low < high:
                 raise ParameterError(f"modulation.{name} is [{low:g}, {high:g}]: expected a low end and a high end.")

@@ -20,7 +20,7 @@ from nermo_mjx.learn.observing import OBSERVED, Sensing
 from nermo_mjx.learn.rewards import Term
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, identified
 from nermo_mjx.robot.geometry import names_geometry
-from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.loop import LoopParameters
@@ -130,9 +130,7 @@ class Task:
         for section in ("set", "randomize"):
             for name in getattr(self, section):
                 if name not in known:
-                    near = nearest(name, list(known))
-                    hint = f": did you mean {near!r}?" if near else "."
-                    raise ParameterError(f"{section} has {name!r}, which is no parameter{hint}")
+                    raise ParameterError(f"{section} has {name!r}, which is no parameter{did_you_mean(name, known)}")
                 if name.startswith("terrain.") and name not in terrain_values(str(setup.scene)):
                     raise ParameterError(
                         f"{section} has {name!r}, which the scene {setup.scene!r} has not: leave it out."

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
 
 
@@ -48,9 +48,7 @@ def module_of(subject: str, source: str, form: str) -> ModuleType:
 
 def no_such_name(subject: str, source: str, name: str, names: list[str]) -> ParameterError:
     """The error for a name that a source does not have, with its closest existing name."""
-    near = nearest(name, names)
-    hint = f"; did you mean {near!r}?" if near else "."
-    return ParameterError(f"{subject}: {source} has no {name!r}{hint}")
+    return ParameterError(f"{subject}: {source} has no {name!r}{did_you_mean(name, names)}")
 
 
 def _file_of(subject: str, module: str, form: str) -> Path:

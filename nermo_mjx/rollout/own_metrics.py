@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.robot import ParameterError, Robot, RobotConfig, Sensors, load_robot
-from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
 from nermo_mjx.rollout.catalogue import Metric
 from nermo_mjx.runtime import start_jax
@@ -88,8 +88,7 @@ def metric(
             raise ParameterError(f"metrics has {found.place} with the unit {unit!r}: expected a text, such as 'rad/s'.")
         for field, value, allowed in (("better", better, (None, *SIDES)), ("reduce", reduce, REDUCTIONS)):
             if value not in allowed:
-                near = nearest(str(value), [each for each in allowed if each])
-                hint = f"; did you mean {near!r}?" if near else "."
+                hint = did_you_mean(str(value), filter(None, allowed))
                 listed = ", ".join(map(str, allowed))
                 raise ParameterError(f"metrics has {found.place} with {field}={value!r}: allowed is {listed}{hint}")
         return found
@@ -189,9 +188,7 @@ def _tried(robot: Robot, each: OwnMetric, reading: np.ndarray) -> np.ndarray:
         hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
         if isinstance(error, AttributeError) and isinstance(error.obj, Sensors):
             known = [field.name for field in dataclasses.fields(Sensors)]
-            near = nearest(str(error.name), known)
-            hint = f"; did you mean {near!r}?" if near else ""
-            hint += f" Sensors are {', '.join(known)}"
+            hint = f"{did_you_mean(str(error.name), known)} Sensors are {', '.join(known)}"
         raise ParameterError(f"metrics has {each.place}, which fails: {type(error).__name__}: {wrong}{hint}.") from None
     if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
         raise ParameterError(f"metrics has {each.place}, which gives {_described(given)}: expected one number.")

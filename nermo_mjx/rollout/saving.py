@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.physics import Trace
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
-from nermo_mjx.robot.nearest import nearest
+from nermo_mjx.robot.nearest import did_you_mean
 
 _XYZ: Final = ("x", "y", "z")
 _WXYZ: Final = ("w", *_XYZ)
@@ -148,8 +148,7 @@ def chosen_signals(robot: Robot, saving: Saving) -> tuple[Signal, ...]:
         found = [each for each in every if name in each.names]
         if not found:
             groups = dict.fromkeys(each.source for each in every)
-            near = nearest(name, dict.fromkeys(known for each in every for known in each.names))
-            hint = f"; did you mean {near!r}?" if near else "."
+            hint = did_you_mean(name, dict.fromkeys(known for each in every for known in each.names))
             raise ParameterError(
                 f"sensors has {name!r}: allowed are {', '.join(groups)}, or one sensor of a group, such as gyro_z or "
                 f"front_left_foot_force{hint}"

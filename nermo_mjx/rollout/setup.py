@@ -14,15 +14,17 @@ from jaxtyping import Float
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.fusion import SAGITTAL_MODES, SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
-from nermo_mjx.control.parameters import ControlParameters, choice, published_values, with_geometry
+from nermo_mjx.control.parameters import ControlParameters, with_geometry
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
+from nermo_mjx.control.published import published_values
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.masses import mass_values
 from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
 from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv

@@ -7,8 +7,9 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final
 
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
-from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
+from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import MEASURED, Choice, Finite, Numbers, Positive, Whole
 from nermo_mjx.sweep.axes import Axis
 from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Objective, objective_metrics

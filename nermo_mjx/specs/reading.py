@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import io
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -14,7 +14,6 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from nermo_mjx.robot.nearest import nearest
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
@@ -117,12 +116,6 @@ def describe(value: Any) -> str:
         return "a mapping" + (f" of {', '.join(map(str, value))}" if value else " without fields")
     shown = str(value).lower() if isinstance(value, bool) else repr(value)
     return f"{kinds.get(type(value), type(value).__name__)} {shown if len(shown) <= 60 else shown[:57] + '...'}"
-
-
-def did_you_mean(name: str, allowed: Iterable[str]) -> str:
-    """`; did you mean 'x'?` for the nearest allowed name, or a full stop where none is near."""
-    found = nearest(name, allowed)
-    return f"; did you mean '{found}'?" if found else "."
 
 
 class _NodeReader:

@@ -12,11 +12,12 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
 from nermo_mjx.rollout.catalogue import METRICS, Metric
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
-from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
+from nermo_mjx.specs.reading import Document, FieldPath, describe
 
 #: Every parameter, for a file without a setup; each setup has the same names.
 PARAMETERS: Final[dict[str, Quantity]] = dict(quantities(WorldParameters))

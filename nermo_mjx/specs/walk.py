@@ -15,11 +15,12 @@ from pydantic import BeforeValidator, Field
 from nermo_mjx.control.free_stepping import FREE
 from nermo_mjx.control.fusion import SPINES
 from nermo_mjx.control.head import GAZE, HEADS
-from nermo_mjx.control.parameters import PROFILES, STEERING
+from nermo_mjx.control.published import PROFILES, STEERING
 from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW, SWING, TAIL_MOTIONS
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAITS
 from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError, Quantity
@@ -28,7 +29,7 @@ from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
-from nermo_mjx.specs.reading import Document, FieldPath, describe, did_you_mean
+from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, check_value, number_of
 
 #: Parameters, and groups of them, that are only used with a certain choice of the setup.

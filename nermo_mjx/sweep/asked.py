@@ -8,8 +8,9 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, Field
 
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.specs.fields import Fields, Refused, optional
-from nermo_mjx.specs.reading import Document, describe, did_you_mean
+from nermo_mjx.specs.reading import Document, describe
 
 #: A value of a varied column.
 Value = float | str

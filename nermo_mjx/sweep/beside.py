@@ -8,11 +8,12 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, Field
 
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Metric, Saving, Setup
 from nermo_mjx.rollout.saving import Keeper
 from nermo_mjx.specs.fields import Fields
-from nermo_mjx.specs.reading import Document, did_you_mean
+from nermo_mjx.specs.reading import Document
 from nermo_mjx.specs.values import Positive, Whole
 from nermo_mjx.sweep.sides import sides_of
 

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.files import Figures
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.figures import pair_scatters, scatters
 from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.plots import MOST_POINTS, figures_of, heat_map

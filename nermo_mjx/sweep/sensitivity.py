@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.plotting.files import Figures
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.comparing.arms import Source, opened
 from nermo_mjx.sweep.reports import report_table
 from nermo_mjx.sweep.results import Results

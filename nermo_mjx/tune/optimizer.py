@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.specs.reading import describe, did_you_mean
+from nermo_mjx.specs.reading import describe
 from nermo_mjx.tune.controlled_adam import controlled_adam
 
 #: The optimizer with an automatic learning rate, which uses the objective's value.

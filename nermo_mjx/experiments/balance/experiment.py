@@ -15,7 +15,8 @@ import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO, ControlParameters, Spine, choice
+from nermo_mjx.control.parameters import ControlParameters, Spine
+from nermo_mjx.control.published import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.balance import measures
 from nermo_mjx.experiments.balance.protocol import (
     DURATION,
@@ -36,6 +37,7 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, load_robot
 from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
 from nermo_mjx.rollout.result import History
 from nermo_mjx.rollout.simulator import BLOCK

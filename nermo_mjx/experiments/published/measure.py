@@ -7,7 +7,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
+from nermo_mjx.control.published import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.judgement import Judgement
 from nermo_mjx.experiments.line import Figure, Kind, Value
 from nermo_mjx.experiments.outcome import Outcome

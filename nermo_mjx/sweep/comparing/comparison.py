@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from scipy import stats
 
+from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.specs.reading import did_you_mean
 from nermo_mjx.sweep.comparing.arms import Arm, Source, Value, two_tables, values_of, where
 from nermo_mjx.sweep.comparing.bootstrap import RESAMPLES
 from nermo_mjx.sweep.comparing.pairing import Differences, Pairing, differences, pair

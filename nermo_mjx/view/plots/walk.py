@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from nermo_mjx.control.free_stepping import FREE, FreeStepping
-from nermo_mjx.control.parameters import ControlParameters, published_values
+from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.published import published_values
 from nermo_mjx.control.stepping import Stepping
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.recording import Recording
