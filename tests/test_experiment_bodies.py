@@ -147,7 +147,7 @@ def test_workers_that_are_lost_leave_the_experiments_that_are_done(fakes, tmp_pa
 
     former = run_experiment("maze", tmp_path, bodies=4, seed=4, video=False)
     former.table.write_text("damaged")
-    with pytest.raises(ExperimentError, match=r"no node came within 300 s\. What is done is kept in .*same command"):
+    with pytest.raises(ExperimentError, match=r"no node came within 300 s\. What is finished is kept in .*same"):
         run_experiments(("maze", "turning"), tmp_path, bodies=4, video=False, workers=Lost())
     assert Directory(tmp_path).load("maze") is not None
     assert Directory(tmp_path).load_bodies("maze") is None, "those of other settings are none of these results"

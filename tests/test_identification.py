@@ -224,7 +224,7 @@ def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
 
 def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
-    with pytest.raises(WorkersLost, match=r"no node came within 300 s\. What is done is kept in .*same command"):
+    with pytest.raises(WorkersLost, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
         run.run_identification(tmp_path / "lost", **settings, workers=Backwards(lost_after=2))
     assert pretended.calls == 2
     run.run_identification(tmp_path / "lost", **settings)

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib
 from pathlib import Path
 from types import FunctionType
 from typing import Any, Final
 
 from nermo_mjx.control.protocol import REQUIRED
+from nermo_mjx.readers import READERS
 from nermo_mjx.robot.own_code import content_of_source, module_of, no_such_name
 from nermo_mjx.robot.quantity import ParameterError
 
 FORM: Final = "FILE.py:NAME, MODULE:NAME or FILE.npz"
-#: Loader of controllers that are data. By name, because policies belong to a higher layer, which is imported on demand.
-_READERS: Final = {".npz": "nermo_mjx.learn.policy:load_policy"}
 
 
 def load_controller(where: str) -> Any:
@@ -29,8 +27,7 @@ def load_controller(where: str) -> Any:
         ParameterError: the file, module or name does not exist, it cannot be imported, or it is not a controller.
     """
     if is_data(where):
-        place, _, reader = _READERS[Path(where).suffix].partition(":")
-        return getattr(importlib.import_module(place), reader)(where)
+        return READERS[Path(where).suffix](where)
     source, name = _parts(where)
     module = module_of(f"controller is {where!r}", source, FORM)
     found = getattr(module, name, None)
@@ -58,7 +55,7 @@ def controller_digest(where: str) -> str:
 
 def is_data(where: str) -> bool:
     """Whether a text names a file that holds a controller as data instead of code."""
-    return Path(where).suffix in _READERS
+    return Path(where).suffix in READERS
 
 
 def check_form(controller: Any) -> None:

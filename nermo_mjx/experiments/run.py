@@ -230,9 +230,7 @@ class _Work:
         except TaskFailed as failed:
             self._explain(parts[failed.key].name, failed.error)
         except WorkersLost as lost:
-            raise ExperimentError(
-                f"{lost} What is done is kept in {self.directory.out}: run the same command again."
-            ) from None
+            raise ExperimentError(lost.kept_in(self.directory.out)) from None
 
     def _outdated(self, bodies: Stored | None) -> bool:
         """Whether there are bodies that do not match the current simulation."""

@@ -30,8 +30,9 @@ from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs import OtherCode, RunDirectory, stamp
 from nermo_mjx.runs.checkpoints import Checkpoints
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, parquet_bytes
-from nermo_mjx.specs.controllers import keep_controller
-from nermo_mjx.specs.reading import SpecError, changes
+from nermo_mjx.specs.controllers import with_code_copied
+from nermo_mjx.specs.described import write_described
+from nermo_mjx.specs.reading import changes
 
 POLICY: Final = "policy.npz"
 EVALUATION: Final = "evaluation.parquet"
@@ -105,16 +106,9 @@ class Directory:
     def claim(self) -> None:
         """Claim the directory for this training; a user's own files in the way are moved aside."""
         folder = self.out.resolve()
-        setup = keep_controller(self.training.setup, folder, self.held.write)
+        setup = with_code_copied(self.training.setup, folder, self.held.write)
         self.training = dataclasses.replace(self.training, setup=setup)
-        path, begun = self.out / SPEC, None
-        with contextlib.suppress(SpecError):
-            begun = Training.from_file(path)
-        if begun == self.training:
-            return
-        if begun is None or begun.to_yaml(folder) != path.read_text(encoding="utf-8"):
-            self.set_aside("another", SPEC)
-        self.held.write(SPEC, self.training.to_yaml(folder).encode())
+        write_described(self.held, SPEC, self.training, Training.from_file, self._warn)
 
     def keep(self, learned: Learned, curves: Curves) -> None:
         """Store what was learned, and its history."""
@@ -130,13 +124,6 @@ class Directory:
         self.held.write(FILE, parquet_bytes(history_table(curves, units, self.training.digest())))
         if policy is not None:
             self.held.write(POLICY, policy)
-
-    def set_aside(self, what: str, *names: str) -> None:
-        """Move existing files aside, with a message about each."""
-        for name in names:
-            aside = self.held.move_aside(name)
-            if aside is not None:
-                self._warn(f"{self.out / name} is {what}; it is kept as {aside.name}.")
 
     def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
         here, there = self.training.identity(), about["identity"]

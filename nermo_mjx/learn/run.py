@@ -7,7 +7,7 @@ import dataclasses
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
-from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.interruption import Interruption, resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.trackers import Tracker, check_trackers, finite, tracked
 
@@ -112,12 +112,12 @@ def run_training(
         DirectoryError: the directory holds something else, is in use, or cannot be read or written.
         TrainingInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
-    training = spec if isinstance(spec, Training) else as_training(spec)
+    training = Training.of(spec)
     check_trackers(log)
     name = engine_for(training, engine)
     with (
         Directory(out, training, name, warn or (lambda _: None)) as directory,
-        _explained(directory) as interruption,
+        resumable("train", directory.out / SPEC, TrainingInterrupted) as interruption,
         contextlib.ExitStack() as stack,
     ):
         worlds = environment or training.environment(name)
@@ -141,11 +141,6 @@ def run_training(
         return TrainingResult(
             directory.out, directory.training, path, summary, learned, curves, len(curves) - begun, plots
         )  # fmt: skip
-
-
-def as_training(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Training:
-    """The training of a dict or of a file; raises `SpecError`."""
-    return Training.from_dict(spec) if isinstance(spec, Mapping) else Training.from_file(spec)
 
 
 def engine_for(training: Training, engine: str) -> str:
@@ -271,16 +266,3 @@ def _summary(training: Training, learned: Learned, curves: Curves, table: pa.Tab
         "scenes": scenes,
         "complete": len(curves) >= training.iterations,
     }
-
-
-@contextlib.contextmanager
-def _explained(directory: Directory) -> Iterator[Interruption]:
-    """Turn Ctrl-C and SIGTERM into an error that says how to resume."""
-    try:
-        with interruptible() as interruption:
-            yield interruption
-    except KeyboardInterrupt:
-        raise TrainingInterrupted(
-            f"stopped; what is finished is kept in {directory.out}. To resume, run the same command again, or: "
-            f"nermo-mjx train {directory.out / SPEC} --out {directory.out}"
-        ) from None

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
@@ -33,9 +30,10 @@ from nermo_mjx.learn.task import RANDOMIZED, REWARDS, Task, task_parameters
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
-from nermo_mjx.specs.controllers import controller_identity, parameters_of
+from nermo_mjx.specs.controllers import code_identity, known_names
+from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Refused, optional, read
-from nermo_mjx.specs.reading import Document, FieldPath, SpecError, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.reading import Document, FieldPath, SpecError
 from nermo_mjx.specs.values import Numbers, Whole
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, read_walk
 
@@ -79,8 +77,11 @@ class TrainingFile(WalkFields):
 
 
 @dataclasses.dataclass(frozen=True)
-class Training(WalkSpec):
+class Training(WalkSpec, Described):
     """A checked training. Build it with `from_file`, `from_text` or `from_dict`.
+
+    >>> Training.from_dict({"worlds": 64, "steps": 10_000}).iterations
+    10
 
     Attributes:
         setup, run, fixed, pilot: see `WalkSpec`; the run is that of the evaluation.
@@ -95,6 +96,7 @@ class Training(WalkSpec):
         plots: whether figures are made at the end.
     """
 
+    kind: ClassVar = "training"
     task: Task
     scenes: tuple[SceneTask, ...] = ()
     algorithm: Algorithm = dataclasses.field(default_factory=PPO)
@@ -106,23 +108,9 @@ class Training(WalkSpec):
     plots: bool = True
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str]) -> Training:
-        """Read a YAML training file; raises `SpecError`."""
-        return _read(read_file(path, "training"))
-
-    @classmethod
-    def from_text(cls, text: str, source: str = "training") -> Training:
-        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
-        return _read(read_text(text, source, "training"))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Training:
-        """Read a dict with the fields of a training file; raises `SpecError`.
-
-        >>> Training.from_dict({"worlds": 64, "steps": 10_000}).iterations
-        10
-        """
-        return _read(read_mapping(data, "training"))
+    def of_document(cls, doc: Document) -> Training:
+        """See `Described`."""
+        return _read(doc)
 
     @property
     def steps_per_iteration(self) -> int:
@@ -172,11 +160,7 @@ class Training(WalkSpec):
                                  f"{self.algorithm.horizon} steps: choose a number that divides {size:,}.")  # fmt: skip
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """The training with all defaults written out; it reads back as the same training.
-
-        Args:
-            folder: where the file is to stand, resolved: a controller in it is named from there.
-        """
+        """See `Described`."""
         task, data = self.task, self.walk_fields(folder)
         data["task"] = {
             "action": written_action(task.action),
@@ -200,14 +184,10 @@ class Training(WalkSpec):
         evaluation |= {"set": dict(self.evaluation.set)} if self.evaluation.set else {}
         return data | {"evaluate": evaluation, "plots": self.plots}
 
-    def to_yaml(self, folder: Path | None = None) -> str:
-        """The resolved training as a training file, see `resolved`."""
-        return dump(self.resolved(folder))
-
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a controller counts by what it is."""
         data = {key: value for key, value in self.resolved().items() if key not in FREE}
-        return data | controller_identity(self.setup)
+        return data | code_identity(self.setup)
 
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, and `defaults` of what they do not name."""
@@ -215,7 +195,7 @@ class Training(WalkSpec):
 
     def digest(self) -> str:
         """A hash of the `identity`."""
-        return hashlib.sha256(json.dumps(list(self.identity().values())).encode()).hexdigest()[:16]
+        return digest_of(*self.identity().values())
 
 
 def changed(training: Training, **values: Any) -> Training:
@@ -226,7 +206,7 @@ def changed(training: Training, **values: Any) -> Training:
 
 
 def _read(doc: Document) -> Training:
-    with parameters_of(doc):
+    with known_names(doc):
         file = read(doc, TrainingFile)
     walk = read_walk(doc, file)
     setup = walk["setup"]

@@ -12,34 +12,26 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.fusion import SAGITTAL_MODES, SpineModes, mode_names
+from nermo_mjx.control.fusion import SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
-from nermo_mjx.control.parameters import ControlParameters, with_geometry
+from nermo_mjx.control.parameters import with_geometry
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
 from nermo_mjx.control.published import published_values
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
+from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.masses import mass_values
-from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
+from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
-from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
-from nermo_mjx.robot.terrains import scenes_reading, terrain_values
+from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.catalogue import METRICS, Metric
+from nermo_mjx.rollout.choices import check_kinds, check_names, check_spine, check_terrain, check_timestep
 from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.parameters import WorldParameters, bounded_by_step, check_ranges
 
-#: Columns of tables, which are reserved names for metrics.
-TAKEN: Final = frozenset((
-    "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
-    "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
-    "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
-    "trajectory", "head", "tail_motion",
-))  # fmt: skip
 #: Choices that only the published controller has.
 PUBLISHED: Final = (
     "gait", "spine", "steering", "profile", "pilot", "waypoints", "command", "trajectory", "head", "tail_motion",
@@ -110,22 +102,20 @@ class Setup:
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
-        self._check_spine()
+        check_spine(self.spine, self.robot)
         if choice("tail_motion", self.tail_motion, TAIL_MOTIONS) != Setup.tail_motion and self.tail == "rigid":
             raise ParameterError(f"tail_motion is {self.tail_motion!r} and tail 'rigid': take the tail 'articulated'.")
         given: Any = self.metrics
         object.__setattr__(self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given))
-        self._check_metrics()
-        # No robot is built for a check.
-        controller = self._without_robot
-        check_form(controller)
-        ratio = controller.dt / self.timestep
-        if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
-            raise ParameterError(
-                f"timestep is {self.timestep}: allowed is the control period {controller.dt:g} s divided by a whole "
-                "number."
-            )
-        self._check_own(controller)
+        check_kinds(self.metrics)
+        check_timestep(self.timestep, self._unbalanced.dt)
+        for field in dataclasses.fields(self):
+            if not self._applies(field.name) and getattr(self, field.name) != field.default:
+                raise ParameterError(
+                    f"{field.name} is {getattr(self, field.name)!r} beside a custom controller: it goes with the "
+                    "published controller; leave it out."
+                )
+        check_names(self._unbalanced, self.own_metrics)
         if is_mjcf(str(self.scene)):  # a custom scene, which has not been checked with the robot yet
             self.load()
 
@@ -155,8 +145,8 @@ class Setup:
     def make_controller(self) -> ControllerLike:
         """The controller with these choices."""
         if self.controller is not None or "balance" not in mode_names(self.spine):
-            return self._without_robot
-        own = self._without_robot
+            return self._unbalanced
+        own = self._unbalanced
         assert isinstance(own, Controller)
         assert isinstance(own.spine, SpineModes)
         robot = self.load()
@@ -164,11 +154,12 @@ class Setup:
         return dataclasses.replace(own, spine=modes)
 
     @functools.cached_property
-    def _without_robot(self) -> Any:
-        """The controller without the spine's balance. A file is read only once, so later changes do not affect the
-        setup."""
+    def _unbalanced(self) -> ControllerLike:
+        """The controller without the spine's balance, which needs the robot. A file is read only once, so later changes
+        do not affect the setup."""
         if self.controller is not None:
-            own = load_controller(self.controller) if isinstance(self.controller, str) else self.controller
+            own: Any = load_controller(self.controller) if isinstance(self.controller, str) else self.controller
+            check_form(own)
             if isinstance(own, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
                 return own.with_pilot(self.pilot, self.waypoints)
             return own
@@ -178,53 +169,13 @@ class Setup:
             routing=self.routing,
         )  # fmt: skip
 
-    def _check_spine(self) -> None:
-        """Reject unknown modes, and those of joints that the robot does not have."""
-        for mode in mode_names(self.spine):
-            if mode in SAGITTAL_MODES and self.robot != "nermo_41":
-                raise ParameterError(
-                    f"spine is {self.spine!r}: {mode} bends vertical spine joints, which robot {self.robot!r} does not "
-                    "have; it goes with robot 'nermo_41'."
-                )
-
-    def _check_metrics(self) -> None:
-        """Reject objects that are not metrics, and names that are taken."""
-        for each in self.metrics:
-            if not isinstance(each, (str, OwnMetric)):
-                raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
-        seen: dict[str, str] = {}
-        for own in self.own_metrics:
-            if own.name in METRICS or own.name in TAKEN:
-                whose = "a metric that every run has" if own.name in METRICS else "a column that every table has"
-                raise ParameterError(f"metrics has {own.place}, but {own.name} is {whose}: give it another name.")
-            if own.name in seen:
-                raise ParameterError(f"metrics has {own.place} and {seen[own.name]}: give one of them another name.")
-            seen[own.name] = own.place
-
     def _applies(self, name: str) -> bool:
         """Whether a choice applies to the controller."""
         if self.controller is None or name not in PUBLISHED:
             return True
-        if isinstance(self._without_robot, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
+        if isinstance(self._unbalanced, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
             return name == "pilot" or (name == "waypoints" and self.pilot == name)
-        return isinstance(self._without_robot, Controller) and name in ("gait", "steering", "profile")
-
-    def _check_own(self, controller: ControllerLike) -> None:
-        """Reject choices that do not apply to a custom controller, and names of its parameters that are taken."""
-        for field in dataclasses.fields(self):
-            if not self._applies(field.name) and getattr(self, field.name) != field.default:
-                raise ParameterError(
-                    f"{field.name} is {getattr(self, field.name)!r} beside a custom controller: it goes with the "
-                    "published controller; leave it out."
-                )
-        shared = ControlParameters(geometry=Geometry())
-        taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(shared)}
-        for name, _ in quantities(controller.parameters):
-            if name in taken:
-                raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
-        for own in self.own_metrics:
-            if own.name in taken or own.name in dict(quantities(controller.parameters)):
-                raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
+        return isinstance(self._unbalanced, Controller) and name in ("gait", "steering", "profile")
 
     def defaults(self) -> dict[str, float]:
         """Default of every parameter."""
@@ -233,7 +184,7 @@ class Setup:
     @functools.cached_property
     def _world(self) -> WorldParameters:
         """Default parameters."""
-        controller = self._without_robot
+        controller = self._unbalanced
         world = WorldParameters(control=controller.parameters)
         world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
         world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
@@ -249,7 +200,7 @@ class Setup:
         own = {name: dataclasses.replace(known[name], default=value) for name, value in defaults.items()
                if repr(known[name].default) != repr(value)}  # fmt: skip
         known |= own
-        return known | _bounded_by_step(known, self.timestep)
+        return known | bounded_by_step(known, self.timestep)
 
     def world(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
         """Parameters of worlds, with the named values filled in; only the names are checked.
@@ -262,7 +213,7 @@ class Setup:
             ParameterError: an unknown name, a shape of the terrain that the scene does not read, or a policy of another
                 structure than the controller's parameters.
         """
-        self._check_terrain(values)
+        check_terrain(str(self.scene), values)
         # New arrays, as `quantity` creates for each tree: see there.
         world = jax.tree.map(lambda leaf: leaf.copy() if isinstance(leaf, np.ndarray) else leaf, self._world)
         if policy is not None:
@@ -278,21 +229,8 @@ class Setup:
 
     def _completed(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Named values plus derived ones."""
-        controller = self._without_robot
+        controller = self._unbalanced
         return controller.complete(dict(values)) if isinstance(controller, CompletesValues) else values
-
-    def _check_terrain(self, values: Mapping[str, Any]) -> None:
-        """Reject a terrain shape that the scene does not read; its default is harmless."""
-        for name in values.keys() - terrain_values(str(self.scene)).keys():
-            scenes, value = scenes_reading(name), values[name]
-            if not scenes:
-                continue
-            default = dict(quantities(ModelParameters))[name].default
-            if isinstance(value, jax.core.Tracer) or not np.allclose(value, default, rtol=1e-6):
-                scene = "a custom one" if is_mjcf(str(self.scene)) else repr(self.scene)
-                raise ParameterError(
-                    f"{name} has no effect: it is read only with scene {' or '.join(scenes)}, and the scene is {scene}."
-                )
 
     def check(self, world: WorldParameters, *, jointly: bool = True) -> None:
         """Reject parameters that are not finite, out of range, or not allowed by time step or controller.
@@ -304,13 +242,8 @@ class Setup:
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
         """
-        check_quantities(world)
-        for name, about in _bounded_by_step(dict(quantities(ModelParameters)), self.timestep).items():
-            group, field = name.split(".")
-            about.check(name, getattr(getattr(world.model, group), field))
-        check_geometry(world.model.geometry)
-        check_servo(world.model.servo.kp, world.model.servo.kv, self.timestep)
-        controller = self._without_robot
+        check_ranges(world, self.timestep)
+        controller = self._unbalanced
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
 
@@ -334,7 +267,7 @@ class Setup:
         """
         control = self.world(values, policy).control
         with jax.ensure_compile_time_eval():
-            return np.asarray(self._without_robot.cycle_rate(control), float)
+            return np.asarray(self._unbalanced.cycle_rate(control), float)
 
 
 def with_own(
@@ -369,15 +302,3 @@ def all_parameters(setup: Setup | None = None) -> dict[str, Quantity]:
     '[0, 0.6] rad'
     """
     return dict((setup or Setup())._quantities)
-
-
-def _bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
-    """The parameters whose range depends on the time step, with their remaining range."""
-    contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
-    stiffest, most_damped = highest_kp(timestep, float(kv.default)), highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
-    return {
-        # MuJoCo silently lengthens time constants shorter than two time steps.
-        "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),
-        "servo.kp": dataclasses.replace(kp, high=min(kp.high, stiffest)),
-        "servo.kv": dataclasses.replace(kv, high=min(kv.high, most_damped)),
-    }

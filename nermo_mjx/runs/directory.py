@@ -12,7 +12,7 @@ import contextlib
 import dataclasses
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -117,6 +117,12 @@ class RunDirectory:
             sync_folder(into)
             sync_folder(source.parent)
         return target
+
+    def set_aside(self, what: str, names: Iterable[str], warn: Callable[[str], None]) -> None:
+        """Move existing files aside, with a message about each."""
+        for name in names:
+            if (aside := self.move_aside(name)) is not None:
+                warn(f"{self.out / name} is {what}; it is kept as {aside.name}.")
 
     def take_code(self, stamp: CodeStamp, *, holds_rows: bool, accept: bool = False, any_model: bool = False) -> None:
         """Record that this code is about to add rows, or refuse: the rows of one directory are made by one code.

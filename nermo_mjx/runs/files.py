@@ -149,6 +149,19 @@ def parquet_table(source: Path | bytes) -> pa.Table | None:
         return None
 
 
+def stored_table(path: Path, what: str) -> pa.Table:
+    """The table of a directory's file.
+
+    Raises:
+        DirectoryError: there is none, it is damaged, or cannot be read now; the message names the directory and `what`.
+    """
+    content = content_of(path)
+    table = None if content is None else parquet_table(content)
+    if table is None:
+        raise DirectoryError(f"{path.parent} holds no {what}.")
+    return table
+
+
 @contextlib.contextmanager
 def clear_errors(out: Path) -> Iterator[None]:
     """Turn an `OSError` into a `DirectoryError` that names the directory."""

@@ -6,7 +6,10 @@ import contextlib
 import signal
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from types import FrameType
+
+from nermo_mjx.runs.workers import WorkersLost
 
 
 class Interruption:
@@ -48,3 +51,27 @@ def interruptible() -> Iterator[Interruption]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def resumable(
+    command: str, spec: Path, interrupted: type[KeyboardInterrupt], failed: type[Exception] = WorkersLost
+) -> Iterator[Interruption]:
+    """`interruptible`, with errors that say how to resume.
+
+    Args:
+        command: of nermo-mjx, by which it was started.
+        spec: the file in the directory that is its first argument.
+        interrupted: the error after a signal.
+        failed: that after the loss of all workers.
+    """
+    try:
+        with interruptible() as interruption:
+            yield interruption
+    except WorkersLost as lost:
+        raise failed(lost.kept_in(spec.parent)) from None
+    except KeyboardInterrupt:
+        raise interrupted(
+            f"stopped; what is finished is kept in {spec.parent}. To resume, run the same command again, or: "
+            f"nermo-mjx {command} {spec} --out {spec.parent}"
+        ) from None

@@ -35,7 +35,7 @@ from nermo_mjx.runs.files import (
 )
 from nermo_mjx.search.optimizers import made_by
 from nermo_mjx.search.spec import Search
-from nermo_mjx.specs.controllers import keep_controller
+from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows
@@ -102,7 +102,7 @@ class Batches:
         path, folder = self.out / SEARCH, self.out.resolve()
         self.search = search = dataclasses.replace(
             search, sweep=dataclasses.replace(
-                search.sweep, setup=keep_controller(search.setup, folder, self.directory.write)
+                search.sweep, setup=with_code_copied(search.setup, folder, self.directory.write)
             )
         )  # fmt: skip
         begun = self._begun()

@@ -3,7 +3,6 @@ used up."""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
 import os
@@ -21,9 +20,9 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import session
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.interruption import interruptible
-from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
-from nermo_mjx.search.batches import Batches
+from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
+from nermo_mjx.search.batches import SEARCH, Batches
 from nermo_mjx.search.gradients import Gradients, WalkGradients
 from nermo_mjx.search.keeping import keep_recordings
 from nermo_mjx.search.optimizers import Asked, check_library, make_optimizer
@@ -139,10 +138,13 @@ def run_search(
         SearchFailed: a simulation failed, all workers are lost, or nothing walked; what is finished is kept.
         SearchInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
-    search = spec if isinstance(spec, Search) else as_search(spec)
+    search = Search.of(spec)
     check_library(search.method)
     workers = LocalWorkers() if workers is None else workers
-    with Batches(out, search) as batches, _explained(batches) as interruption:
+    with (
+        Batches(out, search) as batches,
+        resumable("search", batches.out / SEARCH, SearchInterrupted, SearchFailed) as interruption,
+    ):
         batch = search.batch or batches.begun_batch() or batch_points(search, engine)
         batches.claim(dataclasses.replace(search, batch=batch))
         going = Going(batches, workers, progress or (lambda _: None), warn or (lambda _: None), interruption.check)
@@ -159,11 +161,6 @@ def run_search(
         results = Results([*chunk_files(batches.out).values()])
         plots = write_figures(figures_of(search, results), batches.out / "plots") if search.plots else []
         return SearchResult(batches.out, search, best, going.run, recordings, plots)
-
-
-def as_search(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Search:
-    """The search of a dict or of a file; raises `SpecError`."""
-    return Search.from_dict(spec) if isinstance(spec, Mapping) else Search.from_file(spec)
 
 
 class Going:
@@ -327,18 +324,3 @@ def _scores(batches: Batches, table: pa.Table, asked: Asked) -> Scores:
     scores = scores_of(search.aim, search.repeats, metrics, well)
     jacobian = batches.gradients(table, asked.gradients) if asked.gradients else None
     return dataclasses.replace(scores, jacobian=jacobian)
-
-
-@contextlib.contextmanager
-def _explained(batches: Batches) -> Iterator[Any]:
-    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to resume."""
-    try:
-        with interruptible() as interruption:
-            yield interruption
-    except WorkersLost as lost:
-        raise SearchFailed(f"{lost} What is finished is kept in {batches.out}: run the same command again.") from None
-    except KeyboardInterrupt:
-        raise SearchInterrupted(
-            f"stopped; what is finished is kept in {batches.out}. To resume, run the same command again, or: "
-            f"nermo-mjx search {batches.out / 'search.yaml'} --out {batches.out}"
-        ) from None

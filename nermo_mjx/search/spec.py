@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
@@ -20,10 +17,11 @@ from nermo_mjx.rollout.length import Run
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.search import sections
 from nermo_mjx.search.sections import Aim
-from nermo_mjx.specs.controllers import controller_identity, parameters_of
+from nermo_mjx.specs.controllers import code_identity, known_names
+from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import JsonSchema, optional, read
 from nermo_mjx.specs.patterns import written_out
-from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.reading import Document
 from nermo_mjx.specs.values import ByParameter, Checked, Whole
 from nermo_mjx.specs.walk import WalkFields, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
@@ -79,7 +77,7 @@ class SearchFile(WalkFields):
 
 
 @dataclasses.dataclass(frozen=True)
-class Search:
+class Search(Described):
     """A checked search over p parameters. Build it with `from_file`, `from_text` or `from_dict`.
 
     Attributes:
@@ -92,6 +90,7 @@ class Search:
         plots: whether figures are drawn in the end.
     """
 
+    kind: ClassVar = "search"
     sweep: Sweep
     aim: Aim
     method: str
@@ -103,19 +102,9 @@ class Search:
     plots: bool = True
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str]) -> Search:
-        """Read a YAML search file; raises `SpecError`."""
-        return _read(read_file(path, "search"))
-
-    @classmethod
-    def from_text(cls, text: str, source: str = "search") -> Search:
-        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
-        return _read(read_text(text, source, "search"))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Search:
-        """Read a dict with the fields of a search file; raises `SpecError`."""
-        return _read(read_mapping(data, "search"))
+    def of_document(cls, doc: Document) -> Search:
+        """See `Described`."""
+        return _read(doc)
 
     @property
     def setup(self) -> Setup:
@@ -145,11 +134,7 @@ class Search:
         return simulated_seconds / self.simulated_seconds
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """The search with all defaults written out; it reads back as the same search.
-
-        Args:
-            folder: see `walk_fields`.
-        """
+        """See `Described`."""
         data = {
             key: value for key, value in self.sweep.resolved(folder).items() if key not in ("sample", "seeds", "plots")
         }
@@ -162,24 +147,19 @@ class Search:
         data["keep"] = {"elites" if self.aim.measures else "best": self.keep}
         return data | {"plots": self.plots}
 
-    def to_yaml(self, folder: Path | None = None) -> str:
-        """The resolved search as a search file, see `resolved`."""
-        return dump(self.resolved(folder))
-
     def decisive(self) -> dict[str, Any]:
         """The fields that decide which points are evaluated; a controller counts by what it is."""
         data = {key: value for key, value in self.resolved().items() if key not in FREE}
-        return data | controller_identity(self.setup)
+        return data | code_identity(self.setup)
 
     def digest(self) -> str:
         """A hash of all that decides the rows of the table, defaults of what the file does not name included."""
         # The number of points of the sweep inside is no decision: which points there are, is the method's.
-        rows = dataclasses.replace(self.sweep, samples=1).digest()
-        return hashlib.sha256(json.dumps([self.decisive(), rows]).encode()).hexdigest()[:16]
+        return digest_of(self.decisive(), dataclasses.replace(self.sweep, samples=1).digest())
 
 
 def _read(doc: Document) -> Search:
-    with parameters_of(doc):
+    with known_names(doc):
         doc = written_out(doc)
         file = read(doc, SearchFile)
         aim = sections.read_aim(doc, file.objective, file.pareto, file.atlas, file.subject_to)

@@ -58,7 +58,7 @@ def _beside(doc: Document, source: str) -> Path:
 
 
 @contextlib.contextmanager
-def parameters_of(doc: Document) -> Iterator[None]:
+def known_names(doc: Document) -> Iterator[None]:
     """While it is read, a document may name the parameters of its controller, and no others, and its own metrics."""
     where, measured = named_controller(doc), named_metrics(doc)
     if where is None and not measured:
@@ -80,7 +80,7 @@ def parameters_of(doc: Document) -> Iterator[None]:
         MEASURED.reset(metrics)
 
 
-def controller_identity(setup: Setup) -> dict[str, str]:
+def code_identity(setup: Setup) -> dict[str, str]:
     """The custom code of a setup that affects results: names and content of the files of its controller and metrics."""
     identity = {}
     if setup.controller is not None:
@@ -123,7 +123,7 @@ def _written(where: str, folder: Path | None) -> str:
     return f"{path}:{name}" if name else path
 
 
-def keep_controller(setup: Setup, folder: Path, write: Callable[[str, bytes], Any]) -> Setup:
+def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], Any]) -> Setup:
     """The setup with the files of its controller and its metrics in a directory, so that it can be moved.
 
     Args:

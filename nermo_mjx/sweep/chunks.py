@@ -196,9 +196,7 @@ class Work:
                 raise SpecError(f"{named} is refused: {error}") from error
             raise SweepError(self._failure(named, error)) from error
         except WorkersLost as lost:
-            raise SweepError(
-                f"{lost} What is finished is kept in {self.store.out}: run the same command again."
-            ) from None
+            raise SweepError(lost.kept_in(self.store.out)) from None
 
     def _write(
         self, k: int, plan: BatchPlan, known: KnownRows | None, result: Simulated | None, stamp: CodeStamp | None

@@ -20,7 +20,7 @@ import pyarrow.compute as pc
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, codes_of
 from nermo_mjx.runs.files import DirectoryError, parquet_table
-from nermo_mjx.specs.controllers import controller_identity
+from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.extending import fixed_differences
 from nermo_mjx.sweep.results import chunk_files, digests_of
@@ -234,7 +234,7 @@ def keys_of(structures: Sequence[Structure], structure: np.ndarray, values: Mapp
 def _identity(walk: Structure) -> str:
     """What identifies a structure, apart from fixed parameters: fields, defaults, a custom controller's content."""
     fields = {name: value for name, value in walk.walk_fields().items() if name != "set"}
-    return json.dumps([fields | controller_identity(walk.setup), walk.setup.defaults()], sort_keys=True)
+    return json.dumps([fields | code_identity(walk.setup), walk.setup.defaults()], sort_keys=True)
 
 
 def _keys_of(sweep: Sweep, table: pa.Table) -> np.ndarray:

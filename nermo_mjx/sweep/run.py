@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import itertools
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import parquet_bytes
-from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.trackers import check_trackers, tracked
 from nermo_mjx.runs.workers import LocalWorkers, Workers
@@ -133,7 +133,7 @@ def run_sweep(
         SweepError: a simulation failed, or all workers are lost; what is finished is kept.
         SweepInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
-    sweep = spec if isinstance(spec, Sweep) else _as_sweep(spec)
+    sweep = Sweep.of(spec)
     _check(chunk, shard, extend)
     check_trackers(log)
     sources = [Path(each) for each in use]
@@ -145,7 +145,11 @@ def run_sweep(
         sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
     )
     wanted = Store(out, dataclasses.replace(sweep, chunk=size), shard, extend=extend)
-    with wanted as store, _interruptible(store) as interruption, contextlib.ExitStack() as stack:
+    with (
+        wanted as store,
+        resumable("sweep", store.out / "sweep.yaml", SweepInterrupted) as interruption,
+        contextlib.ExitStack() as stack,
+    ):
 
         def report(share: SweepProgress) -> None:
             interruption.check()
@@ -237,20 +241,3 @@ def _sum_up(work: Work, results: Results, warn: Callable[[str], None] | None) ->
     if not store.sweep.plots:
         return summary, []
     return summary, write_figures(figures, store.plots)
-
-
-def _as_sweep(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Sweep:
-    return Sweep.from_dict(spec) if isinstance(spec, Mapping) else Sweep.from_file(spec)
-
-
-@contextlib.contextmanager
-def _interruptible(store: Store) -> Iterator[Interruption]:
-    """Turn Ctrl-C and SIGTERM into a `SweepInterrupted` that says how to resume."""
-    try:
-        with interruptible() as interruption:
-            yield interruption
-    except KeyboardInterrupt:
-        raise SweepInterrupted(
-            f"stopped; what is finished is kept in {store.out}. To resume, run the same command again, or: "
-            f"nermo-mjx sweep {store.out / 'sweep.yaml'} --out {store.out}"
-        ) from None

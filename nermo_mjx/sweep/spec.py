@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import json
 import math
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from nermo_mjx.robot import identified
 from nermo_mjx.rollout import Saving
 from nermo_mjx.rollout.start import START_SPREAD
-from nermo_mjx.specs.controllers import controller_identity, parameters_of
+from nermo_mjx.specs.controllers import code_identity, known_names
+from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import read
 from nermo_mjx.specs.patterns import written_out
-from nermo_mjx.specs.reading import Document, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.reading import Document, read_file, read_mapping
 from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.asked import AskedComparison, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, read_axis, read_draw
@@ -37,7 +35,7 @@ _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep(WalkSpec):
+class Sweep(WalkSpec, Described):
     """A checked sweep. Build it with `from_file`, `from_text` or `from_dict`.
 
     Attributes:
@@ -58,6 +56,7 @@ class Sweep(WalkSpec):
         keep: which rows are recorded when the table is complete, if any.
     """
 
+    kind: ClassVar = "sweep"
     axes: tuple[Axis, ...]
     sampler: str
     samples: int
@@ -76,21 +75,6 @@ class Sweep(WalkSpec):
     keep: Keep | None = None
 
     @classmethod
-    def from_file(cls, path: str | os.PathLike[str]) -> Sweep:
-        """Read a YAML sweep file; raises `SpecError`."""
-        return _read(read_file(path))
-
-    @classmethod
-    def from_text(cls, text: str, source: str = "sweep") -> Sweep:
-        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
-        return _read(read_text(text, source))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Sweep:
-        """Read a dict with the fields of a sweep file; raises `SpecError`."""
-        return _read(read_mapping(data))
-
-    @classmethod
     def from_rows(cls, rows: str | os.PathLike[str], path: str | os.PathLike[str] | None = None) -> Sweep:
         """The variants of a table (see `rows` of a sweep file), with everything else from a sweep file, if given.
 
@@ -98,13 +82,18 @@ class Sweep(WalkSpec):
         """
         doc = read_mapping({}) if path is None else read_file(path)
         data = {key: value for key, value in doc.data.items() if key not in ("vary", "sample", "rows")}
-        return _read(Document(doc.source, data | {"rows": str(Path(rows).resolve())}, doc.lines))
+        return cls.of_document(Document(doc.source, data | {"rows": str(Path(rows).resolve())}, doc.lines))
 
     @classmethod
     def from_directory(cls, out: str | os.PathLike[str]) -> Sweep:
         """The sweep of a directory, also of one that an earlier release began; raises `SpecError`."""
         doc = read_file(Path(out) / "sweep.yaml")
         doc.data.setdefault("seeds", "position")
+        return cls.of_document(doc)
+
+    @classmethod
+    def of_document(cls, doc: Document) -> Sweep:
+        """See `Described`."""
         return _read(doc)
 
     @functools.cached_property
@@ -160,11 +149,7 @@ class Sweep(WalkSpec):
         return tuple(identified.bodies().values) if self.bodies else ()
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """The sweep with all defaults written out; it reads back as the same sweep.
-
-        Args:
-            folder: see `walk_fields`.
-        """
+        """See `Described`."""
         data = {name: value for name, value in self.walk_fields(folder).items() if name not in self.labelled}
         if len({each.setup.timestep for each in self.structures}) > 1:
             del data["timestep"]  # each has that of its physics
@@ -199,16 +184,12 @@ class Sweep(WalkSpec):
         assert self.rows is not None
         return self.rows.file(self.structures)
 
-    def to_yaml(self, folder: Path | None = None) -> str:
-        """The resolved sweep as a sweep file, see `resolved`."""
-        return dump(self.resolved(folder))
-
     def decisive(self) -> dict[str, Any]:
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
         first = self.rows.fingerprint if self.rows is not None else None
         data = {key: value for key, value in (self if first is None else _few(self)).resolved().items()
                 if key not in _NOT_DECISIVE and (key, value) != ("seeds", "position")}  # fmt: skip
-        return data | controller_identity(self.setup) | ({} if first is None else {"rows": first})
+        return data | code_identity(self.setup) | ({} if first is None else {"rows": first})
 
     def digest(self) -> str:
         """A hash of all that decides the rows of the table: the sweep, defaults of what it does not name, and bodies.
@@ -220,8 +201,7 @@ class Sweep(WalkSpec):
             defaults = [[each.setup.defaults(), each.walk_fields()] for each in self.structures]
         bodies = [identified.bodies().fingerprint] if self.bodies else []
         implied = [{draw.name: draw.numbers for draw in self.draws if draw.implied}] if self.seeds == "content" else []
-        parts = [self.decisive(), defaults, *bodies, *filter(None, implied)]
-        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+        return digest_of(self.decisive(), defaults, *bodies, *filter(None, implied))
 
 
 def _few(sweep: Sweep) -> Sweep:
@@ -232,7 +212,7 @@ def _few(sweep: Sweep) -> Sweep:
 
 
 def _read(doc: Document) -> Sweep:
-    with parameters_of(doc):
+    with known_names(doc):
         doc = written_out(doc)
         file = read(doc, SweepFile)
         table = _row_table(doc, file)

@@ -37,7 +37,7 @@ from nermo_mjx.runs.files import (
     parquet_table,
     sync_folder,
 )
-from nermo_mjx.specs.controllers import keep_controller
+from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.extending import differences, refusal
 from nermo_mjx.sweep.layout import rows_digest
@@ -196,7 +196,7 @@ class Store:
                 raise self._foreign("results of an unknown sweep (it has no sweep.yaml); choose another directory")
             folder = self.out.resolve()
             self.sweep = dataclasses.replace(
-                self.sweep, setup=keep_controller(self.sweep.setup, folder, self.directory.write)
+                self.sweep, setup=with_code_copied(self.sweep.setup, folder, self.directory.write)
             )
             self._keep_rows()
             create_file(path, self.sweep.to_yaml(folder).encode())
@@ -245,7 +245,7 @@ class Store:
             sync_folder(before)
             sync_folder(self.out)
             self.results.mkdir()
-        kept = keep_controller(self.sweep.setup, folder, self.directory.write)
+        kept = with_code_copied(self.sweep.setup, folder, self.directory.write)
         self.sweep = dataclasses.replace(self.sweep, setup=kept, chunk=begun.chunk or self.sweep.chunk)
         self._keep_rows()
         self.directory.write(path.name, self.sweep.to_yaml(folder).encode())

@@ -17,14 +17,15 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from nermo_mjx.runs import RunDirectory, session, stamp
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.specs.controllers import keep_controller
+from nermo_mjx.specs.controllers import with_code_copied
+from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes
 from nermo_mjx.tune.checkpoints import Checkpoints
 from nermo_mjx.tune.history import FILE, Log, history_table
@@ -34,7 +35,7 @@ from nermo_mjx.tune.state import TuneState, initial_state
 
 RECORDING: Final = "recording.npz"
 VIDEO: Final = "video.mp4"
-_TUNING: Final = "tuning.yaml"
+TUNING: Final = "tuning.yaml"
 #: What is made from the latest checkpoint.
 _MADE: Final = (FILE, "best.json", "tuned.yaml")
 
@@ -88,10 +89,10 @@ class Directory:
     def claim(self, log: Log | None) -> None:
         """Claim the directory for this tuning; existing files that do not follow from this history are moved aside."""
         if not self._follows(log):
-            self.set_aside("of another history", *_MADE, _TUNING)
-        setup = keep_controller(self.tuning.setup, self.out.resolve(), self._run.write)
+            self.set_aside("of another history", *_MADE, TUNING)
+        setup = with_code_copied(self.tuning.setup, self.out.resolve(), self._run.write)
         self.tuning = keep_recording(self._run, dataclasses.replace(self.tuning, setup=setup), self._warn)
-        write_tuning(self._run, _TUNING, self.tuning, self._warn)
+        write_described(self._run, TUNING, self.tuning, read_stored, self._warn)
 
     def begin_session(self, begun_at: int) -> None:
         """Record what runs here and from which iteration; a video of an earlier best point is moved aside."""
@@ -118,8 +119,8 @@ class Directory:
         self._run.write(name, content)
 
     def set_aside(self, what: str, *names: str) -> None:
-        """See the function `set_aside`."""
-        set_aside(self._run, what, names, self._warn)
+        """See `RunDirectory.set_aside`."""
+        self._run.set_aside(what, names, self._warn)
 
     def _follows(self, log: Log | None) -> bool:
         """Whether the directory's contents belong to this history, or to its beginning."""
@@ -137,17 +138,22 @@ class Directory:
             begun = load_tuning(self.out)
         except SpecError as error:
             unknown = "checkpoints of an unknown tuning (it has no tuning.yaml)"
-            unread = f"a tuning that cannot be read ({error})" if (self.out / _TUNING).exists() else unknown
+            unread = f"a tuning that cannot be read ({error})" if (self.out / TUNING).exists() else unknown
             raise WrongDirectory(f"{self.out} holds {unread}; choose another directory.") from None
         apart = changes(begun.decisive(), self.tuning.decisive())
         if apart:
             raise WrongDirectory(f"{self.out} holds another tuning, with another {', '.join(apart)} (see "
-                                 f"{self.out / _TUNING}); choose another directory.")  # fmt: skip
+                                 f"{self.out / TUNING}); choose another directory.")  # fmt: skip
+
+
+def read_stored(path: Path) -> Tuning:
+    """The tuning of a file in a directory, whose recording need not be there; raises `SpecError`."""
+    return Tuning.from_file(path, recorded=False)
 
 
 def load_tuning(out: str | os.PathLike[str]) -> Tuning:
-    """The tuning that a directory was made for, whose recording need not be there; raises `SpecError`."""
-    return Tuning.from_file(Path(out) / _TUNING, recorded=False)
+    """The tuning that a directory was made for; see `read_stored`."""
+    return read_stored(Path(out) / TUNING)
 
 
 def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], None] = lambda _: None) -> Tuning:
@@ -158,26 +164,6 @@ def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], Non
     own = folder / RECORDING
     content = tuning.recording.read_bytes()
     if content_of(own) != content:
-        set_aside(held, "another recording", [RECORDING], warn)
+        held.set_aside("another recording", [RECORDING], warn)
         held.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=own)
-
-
-def write_tuning(held: RunDirectory, name: str, tuning: Tuning, warn: Callable[[str], None] = lambda _: None) -> None:
-    """Write the resolved tuning into a directory; a user's own file there is moved aside."""
-    begun, folder, path = None, held.out.resolve(), held.out / name
-    with contextlib.suppress(SpecError):
-        begun = Tuning.from_file(path, recorded=False)
-    if begun == tuning:
-        return
-    if begun is None or begun.to_yaml(folder) != path.read_text(encoding="utf-8"):
-        set_aside(held, "another", [name], warn)
-    held.write(name, tuning.to_yaml(folder).encode())
-
-
-def set_aside(held: RunDirectory, what: str, names: Iterable[str], warn: Callable[[str], None]) -> None:
-    """Move existing files of a directory aside, with a message about each."""
-    for name in names:
-        aside = held.move_aside(name)
-        if aside is not None:
-            warn(f"{held.out / name} is {what}; it is kept as {aside.name}.")

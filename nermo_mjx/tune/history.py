@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
+from nermo_mjx.runs.files import stored_table
 from nermo_mjx.sweep.table import Columns
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.tuner import Iterate
@@ -144,8 +144,4 @@ def read_history(out: str | os.PathLike[str]) -> pa.Table:
     Raises:
         DirectoryError: there is none, it is damaged, or cannot be read now.
     """
-    content = content_of(Path(out) / FILE)
-    table = None if content is None else parquet_table(content)
-    if table is None:
-        raise DirectoryError(f"{out} holds no history of a tuning.")
-    return table
+    return stored_table(Path(out) / FILE, "history of a tuning")

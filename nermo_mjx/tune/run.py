@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,11 @@ import pyarrow as pa
 
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.runs.interruption import Interruption, interruptible
+from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.workers import LocalWorkers, Workers, WorkersLost
+from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.tune.directory import Directory
+from nermo_mjx.tune.directory import TUNING, Directory
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.generations import GenerationTuner
 from nermo_mjx.tune.history import empty_log, history_table
@@ -130,8 +129,11 @@ def run_tuning(
         TuningFailed: no robot walks to the end, or all workers are lost.
         TuningInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
-    tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
-    with Directory(out, tuning, warn or (lambda _: None)) as directory, _explained(directory) as interruption:
+    tuning = Tuning.of(spec)
+    with (
+        Directory(out, tuning, warn or (lambda _: None)) as directory,
+        resumable("tune", directory.out / TUNING, TuningInterrupted, TuningFailed) as interruption,
+    ):
         state, log = directory.restore(accept=accept_new_code)
         resumed = 0 if log is None else len(log)
         goes_on = not is_done(tuning, log)
@@ -178,11 +180,6 @@ def run_tuning(
         return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
 
 
-def as_tuning(spec: Mapping[str, Any] | str | os.PathLike[str]) -> Tuning:
-    """The tuning of a dict or of a file; raises `SpecError`."""
-    return Tuning.from_dict(spec) if isinstance(spec, Mapping) else Tuning.from_file(spec)
-
-
 def simulation_of(tuning: Tuning) -> Problem:
     """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
     if tuning.method.engine == "c":
@@ -223,18 +220,3 @@ def _reached(
         metrics={name: float(column[at]) for name, column in metrics.items()} if alive else {},
         simulated_seconds=0.0 if best is None else best["simulated_seconds"],
     )
-
-
-@contextlib.contextmanager
-def _explained(directory: Directory) -> Iterator[Interruption]:
-    """Turn Ctrl-C, SIGTERM and the loss of all workers into an error that says how to resume."""
-    try:
-        with interruptible() as interruption:
-            yield interruption
-    except WorkersLost as lost:
-        raise TuningFailed(f"{lost} What is finished is kept in {directory.out}: run the same command again.") from None
-    except KeyboardInterrupt:
-        raise TuningInterrupted(
-            f"stopped; what is finished is kept in {directory.out}. To resume, run the same command again, or: "
-            f"nermo-mjx tune {directory.out / 'tuning.yaml'} --out {directory.out}"
-        ) from None

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -16,10 +14,11 @@ from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
 from nermo_mjx.rollout import Metric, all_parameters
-from nermo_mjx.specs.controllers import controller_identity, parameters_of
+from nermo_mjx.specs.controllers import code_identity, known_names
+from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Refused, optional, read
 from nermo_mjx.specs.patterns import written_out
-from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
+from nermo_mjx.specs.reading import Document, SpecError, read_file
 from nermo_mjx.specs.values import ByParameter, Choice, Whole
 from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
 from nermo_mjx.specs.workspace import check_workspace
@@ -76,7 +75,7 @@ class TuningFile(WalkFields):
 
 
 @dataclasses.dataclass(frozen=True)
-class Tuning(WalkSpec):
+class Tuning(WalkSpec, Described):
     """A checked tuning of p parameters. Build it with `from_file`, `from_text` or `from_dict`.
 
     Attributes:
@@ -94,6 +93,7 @@ class Tuning(WalkSpec):
         plots, video: whether figures, and a video of the best, are made in the end.
     """
 
+    kind: ClassVar = "tuning"
     tuned: tuple[Tuned, ...]
     objective: Objective
     recording: Path | None = None
@@ -111,17 +111,12 @@ class Tuning(WalkSpec):
     @classmethod
     def from_file(cls, path: str | os.PathLike[str], *, recorded: bool = True) -> Tuning:
         """Read a YAML tuning file; raises `SpecError`. Without `recorded`, its recording may be gone."""
-        return _read(read_file(path, "tuning"), recorded=recorded)
+        return _read(read_file(path, cls.kind), recorded=recorded)
 
     @classmethod
-    def from_text(cls, text: str, source: str = "tuning") -> Tuning:
-        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
-        return _read(read_text(text, source, "tuning"))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Tuning:
-        """Read a dict with the fields of a tuning file; raises `SpecError`."""
-        return _read(read_mapping(data, "tuning"))
+    def of_document(cls, doc: Document) -> Tuning:
+        """See `Described`."""
+        return _read(doc)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -149,11 +144,7 @@ class Tuning(WalkSpec):
         return np.concatenate([given, low + (high - low) * shares])
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """The tuning with all defaults written out; it reads back as the same tuning.
-
-        Args:
-            folder: where the file is to stand, resolved: a recording or a controller in it is named from there.
-        """
+        """See `Described`."""
         data = self.walk_fields(folder)
         data["tune"] = {each.name: each.written() for each in self.tuned}
         data["objective"] = [term.written() for term in self.objective.terms]
@@ -165,14 +156,10 @@ class Tuning(WalkSpec):
         data |= {name: getattr(self, name) for name in _PLAIN}
         return {name: value for name, value in data.items() if methods.reads(self.method.name, name)}
 
-    def to_yaml(self, folder: Path | None = None) -> str:
-        """The resolved tuning as a tuning file, see `resolved`."""
-        return dump(self.resolved(folder))
-
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a recording counts beside them, a controller by what it is."""
         data = {key: value for key, value in self.resolved().items() if key not in (*FREE, "recording")}
-        return data | controller_identity(self.setup)
+        return data | code_identity(self.setup)
 
     def identity(self) -> dict[str, Any]:
         """All that decides an iteration: the `fields`, `defaults` of what they do not name, the `recording`'s digest.
@@ -194,11 +181,11 @@ class Tuning(WalkSpec):
 
     def digest(self) -> str:
         """A hash of the `identity`."""
-        return hashlib.sha256(json.dumps(list(self.identity().values())).encode()).hexdigest()[:16]
+        return digest_of(*self.identity().values())
 
 
 def _read(doc: Document, *, recorded: bool = True) -> Tuning:
-    with parameters_of(doc):
+    with known_names(doc):
         doc = written_out(doc)
         file = read(doc, TuningFile)
     walk = read_walk(doc, file)

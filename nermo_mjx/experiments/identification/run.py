@@ -99,7 +99,7 @@ def run_identification(
         try:
             identified = identify(search, code.engine, memory, progress, workers)
         except WorkersLost as lost:
-            raise WorkersLost(f"{lost} What is done is kept in {folder}: run the same command again.") from lost
+            raise WorkersLost(lost.kept_in(folder)) from lost
         made = {"model": code.model, "defaults": defaults, "codes": list(codes_of(folder))}
         content = {**_content(identified), **made, **about, "wall_seconds": time.monotonic() - started}
         # The result first: whatever happens to the plots, the search is not lost.

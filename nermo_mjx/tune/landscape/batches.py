@@ -13,7 +13,6 @@ import numpy as np
 
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import content_of
-from nermo_mjx.tune.directory import set_aside
 
 _FOLDER: Final = "batches"
 
@@ -50,7 +49,7 @@ class Batches:
             # Batches of the release 0.1.0 do not say which code made them.
             return {"code": np.full(len(columns["value"]), ""), **columns}
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            set_aside(self._held, "damaged", [self._path(first)], self._warn)
+            self._held.set_aside("damaged", [self._path(first)], self._warn)
             return None
 
     def write(self, first: int, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

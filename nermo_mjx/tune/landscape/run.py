@@ -25,7 +25,8 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory, Written, session, stamp
 from nermo_mjx.runs.files import clear_errors, parquet_bytes
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.tune.directory import keep_recording, set_aside, write_tuning
+from nermo_mjx.specs.described import write_described
+from nermo_mjx.tune.directory import keep_recording, read_stored
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches, any_batch
 from nermo_mjx.tune.landscape.lines import lines_of
@@ -33,7 +34,7 @@ from nermo_mjx.tune.landscape.plan import Plan, plan
 from nermo_mjx.tune.landscape.points import IDENTITY, KEY, TABLE, TUNING, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.landscape.report import content_of, page
 from nermo_mjx.tune.methods import Method
-from nermo_mjx.tune.run import as_tuning, simulation_of
+from nermo_mjx.tune.run import simulation_of
 from nermo_mjx.tune.spec import Tuning
 
 #: Points per line: with the secants around nine of them, 131 walks per parameter.
@@ -97,8 +98,7 @@ def run_landscape(
         DirectoryError: the directory holds another landscape, is in use, or cannot be written; `OtherCode` if other
             code began it.
     """
-    tuning = spec if isinstance(spec, Tuning) else as_tuning(spec)
-    tuning = dataclasses.replace(tuning, method=Method())  # slopes are exact ones, however it is tuned
+    tuning = dataclasses.replace(Tuning.of(spec), method=Method())  # slopes are exact ones, however it is tuned
     if points < 5:
         raise ParameterError(f"points is {points}: allowed is 5 or more.")
     if not 0.0 < span <= 1.0:
@@ -112,7 +112,7 @@ def run_landscape(
             # A directory without points can be claimed by any landscape.
             held.take_code(made_by, holds_rows=begun, accept=accept_new_code or not begun)
             problem = problem or simulation_of(tuning)
-            set_aside(held, "of another landscape", _MADE, say)
+            held.set_aside("of another landscape", _MADE, say)
             chosen = plan(tuning, points, span)
             batches = Batches(held, key(wanted), batch_size(len(chosen)), made_by.id, say)
             here = session(points=points, span=span)
@@ -122,7 +122,7 @@ def run_landscape(
             held.write(TABLE, parquet_bytes(table))  # before anything that can still fail
             batches.clear()
         tuning = keep_recording(held, tuning, say)
-        write_tuning(held, TUNING, tuning, say)
+        write_described(held, TUNING, tuning, read_stored, say)
         with Written(held) as written:
             result = _publish(written, tuning, table, evaluated)
         if written.aside:

@@ -1,0 +1,89 @@
+"""What the YAML files describe: each kind is read from a file, a text or a dict, and written out in full."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar
+
+from nermo_mjx.runs.directory import RunDirectory
+from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
+
+
+class Described:
+    """Base of the four kinds; each says how a document is read (`of_document`) and written (`resolved`)."""
+
+    kind: ClassVar[str]  #: in messages
+
+    @classmethod
+    def of_document(cls, doc: Document) -> Self:
+        """The checked content of a document; raises `SpecError`."""
+        raise NotImplementedError
+
+    def resolved(self, folder: Path | None = None) -> dict[str, Any]:
+        """All fields with their defaults written out; they read back as the same.
+
+        Args:
+            folder: where the file is to stand, resolved: files in it are named from there.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def from_file(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a YAML file; raises `SpecError`."""
+        return cls.of_document(read_file(path, cls.kind))
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "") -> Self:
+        """Read YAML text; `source` is its name in messages. Raises `SpecError`."""
+        return cls.of_document(read_text(text, source or cls.kind, cls.kind))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Self:
+        """Read a dict with the fields of a file; raises `SpecError`."""
+        return cls.of_document(read_mapping(data, cls.kind))
+
+    @classmethod
+    def of(cls, given: Self | Mapping[str, Any] | str | os.PathLike[str]) -> Self:
+        """What is given, or the content of a dict or of a file; raises `SpecError`."""
+        if isinstance(given, cls):
+            return given
+        return cls.from_dict(given) if isinstance(given, Mapping) else cls.from_file(given)  # type: ignore[arg-type]
+
+    def to_yaml(self, folder: Path | None = None) -> str:
+        """The file with all defaults written out, see `resolved`."""
+        return dump(self.resolved(folder))
+
+
+D = TypeVar("D", bound=Described)
+
+
+def write_described(
+    held: RunDirectory, name: str, wanted: D, read: Callable[[Path], D], warn: Callable[[str], None]
+) -> None:
+    """Write a resolved file into a directory; a user's own file there is moved aside.
+
+    Args:
+        held: the directory.
+        name: of the file.
+        wanted: its content.
+        read: reads the file that is there.
+        warn: called with a message about a file that is moved aside.
+    """
+    begun, folder, path = None, held.out.resolve(), held.out / name
+    with contextlib.suppress(SpecError):
+        begun = read(path)
+    if begun == wanted:
+        return
+    if begun is None or begun.to_yaml(folder) != path.read_text(encoding="utf-8"):
+        held.set_aside("another", [name], warn)
+    held.write(name, wanted.to_yaml(folder).encode())
+
+
+def digest_of(*parts: Any) -> str:
+    """A short hash of plain values."""
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
