@@ -47,7 +47,50 @@ class ActionKind(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class Residual:
+class ServoAction:
+    """What `Residual` and `Targets` have in common: a range for each group of servos, by which an action moves them.
+
+    Attributes:
+        hip, knee, spine: range to either side [rad]; a group with 0 does not belong to the action.
+    """
+
+    hip: float
+    knee: float
+    spine: float
+
+    def __post_init__(self) -> None:
+        called, ranges = type(self).__name__.lower(), dataclasses.asdict(self)
+        for name, value in ranges.items():
+            if not 0.0 <= value <= 1.6:
+                raise ParameterError(f"{called}.{name} is {value!r}: allowed is [0, 1.6] rad.")
+        if not any(ranges.values()):
+            raise ParameterError(f"{called} has ranges of 0 only: give at least one of hip, knee and spine [rad].")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `ActionKind`."""
+        return tuple(name for name in ACTED if getattr(self, name.rsplit("_", 1)[-1]))
+
+    def check(self, controller: ControllerLike) -> None:
+        """See `ActionKind`; every robot has servos."""
+
+    def parameters(self, params: Any, action: Action) -> Any:
+        """See `ActionKind`."""
+        return params
+
+    def moved(self, servo: ServoAngles, action: Action) -> ServoAngles:
+        """Servo angles, moved by the action."""
+        hip, knee, at = servo.hip, servo.knee, 0
+        if self.hip:
+            hip, at = hip + self.hip * action[:4], 4
+        if self.knee:
+            knee, at = knee + self.knee * action[at : at + 4], at + 4
+        spine = servo.spine + self.spine * action[at] if self.spine else servo.spine
+        return dataclasses.replace(servo, hip=hip, knee=knee, spine=spine)
+
+
+@dataclasses.dataclass(frozen=True)
+class Residual(ServoAction):
     """Nine corrections of the controller's servo targets, those of the publications on this robot.
 
     >>> Residual(spine=0.0).names[-1]
@@ -61,28 +104,13 @@ class Residual:
     knee: float = 0.3
     spine: float = 0.2
 
-    def __post_init__(self) -> None:
-        _check_ranges("residual", self)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `ActionKind`."""
-        return _servos(self)
-
-    def check(self, controller: ControllerLike) -> None:
-        """See `ActionKind`; every controller has servo targets."""
-
-    def parameters(self, params: Any, action: Action) -> Any:
-        """See `ActionKind`."""
-        return params
-
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
         """See `ActionKind`."""
-        return _moved(self, servo, action)
+        return self.moved(servo, action)
 
 
 @dataclasses.dataclass(frozen=True)
-class Targets:
+class Targets(ServoAction):
     """Servo targets around those of the standing robot; only the controller's clock is used.
 
     Attributes:
@@ -93,24 +121,9 @@ class Targets:
     knee: float = 0.8
     spine: float = 0.4
 
-    def __post_init__(self) -> None:
-        _check_ranges("targets", self)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `ActionKind`."""
-        return _servos(self)
-
-    def check(self, controller: ControllerLike) -> None:
-        """See `ActionKind`; every robot has servos."""
-
-    def parameters(self, params: Any, action: Action) -> Any:
-        """See `ActionKind`."""
-        return params
-
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
         """See `ActionKind`."""
-        return _moved(self, home, action)
+        return self.moved(home, action)
 
 
 #: Default parameters of `Modulation`, and their ranges.
@@ -258,26 +271,3 @@ class Acting:
             return ServoAngles(hip=jnp.zeros(4), knee=jnp.zeros(4), spine=zero, neck=zero, tail=zero)
         starts = [self.base.initial_servo(params.control, jnp.asarray(phase)) for phase in (0.0, 0.25, 0.5, 0.75)]
         return jax.tree.map(lambda *angles: sum(angles[1:], angles[0]) / len(angles), *starts)
-
-
-def _check_ranges(called: str, kind: Residual | Targets) -> None:
-    ranges = dataclasses.asdict(kind)
-    for name, value in ranges.items():
-        if not 0.0 <= value <= 1.6:
-            raise ParameterError(f"{called}.{name} is {value!r}: allowed is [0, 1.6] rad.")
-    if not any(ranges.values()):
-        raise ParameterError(f"{called} has ranges of 0 only: give at least one of hip, knee and spine [rad].")
-
-
-def _servos(kind: Residual | Targets) -> tuple[str, ...]:
-    return tuple(name for name in ACTED if getattr(kind, name.rsplit("_", 1)[-1]))
-
-
-def _moved(kind: Residual | Targets, servo: ServoAngles, action: Action) -> ServoAngles:
-    hip, knee, at = servo.hip, servo.knee, 0
-    if kind.hip:
-        hip, at = hip + kind.hip * action[:4], 4
-    if kind.knee:
-        knee, at = knee + kind.knee * action[at : at + 4], at + 4
-    spine = servo.spine + kind.spine * action[at] if kind.spine else servo.spine
-    return dataclasses.replace(servo, hip=hip, knee=knee, spine=spine)
