@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
-
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from nermo_mjx.learn.directory import SPEC, SUMMARY
 from nermo_mjx.learn.history import FILE
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs import engine_of
-from nermo_mjx.runs.status import Status
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.specs.reading import SpecError
 
 
@@ -23,12 +19,8 @@ def status(out: Path) -> Status:
         rows = Training.from_file(out / SPEC).iterations
     except (SpecError, OSError) as error:
         notes.append(f"Its training cannot be read: {error}")
-    if (out / FILE).exists():
-        try:
-            done = pq.read_metadata(out / FILE).num_rows
-        except (OSError, pa.ArrowException, ValueError):
-            notes.append(f"{FILE} is damaged; it is made again of the checkpoints.")
+    if about := metadata_of(out / FILE, notes, "it is made again of the checkpoints."):
+        done = about.num_rows
     complete = rows is not None and done >= rows and (out / SUMMARY).exists()
-    go_on = ["plot", str(out)] if complete else ["train", str(out / SPEC), "--out", str(out)]
-    return Status("iterations", done, rows, complete, f"nermo-mjx {shlex.join(go_on)}", engine=engine_of(out),
-                  notes=tuple(notes))  # fmt: skip
+    return status_of("iterations", out, done, rows, complete, command="train", spec=SPEC, engine=engine_of(out),
+                     notes=notes)  # fmt: skip

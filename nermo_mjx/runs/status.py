@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from nermo_mjx.runs.directory import read_record
 
 
@@ -36,6 +39,24 @@ class Status:
     code: tuple[str, ...] = ()
     sessions: Sequence[Mapping[str, Any]] = ()
     notes: tuple[str, ...] = ()
+
+
+def status_of(
+    unit: str, out: Path, done: int, rows: int | None, complete: bool, *, command: str, spec: str,
+    engine: str | None, notes: Sequence[str],
+) -> Status:  # fmt: skip
+    """The status of a directory that `command` fills, and resumes by the file `spec` in it."""
+    words = ["plot", str(out)] if complete else [command, str(out / spec), "--out", str(out)]
+    return Status(unit, done, rows, complete, f"nermo-mjx {shlex.join(words)}", engine, notes=tuple(notes))
+
+
+def metadata_of(path: Path, notes: list[str], remedy: str) -> pq.FileMetaData | None:
+    """What a Parquet file says of itself; None if it is absent or damaged, with a note and its remedy."""
+    try:
+        return pq.read_metadata(path) if path.exists() else None
+    except (OSError, pa.ArrowException, ValueError):
+        notes.append(f"{path.name if path.parent.name != 'results' else f'results/{path.name}'} is damaged; {remedy}")
+        return None
 
 
 def last_command(out: Path) -> str:

@@ -19,7 +19,7 @@ from nermo_mjx.sweep.keeping import recording_file
 from nermo_mjx.sweep.replay import SweepRow
 from nermo_mjx.sweep.results import Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows
-from nermo_mjx.sweep.simulating import BatchSimulator, SimulatorLike
+from nermo_mjx.sweep.simulating import SimulatorLike, SweepSimulator
 from nermo_mjx.sweep.store import RECORDINGS
 from nermo_mjx.sweep.table import columns_of
 
@@ -47,7 +47,7 @@ def kept_rows(found: Evaluations, best: int) -> list[int]:
     return (np.sort(points) * search.repeats).tolist()
 
 
-def keep_recordings(batches: Batches, best: dict[str, Any], computer: BatchSimulator) -> list[Path]:
+def keep_recordings(batches: Batches, best: dict[str, Any], computer: SweepSimulator) -> list[Path]:
     """Record what `keep` asks for, as DIR/recordings/row-000123.npz; what is there already stays.
 
     Raises:
@@ -61,7 +61,7 @@ def keep_recordings(batches: Batches, best: dict[str, Any], computer: BatchSimul
         with clear_errors(batches.out):
             (batches.out / RECORDINGS).mkdir(exist_ok=True)
         for first in range(0, len(missing), _TOGETHER):
-            _record(found, {row: files[row] for row in missing[first : first + _TOGETHER]}, computer.simulator)
+            _record(found, {row: files[row] for row in missing[first : first + _TOGETHER]}, computer.simulator())
     return list(files.values())
 
 

@@ -14,7 +14,6 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import session
@@ -35,7 +34,7 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.layout import batch_values
 from nermo_mjx.sweep.results import Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.simulating import BatchSimulator, Simulated, SimulatorLike
+from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, engine_name
 
 #: Seconds between two updates of best.json and the atlas while the search runs.
 PUBLISHED_EVERY: Final = 60.0
@@ -148,9 +147,8 @@ def run_search(
         batch = search.batch or batches.begun_batch() or batch_points(search, engine)
         batches.claim(dataclasses.replace(search, batch=batch))
         going = Going(batches, workers, progress or (lambda _: None), warn or (lambda _: None), interruption.check)
-        ran = str(getattr(simulator.engine, "name", simulator.engine)) if simulator is not None else engine
-        ran = ran if ran != "auto" else engine_of(batches.out) or resolve_engine(engine)
-        computer = BatchSimulator(search.setup, search.run, ran, simulator, notify)
+        ran = engine_name(engine, simulator, engine_of(batches.out))
+        computer = SweepSimulator(search.sweep.structures, ran, simulator, notify)
         going.go_on(computer, gradients, accept_new_code)
         search = batches.search
         best = publish(batches, complete=True)
@@ -187,7 +185,7 @@ class Going:
         self._slopes_of: Gradients | None = None
         self._lead = _Lead(batches.search)
 
-    def go_on(self, computer: BatchSimulator, gradients: Gradients | None, accept: bool) -> None:
+    def go_on(self, computer: SweepSimulator, gradients: Gradients | None, accept: bool) -> None:
         """Until the budget is used up."""
         search, batches = self._batches.search, self._batches
         assert search.batch is not None
@@ -221,7 +219,7 @@ class Going:
                 publish(batches, complete=False)
                 published = time.monotonic()
 
-    def _begin(self, computer: BatchSimulator, accept: bool) -> None:
+    def _begin(self, computer: SweepSimulator, accept: bool) -> None:
         """Make ready what simulates, before the first batch that is missing."""
         if self._stamp is not None:
             return
@@ -248,9 +246,9 @@ class Going:
         size = math.ceil(search.batch * search.repeats / self._workers.parts)
         parts = [np.arange(len(rows))[begin : begin + size] for begin in range(0, len(rows), size)]
 
-        def tasks() -> Iterator[tuple[int, Mapping[str, np.ndarray]]]:
+        def tasks() -> Iterator[tuple[int, tuple[int, Mapping[str, np.ndarray]]]]:
             for k, part in enumerate(parts):  # the engine c has lanes of its own; there nothing need be filled up
-                yield k, batch_values(search.sweep, rows.take(part), len(part) if engine == "c" else size)
+                yield k, (0, batch_values(search.sweep, rows.take(part), len(part) if engine == "c" else size))
 
         began = time.perf_counter()
         try:

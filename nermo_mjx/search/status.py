@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import shlex
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from nermo_mjx.runs.directory import engine_of
-from nermo_mjx.runs.status import Status
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.search.batches import SEARCH
 from nermo_mjx.search.outcome import BEST
 from nermo_mjx.search.spec import Search
@@ -26,10 +22,8 @@ def status(out: Path) -> Status:
     except (SpecError, OSError) as error:
         notes.append(f"Its search cannot be read: {error}")
     for path in chunk_files(out).values():
-        try:
-            runs += pq.read_metadata(path).num_rows
-        except (OSError, pa.ArrowException, ValueError):
-            notes.append(f"results/{path.name} is damaged; it will be run again.")
+        if about := metadata_of(path, notes, "it will be run again."):
+            runs += about.num_rows
     done, budget = runs // (1 if search is None else search.repeats), None if search is None else search.evaluations
     reached = False
     try:
@@ -38,6 +32,5 @@ def status(out: Path) -> Status:
         reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == done
     except (OSError, ValueError, KeyError):
         pass
-    go_on = ["plot", str(out)] if reached else ["search", str(out / SEARCH), "--out", str(out)]
-    return Status("evaluations", done, budget, reached, f"nermo-mjx {shlex.join(go_on)}", engine=engine_of(out),
-                  notes=tuple(notes))  # fmt: skip
+    return status_of("evaluations", out, done, budget, reached, command="search", spec=SEARCH, engine=engine_of(out),
+                     notes=notes)  # fmt: skip

@@ -13,7 +13,6 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import parquet_bytes
@@ -33,7 +32,7 @@ from nermo_mjx.sweep.plots import figures_of
 from nermo_mjx.sweep.results import Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.series import check_room, chunk_with_series
-from nermo_mjx.sweep.simulating import SimulatorLike, SweepSimulator
+from nermo_mjx.sweep.simulating import SimulatorLike, SweepSimulator, engine_name
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import DirectoryError, Store
 from nermo_mjx.sweep.summary import summarize
@@ -167,7 +166,9 @@ def run_sweep(
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
             trackers = stack.enter_context(tracked(log, store.out, part))
             work.log = ChunkLog(trackers, map(pq.read_table, work.finished()))
-        simulates = SweepSimulator(sweep.structures, _engine(engine, simulator, work), simulator, notify, sweep.save)
+        begun = engine_of(store.out) or next(iter(work.engines), None)
+        ran = engine_name(engine, simulator, begun)
+        simulates = SweepSimulator(sweep.structures, ran, simulator, notify, sweep.save)
         places = [*store.former(), *(place for source in sources for place in with_former(source))]
         known = None
         if places and not work.done[work.mine].all():
@@ -199,14 +200,6 @@ def _check(chunk: int | None, shard: tuple[int, int] | None, extend: bool) -> No
         raise SpecError(f"chunk is {chunk}: allowed is 1 or more.")
     if shard is not None and not 0 <= shard[0] < shard[1]:
         raise SpecError(f"shard is {shard[0]}/{shard[1]}: allowed is I/N with I from 0 to N - 1.")
-
-
-def _engine(wanted: str, simulator: SimulatorLike | None, work: Work) -> str:
-    """Name of the engine that really runs."""
-    if simulator is not None:
-        return str(getattr(simulator.engine, "name", simulator.engine))
-    begun = engine_of(work.store.out) or next(iter(work.engines), "auto")
-    return wanted if wanted != "auto" else begun if begun != "auto" else resolve_engine(wanted)
 
 
 def _finish(

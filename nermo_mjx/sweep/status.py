@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
-from nermo_mjx.runs.status import Status
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Sample
@@ -24,17 +20,12 @@ def status(out: Path) -> Status:
     except (SpecError, OSError) as error:
         notes.append(f"Its sweep cannot be read: {error}")
     for path in chunk_files(out).values():
-        try:
-            about = pq.read_metadata(path)
-        except (OSError, pa.ArrowException, ValueError):
-            notes.append(f"results/{path.name} is damaged; it will be run again.")
-            continue
-        done += about.num_rows
-        engines.append((about.metadata or {}).get(b"engine", b"").decode())
+        if about := metadata_of(path, notes, "it will be run again."):
+            done += about.num_rows
+            engines.append((about.metadata or {}).get(b"engine", b"").decode())
     if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
         notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
     complete = done == rows and (out / "summary.json").exists()
     # The figures need no simulation; the others are distinguished by the table's columns.
-    go_on = ["plot", str(out)] if complete else ["sweep", str(out / "sweep.yaml"), "--out", str(out)]
-    return Status("runs", done, rows, complete, f"nermo-mjx {shlex.join(go_on)}",
-                  engine=", ".join(dict.fromkeys(filter(None, engines))) or None, notes=tuple(notes))  # fmt: skip
+    engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
+    return status_of("runs", out, done, rows, complete, command="sweep", spec="sweep.yaml", engine=engine, notes=notes)

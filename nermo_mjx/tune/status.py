@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs import engine_of
-from nermo_mjx.runs.status import Status, last_command
+from nermo_mjx.runs.status import Status, last_command, metadata_of, status_of
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.tune.history import FILE
 from nermo_mjx.tune.spec import Tuning
@@ -28,20 +28,16 @@ def status(out: Path) -> Status:
         rows = (tuning.iterations + 1) * tuning.starts
     except (SpecError, OSError) as error:
         notes.append(f"Its tuning cannot be read: {error}")
-    if (out / FILE).exists():
-        try:
-            done = pq.read_metadata(out / FILE).num_rows
-        except (OSError, pa.ArrowException, ValueError):
-            notes.append(f"{FILE} is damaged; it is made again of the checkpoints.")
+    if about := metadata_of(out / FILE, notes, "it is made again of the checkpoints."):
+        done = about.num_rows
     best = None
     with contextlib.suppress(OSError, ValueError):
         best = json.loads((out / "best.json").read_text(encoding="utf-8"))
     if isinstance(best, dict) and best.get("stopped"):
         rows, notes = done, [*notes, best["stopped"]]
     complete = rows is not None and done >= rows and best is not None
-    go_on = ["plot", str(out)] if complete else ["tune", str(out / "tuning.yaml"), "--out", str(out)]
-    return Status("evaluations", done, rows, complete, f"nermo-mjx {shlex.join(go_on)}", engine=engine_of(out),
-                  notes=tuple(notes))  # fmt: skip
+    return status_of("evaluations", out, done, rows, complete, command="tune", spec="tuning.yaml",
+                     engine=engine_of(out), notes=notes)  # fmt: skip
 
 
 def landscape_status(out: Path) -> Status:
