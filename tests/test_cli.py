@@ -125,7 +125,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.physics.engine import ENGINES
     from nermo_mjx.robot import GAITS
     from nermo_mjx.robot.assembly import ROBOTS, TAILS
-    from nermo_mjx.specs.walk import Pilot
+    from nermo_mjx.specs.walk_fields import Pilot
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     assert set(choices.GAITS) == set(GAITS)

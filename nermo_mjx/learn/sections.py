@@ -16,7 +16,7 @@ from nermo_mjx.learn.rewards import TERMS
 from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional
 from nermo_mjx.specs.values import Choice, Finite, Numbers, Positive, Whole
-from nermo_mjx.specs.walk import Pilot, SceneField
+from nermo_mjx.specs.walk_fields import Pilot, SceneField
 
 #: Ways of learning, by the name in files.
 ALGORITHMS: Final[dict[str, Any]] = {"ppo": PPO, "short_horizon": ShortHorizon}

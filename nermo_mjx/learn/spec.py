@@ -35,7 +35,8 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError
 from nermo_mjx.specs.values import Numbers, Whole
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, read_walk
+from nermo_mjx.specs.walk import WalkSpec, read_walk
+from nermo_mjx.specs.walk_fields import WalkFields
 
 #: Fields that do not change what an iteration computes: a training may be resumed with others.
 FREE: Final = ("steps", "run", "evaluate", "plots")

@@ -23,7 +23,8 @@ from nermo_mjx.specs.fields import JsonSchema, optional, read
 from nermo_mjx.specs.patterns import written_out
 from nermo_mjx.specs.reading import Document
 from nermo_mjx.specs.values import ByParameter, Checked, Whole
-from nermo_mjx.specs.walk import WalkFields, check_sources, read_walk
+from nermo_mjx.specs.walk import check_sources, read_walk
+from nermo_mjx.specs.walk_fields import WalkFields
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.axes import AxisForm, read_axis, read_draw
 from nermo_mjx.sweep.file import Randomized

@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 
 from nermo_mjx.specs.fields import Fields, OneOf, optional
 from nermo_mjx.specs.values import Choice, Whole, by_parameter, refuse_parameter
-from nermo_mjx.specs.walk import WalkFields
+from nermo_mjx.specs.walk_fields import WalkFields
 from nermo_mjx.sweep.asked import CompareFields
 from nermo_mjx.sweep.axes import DrawForm
 from nermo_mjx.sweep.beside import KeepFields, SaveFields

@@ -21,8 +21,8 @@ from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import SpecError, describe
+from nermo_mjx.specs.unread import unread
 from nermo_mjx.specs.values import Checked, by_parameter
-from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.row_tables import RowTable
 from nermo_mjx.sweep.structures import STRUCTURES, Structure, label_of
 

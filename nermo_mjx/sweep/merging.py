@@ -12,7 +12,7 @@ import numpy as np
 
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.specs.walk import unread
+from nermo_mjx.specs.unread import unread
 from nermo_mjx.sweep.extending import fixed_differences
 from nermo_mjx.sweep.known import sweep_in
 from nermo_mjx.sweep.run import SweepResult, run_sweep

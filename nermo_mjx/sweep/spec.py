@@ -19,7 +19,8 @@ from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import read
 from nermo_mjx.specs.patterns import written_out
 from nermo_mjx.specs.reading import Document, read_file, read_mapping
-from nermo_mjx.specs.walk import WalkSpec, unread
+from nermo_mjx.specs.unread import unread
+from nermo_mjx.specs.walk import WalkSpec
 from nermo_mjx.sweep.asked import AskedComparison, read_comparison
 from nermo_mjx.sweep.axes import Axis, Draw, read_axis, read_draw
 from nermo_mjx.sweep.beside import Keep, read_saving

@@ -10,7 +10,8 @@ import numpy as np
 
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.specs.reading import Document
-from nermo_mjx.specs.walk import check_sources, unread
+from nermo_mjx.specs.unread import unread
+from nermo_mjx.specs.walk import check_sources
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.sweep.asked import Value
 from nermo_mjx.sweep.beside import check_keep

@@ -20,7 +20,8 @@ from nermo_mjx.specs.fields import Refused, optional, read
 from nermo_mjx.specs.patterns import written_out
 from nermo_mjx.specs.reading import Document, SpecError, read_file
 from nermo_mjx.specs.values import ByParameter, Choice, Whole
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, read_walk
+from nermo_mjx.specs.walk import WalkSpec, check_sources, read_walk
+from nermo_mjx.specs.walk_fields import WalkFields
 from nermo_mjx.specs.workspace import check_workspace
 from nermo_mjx.tune import methods, sections
 from nermo_mjx.tune.bounds import Bounds
