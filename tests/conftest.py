@@ -114,9 +114,11 @@ def shared_simulators() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def drawing():
     """Skips, with the remedy, where nothing can draw; in CI, which installs a library, that is a failure."""
+    from nermo_mjx.view import offscreen
+
     try:
-        runtime.require_gl()
-    except runtime.RenderingUnavailable as missing:
+        offscreen.require_gl()
+    except offscreen.RenderingUnavailable as missing:
         if os.environ.get("CI"):
             raise
         pytest.skip(str(missing))

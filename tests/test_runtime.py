@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from nermo_mjx import runtime
 from nermo_mjx.cli import options
+from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.process
 
@@ -137,17 +138,17 @@ def test_the_users_cache_is_kept_and_a_directory_that_cannot_be_written_is_no_er
 def test_the_choice_of_the_user_for_gl_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is looked for where MuJoCo has been told what to take."""
     monkeypatch.setenv("MUJOCO_GL", "glfw")
-    monkeypatch.setattr(runtime, "_headless_backend", lambda: pytest.fail("looked for a library"))
-    runtime.require_gl()
+    monkeypatch.setattr(offscreen, "_headless_backend", lambda: pytest.fail("looked for a library"))
+    offscreen.require_gl()
 
 
 def test_without_any_library_drawing_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
-    with pytest.raises(runtime.RenderingUnavailable, match="apt-get install libosmesa6"):
-        runtime.require_gl()
+    monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
+    with pytest.raises(offscreen.RenderingUnavailable, match="apt-get install libosmesa6"):
+        offscreen.require_gl()
 
 
 def test_commands_take_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:

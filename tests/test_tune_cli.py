@@ -172,7 +172,7 @@ def test_what_could_not_be_made_is_a_sentence_and_no_failure(
 ) -> None:
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(nermo_mjx.runtime, "_headless_backend", lambda: None)
+    monkeypatch.setattr("nermo_mjx.view.offscreen._headless_backend", lambda: None)
     result = call("tune", spec, "--out", tmp_path / "out", "--video")
     assert result.exit_code == 0
     assert "There is no video. No rendering library was found" in result.stderr

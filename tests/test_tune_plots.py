@@ -16,7 +16,6 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.image import imread
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, speed
 
-from nermo_mjx import runtime
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.quantity import ParameterError
@@ -41,6 +40,7 @@ from nermo_mjx.tune.plots import figures_of
 from nermo_mjx.tune.state import initial_state
 from nermo_mjx.tune.traces import MOST_STARTS, Traces
 from nermo_mjx.tune.tuner import Tuner
+from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.draws
 
@@ -455,7 +455,7 @@ def test_a_machine_that_cannot_draw_keeps_all_but_the_video(again, monkeypatch):
     """One sentence with the remedy; nothing is simulated for an impossible video."""
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
+    monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
     walker = FakeWalker()
     result = again(walker, {"plots": False, "video": True})
     (note,) = result.pictures.notes

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from nermo_mjx import runtime
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view import Recording, RecordingError, VideoError, render, strips
+from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, strips
 from nermo_mjx.view.camera import smooth_path
 from nermo_mjx.view.encoding import require_encoder, write_video
 from nermo_mjx.view.side_by_side import Pane, render_side_by_side
@@ -266,7 +265,7 @@ def test_a_machine_without_gl_gets_the_remedy(
 ) -> None:
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(runtime, "_headless_backend", lambda: None)
+    monkeypatch.setattr(offscreen, "_headless_backend", lambda: None)
     with pytest.raises(VideoError, match="apt-get install libosmesa6"):
         render(walk(model), model, tmp_path / "walk.mp4", width=64, height=48)
     assert not list(tmp_path.iterdir())
@@ -306,7 +305,7 @@ def test_what_cannot_be_written_is_refused_in_a_line_before_anything_is_drawn(
 def test_the_order_of_imports_does_not_matter_without_a_display() -> None:
     script = (
         "import mujoco\nmodel = mujoco.MjModel.from_xml_string('<mujoco/>')\nimport nermo_mjx\n"
-        "from nermo_mjx import runtime\nruntime.require_gl()\n"
+        "from nermo_mjx.view import offscreen\noffscreen.require_gl()\n"
         "with mujoco.Renderer(model, 32, 48) as renderer:\n    print(renderer.render().shape)\n"
     )
     hidden = {"MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM"}

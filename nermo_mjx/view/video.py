@@ -14,11 +14,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from nermo_mjx import runtime
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.assembly import EYES
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view import sun
+from nermo_mjx.view import offscreen, sun
 from nermo_mjx.view.camera import CAMERAS, STEREO, body_radius, following_camera, root_body, smooth_path
 from nermo_mjx.view.encoding import SUFFIXES, CountDone, VideoError, require_encoder, write_video
 from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
@@ -115,8 +114,8 @@ def check_video(
     if suffix == ".mp4":
         require_encoder()
     try:
-        runtime.require_gl()
-    except runtime.RenderingUnavailable as error:
+        offscreen.require_gl()
+    except offscreen.RenderingUnavailable as error:
         raise VideoError(str(error)) from None
 
 
