@@ -17,24 +17,14 @@ from nermo_mjx.shapes import Array, Scalar, Scalars
 
 
 @runtime_checkable
-class Stepped(Protocol):
-    """The part of a gait's state that the controller reads."""
-
-    @property
-    def phase(self) -> Scalar:
-        """Of the gait cycle, in [0, 1)."""
-
-    @property
-    def stance(self) -> Bool[Array, " 4"]:
-        """Planned contact of the limbs."""
-
-
-@runtime_checkable
 class GaitLike(Protocol):
     """A gait: pure functions of its parameters and its own state. Values are unbatched."""
 
     def start(self, params: Any, phase: Scalar, drive: Drive) -> tuple[Any, Float[Array, "4 2"]]:
-        """State (see `Stepped`) in a steady gait at a phase, and the feet (y, z) in their legs' frames [m]."""
+        """State in a steady gait at a phase, and the feet (y, z) in their legs' frames [m].
+
+        The controller reads the state's `phase` of the gait cycle, in [0, 1), and `stance`, the planned contact (4,).
+        """
 
     def update(self, params: Any, state: Any, before: Drive, now: Drive, dt: float) -> tuple[Any, Float[Array, "4 2"]]:
         """State and feet `dt` simulated seconds later, with the drive `before` until now and `now` from now on."""

@@ -98,22 +98,6 @@ def stride_gain(theta_v: ArrayLike, geometry: Geometry) -> Scalars:
     return (_constant(geometry.shoulder.x) + jnp.hypot(across, along)) * jnp.sin(bend / 2)
 
 
-def sagittal_stride_gain(vertical: ArrayLike, feet: ArrayLike, geometry: Geometry) -> Planar:
-    """Travel gained per cycle of a bound by swinging the vertical joints between -vertical and vertical [m].
-
-    While the hind feet stand, the spine extends and carries the torso forward by the distance that they move backward
-    relative to the spine base; it flexes again while the fore feet stand, which pulls the hip forward while the torso
-    stays.
-
-    Args:
-        vertical: of each vertical joint [rad].
-        feet: neutral (y, z) of the four feet from their own axis, shape (4, 2) [m].
-        geometry: of the robot.
-    """
-    ends = [feet_positions(0.0, feet, geometry, sign * jnp.asarray(vertical))[..., 2:, 1] for sign in (1.0, -1.0)]
-    return ends[0] - ends[1]
-
-
 def centre_of_mass(
     masses: MassModel, theta_v: ArrayLike, geometry: Geometry, vertical: ArrayLike | None = None
 ) -> Spatial:

@@ -41,7 +41,6 @@ class ModulationFields(Fields):
 
 class ActionFields(OneOf):
     alone: ClassVar = ("residual", "modulation", "targets")
-    short: ClassVar = ({"enum": [*alone]},)
     expected: ClassVar = "residual, modulation or targets as a name, or {name: {option: value}}"
     other: ClassVar = "is not what an action does"
     other_name: ClassVar = "is {name!r}"
@@ -117,7 +116,6 @@ class ShortHorizonFields(Fields):
 
 class AlgorithmFields(OneOf):
     alone: ClassVar = ("ppo", "short_horizon")
-    short: ClassVar = ({"enum": [*alone]},)
     expected: ClassVar = "ppo or short_horizon as a name, or {name: {option: value}}"
     other: ClassVar = "is not a way of learning"
     other_name: ClassVar = "is {name!r}"

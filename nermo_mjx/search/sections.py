@@ -64,7 +64,6 @@ class MethodFields(OneOf):
     """The method of a search, as written in a file."""
 
     alone: ClassVar = ("cma", "nsga2", "cma_me", "cma_mega", "sobol")
-    short: ClassVar = ({"enum": [*alone]},)
     expected: ClassVar = "cma, nsga2, cma_me, cma_mega or sobol as a name, or {name: {option: value}}"
     other: ClassVar = "is not a method"
     other_name: ClassVar = "is {name!r}"

@@ -142,7 +142,7 @@ class OneOf(Fields):
     """A mapping of one field, such as {linspace: [0, 1, 5]}.
 
     Attributes:
-        alone: names of fields that may be given without a mapping.
+        alone: names of fields that may be given without a mapping; by default these are the short forms.
         other: says of a field's name that there is no such field; with `{name}` in it, it is about the whole.
         other_name: the same for a name given alone.
     """
@@ -151,6 +151,12 @@ class OneOf(Fields):
     alone: ClassVar[tuple[str, ...]] = ()
     other: ClassVar[str]
     other_name: ClassVar[str] = "is the text {name!r}"
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        super().__pydantic_init_subclass__(**kwargs)
+        if cls.alone and not cls.short:
+            cls.short = ({"enum": [*cls.alone]},)
 
     @classmethod
     def written_out(cls, given: Any) -> Any:

@@ -104,7 +104,6 @@ class OpenLoop(Fields):
 
 class Pilot(OneOf):
     alone: ClassVar = ("straight", "arc", "open_loop")
-    short: ClassVar = ({"enum": [*alone]},)
     expected: ClassVar = "straight, arc, waypoints or open_loop as a name or {name: {option: value}}"
     other: ClassVar = "is {name!r}"
     other_name: ClassVar = other

@@ -25,7 +25,6 @@ class Sampler(OneOf):
     expected: ClassVar = "grid, {sobol: N}, {latin_hypercube: N} or {saltelli: N}"
     other: ClassVar = "is not a sampler"
     alone: ClassVar = ("grid",)
-    short: ClassVar = ({"enum": [*alone]},)
     grid: None = optional("every combination of the listed values")
     sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of a Sobol sequence")
     latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of the hypercube")

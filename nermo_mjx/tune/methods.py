@@ -36,7 +36,6 @@ class MethodFields(OneOf):
     """How an iteration finds its step, as written in a file."""
 
     alone: ClassVar = ("gradient", "cma", "differences")
-    short: ClassVar = ({"enum": [*alone]},)
     expected: ClassVar = "gradient, cma or differences as a name, or {name: {option: value}}"
     other: ClassVar = "is not a method"
     other_name: ClassVar = "is {name!r}"

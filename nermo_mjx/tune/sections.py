@@ -147,7 +147,6 @@ class EstimatorFields(OneOf):
     """How a gradient is estimated, as written in a file."""
 
     alone: ClassVar = ("exact",)
-    short: ClassVar = ({"enum": [*alone]},)
     expected: ClassVar = "exact or one of smoothed, evolution, mixture as {smoothed: {samples: 8, sigma: 0.1}}"
     other: ClassVar = "is not an estimator"
     other_name: ClassVar = "is {name!r}"
