@@ -82,7 +82,7 @@ def test_a_number_moves_the_model_and_the_kinematics_alike(name, end):
         "spine": rng.uniform(-0.12, 0.12, 1),
     }  # fmt: skip
     for joint, values in angles.items():
-        data.qpos[list(getattr(joints, joint))] = values
+        data.qpos[np.ravel(getattr(joints, joint))] = values
     data.qpos[3] = 1.0
     mujoco.mj_kinematics(model, data)
     of = geometry(**{name: getattr(ALL[name], end)})
@@ -96,7 +96,7 @@ def test_a_number_moves_the_model_and_the_kinematics_alike(name, end):
     np.testing.assert_allclose(feet, ours["feet"], atol=1e-6)
 
     data.qpos[:] = model.qpos0
-    data.qpos[list(joints.pulley)], data.qpos[list(joints.knee)] = 0.0, knees
+    data.qpos[list(joints.pulley)], data.qpos[np.ravel(joints.knee)] = 0.0, knees
     mujoco.mj_fwdPosition(model, data)
     np.testing.assert_allclose(data.ten_length, model.tendon_range[:, 1], atol=1e-8)
 

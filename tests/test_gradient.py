@@ -44,7 +44,9 @@ def test_readings_at_rest_are_mujocos():
     qpos = robot.model.qpos0.copy()
     qpos[robot.joints.root : robot.joints.root + 7] = [0.3, -0.2, 0.06, 0.8, 0.1, -0.2, 0.55]
     qpos[robot.joints.root + 3 : robot.joints.root + 7] /= np.linalg.norm([0.8, 0.1, -0.2, 0.55])
-    bent = np.concatenate([robot.joints.hip, robot.joints.pulley, robot.joints.knee, [robot.joints.spine_pulley]])
+    bent = np.concatenate(
+        [robot.joints.hip, robot.joints.pulley, np.ravel(robot.joints.knee), [robot.joints.spine_pulley]]
+    )
     qpos[bent] = np.linspace(-0.3, 0.3, len(bent))
     data.qpos[:] = qpos
     mujoco.mj_forward(robot.model, data)

@@ -66,7 +66,7 @@ def test_the_same_joint_angles_put_the_hip_where_mujoco_has_it(robot):
         mujoco.mj_resetData(model, data)
         data.qpos[:7] = [0.1, -0.2, 0.5, *rng.normal(size=4)]
         data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
-        data.qpos[list(joints.spine)], data.qpos[list(joints.spine_vertical)] = theta, vertical
+        data.qpos[np.ravel(joints.spine)], data.qpos[np.ravel(joints.spine_vertical)] = theta, vertical
         mujoco.mj_kinematics(model, data)
         with jax.enable_x64(True):
             pose = np.asarray(spine.transform(np.array(theta), ROBOT, np.full(4, vertical)))
@@ -192,7 +192,7 @@ def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mo
     result = sim.run({}, Run(cycles=5, warmup_cycles=2), record=True)
     assert result.metrics["fell"][0] == 0.0
     assert result.metrics["speed"][0] > 0.015
-    bent = np.abs(result.recording().qpos[:, list(sim.robot.joints.spine_vertical)])
+    bent = np.abs(result.recording().qpos[:, np.ravel(sim.robot.joints.spine_vertical)])
     assert least < bent.max() < most
 
 

@@ -170,7 +170,7 @@ def test_the_leg_frame_is_that_of_the_leg_kinematics(recording: Recording) -> No
     pose = forward(four_legs(ROBOT), servo, "type3")
     qpos = np.tile(robot.model.qpos0, (2, 1))
     qpos[:, joints.hip], qpos[:, joints.pulley] = servo[:, 0], servo[:, 1]
-    qpos[:, joints.knee] = np.asarray(pose.knee_angle)
+    qpos[:, np.ravel(joints.knee)] = np.asarray(pose.knee_angle)
     qpos[1, joints.root : joints.root + 7] = [0.1, -0.2, 0.3, *np.array([0.8, 0.2, -0.4, 0.4])]
     for found in in_leg_frame(robot.model, qpos):
         np.testing.assert_allclose(found, np.asarray(pose.foot), atol=4e-4)

@@ -57,7 +57,7 @@ def random_pose(robot: Robot, rng: np.random.Generator) -> tuple[mujoco.MjData, 
     data.qpos[joints.root : joints.root + 3] = rng.uniform(-1.0, 1.0, 3)
     data.qpos[joints.root + 3 : joints.root + 7] = rng.normal(size=4)
     for name, values in angles.items():
-        data.qpos[list(getattr(joints, name))] = values
+        data.qpos[np.ravel(getattr(joints, name))] = values
     mujoco.mj_forward(robot.model, data)
     return data, angles
 
@@ -543,7 +543,7 @@ def test_sensors_are_read_by_meaning(tail):
     # The sensors' quantities are those of the state.
     mujoco.mj_forward(model, data)
     fresh = robot.sensors(data.sensordata)
-    np.testing.assert_allclose(fresh.knee_angle, data.qpos[list(robot.joints.knee)], atol=1e-6)
+    np.testing.assert_allclose(fresh.knee_angle, data.qpos[np.ravel(robot.joints.knee)], atol=1e-6)
     hips = np.asarray(fresh.servo_angle)[:4]
     np.testing.assert_allclose(hips, data.qpos[list(robot.joints.hip)], atol=1e-6)
     feet = [data.site(f"{limb}_foot").xpos for limb in LIMBS]

@@ -87,7 +87,7 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
 def _setup(setup: Setup, policy: Policy | None) -> Setup:
     if policy is None:
         return setup
-    own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "metrics")
+    own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "hinges", "metrics")
     there = policy.with_pilot(setup.pilot, setup.waypoints)
     return Setup(**{name: getattr(setup, name) for name in own}, controller=there)
 

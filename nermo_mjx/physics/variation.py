@@ -19,6 +19,7 @@ from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint
+from nermo_mjx.robot.flexure import chain_of
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front, mass_values
@@ -63,12 +64,13 @@ class Variation:
 
     def __init__(self, robot: Robot) -> None:
         model = robot.physical
-        self.model, self._robot = model, robot
+        self.model, self._robot, self._hinges = model, robot, robot.config.hinges
         names = [model.joint(i).name for i in range(model.njnt)]
         dof = {name: int(model.jnt_dofadr[i]) for i, name in enumerate(names)}
 
         def joints(end: str, start: str = "") -> np.ndarray:
-            return np.array([i for i, name in enumerate(names) if name.endswith(end) and name.startswith(start)], int)
+            of = [i for i, name in enumerate(names) if chain_of(name).endswith(end) and name.startswith(start)]
+            return np.array(of, int)
 
         spine = np.array([i for i, name in enumerate(names) if is_spine_joint(name)])
         self._springs = {
@@ -118,9 +120,10 @@ class Variation:
 
         stiffness, damping = jnp.asarray(model.jnt_stiffness, float), jnp.asarray(model.dof_damping, float)
         for name, ids in self._springs.items():
-            stiffness = stiffness.at[ids].set(getattr(p.stiffness, name))
+            stiffness = stiffness.at[ids].set(self._hinges * getattr(p.stiffness, name))
         for name, ids in self._dampers.items():
-            damping = damping.at[ids].set(getattr(p.damping, name))
+            hinges = self._hinges if name in ("knee", "ankle", "spine") else 1
+            damping = damping.at[ids].set(hinges * getattr(p.damping, name))
 
         mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()

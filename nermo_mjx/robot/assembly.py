@@ -22,6 +22,7 @@ from nermo_mjx.robot.equipment import (
     set_masses,
     set_tendons,
 )
+from nermo_mjx.robot.flexure import MOST_HINGES, add_hinges, chain_of, place_hinges
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.leg_plane import standing
@@ -55,6 +56,7 @@ class RobotConfig:
         cone: of the friction, `elliptic` or `pyramidal`.
         physics: `reference` or `fast`, see `PRESETS`.
         timestep: of the physics [s]; overrides that of the preset, which is the default.
+        hinges: of every compliant joint of legs and spine, from 1 to `MOST_HINGES`; see `flexure`.
     """
 
     robot: str = "nermo_lite"
@@ -64,6 +66,7 @@ class RobotConfig:
     cone: str = "elliptic"
     physics: str = "reference"
     timestep: float = PresetTimestep("nan")
+    hinges: int = 1
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scene", resolve_scene(self.scene))
@@ -82,6 +85,8 @@ class RobotConfig:
             object.__setattr__(self, "timestep", PresetTimestep(self.preset.timestep))
         if not 1e-5 <= self.timestep <= 0.004:
             raise ParameterError(f"timestep is {self.timestep!r}: allowed is [1e-05, 0.004] s.")
+        if type(self.hinges) is not int or not 1 <= self.hinges <= MOST_HINGES:
+            raise ParameterError(f"hinges is {self.hinges!r}: allowed is a whole number from 1 to {MOST_HINGES}.")
 
     @property
     def preset(self) -> PhysicsPreset:
@@ -103,41 +108,45 @@ def assemble(config: RobotConfig | None = None, parameters: ModelParameters | No
     robot = config.robot
     spec.modelname = f"{robot}_{scene_name(scene)}"
     _attach(spec, geometry, spec.worldbody, "torso", robot, plain=("torso", "root", "imu", *FOLLOWING))
-    _attach(spec, geometry, spec.frame("torso_spine_mount"), "spine", robot)
+    _attach(spec, geometry, spec.frame("torso_spine_mount"), "spine", robot, hinges=config.hinges)
     eyes = ("head", "neck", "head_tilt", "eyes", *EYES)
     _attach(spec, geometry, spec.frame("torso_neck_mount"), "head", robot, plain=eyes)
     _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
     for limb in LIMBS:
         trunk = "torso" if limb.startswith("front") else "hip"
-        _attach_leg(spec, geometry, spec.frame(f"{trunk}_{limb}_mount"), limb, config.routing)
+        _attach_leg(spec, geometry, spec.frame(f"{trunk}_{limb}_mount"), limb, config)
     _attach(spec, geometry, spec.frame("hip_tail_mount"), "tail", robot)
     if config.tail == "rigid":
         _stiffen_tail(spec)
-    _pose(spec, config.routing)
+    _pose(spec, config)
     _finish(spec, config, parameters)
     add_sensors(spec)
     add_contacts(spec, scene_geoms(scene), parameters, config.preset.trunk_contacts)
     return spec
 
 
-def assemble_leg(limb: str, routing: str = "type3", parameters: ModelParameters | None = None) -> mujoco.MjSpec:
+def assemble_leg(
+    limb: str, routing: str = "type3", parameters: ModelParameters | None = None, hinges: int = 1
+) -> mujoco.MjSpec:
     """One leg on a test stand: its hip axis is fixed at the world's origin, without gravity or ground."""
     if limb not in LIMBS:
         raise ParameterError(f"limb is {limb!r}: allowed is one of {', '.join(LIMBS)}.")
-    config, parameters = RobotConfig(routing=routing), parameters or ModelParameters()
+    config, parameters = RobotConfig(routing=routing, hinges=hinges), parameters or ModelParameters()
     geometry = parameters.geometry
     spec = _stand(f"{limb}_leg_stand")
-    _attach_leg(spec, geometry, spec.worldbody, limb, routing)
-    _pose(spec, routing)
+    _attach_leg(spec, geometry, spec.worldbody, limb, config)
+    _pose(spec, config)
     _finish(spec, config, parameters)
     return spec
 
 
-def assemble_spine(parameters: ModelParameters | None = None, robot: str = "nermo_lite") -> mujoco.MjSpec:
+def assemble_spine(
+    parameters: ModelParameters | None = None, robot: str = "nermo_lite", hinges: int = 1
+) -> mujoco.MjSpec:
     """The spine on a test stand: its base is fixed at the world's origin, without gravity; the hip hangs free."""
-    config, parameters = RobotConfig(robot), parameters or default_parameters(robot)
+    config, parameters = RobotConfig(robot, hinges=hinges), parameters or default_parameters(robot)
     spec, geometry = _stand("spine_stand"), parameters.geometry
-    _attach(spec, geometry, spec.worldbody, "spine", robot)
+    _attach(spec, geometry, spec.worldbody, "spine", robot, hinges=hinges)
     _attach(spec, geometry, spec.frame("spine_end"), "hip", robot)
     _finish(spec, config, parameters)
     return spec
@@ -156,11 +165,15 @@ def _stand(name: str) -> mujoco.MjSpec:
 
 
 def _attach(
-    spec: mujoco.MjSpec, geometry: Geometry, place: Any, name: str, robot: str, plain: tuple[str, ...] = ()
-) -> None:
+    spec: mujoco.MjSpec, geometry: Geometry, place: Any, name: str, robot: str, plain: tuple[str, ...] = (),
+    hinges: int = 1,
+) -> None:  # fmt: skip
     """Attach the robot's part `name` with its name as prefix; the elements in `plain` keep their names."""
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
-    spec.attach(load_part(name, geometry, robot), prefix=f"{name}_", frame=frame)
+    part = load_part(name, geometry, robot)
+    if name == "spine":
+        add_hinges(part, hinges)
+    spec.attach(part, prefix=f"{name}_", frame=frame)
     for kind in (spec.body, spec.joint, spec.site, spec.frame, spec.camera):
         for short in plain:
             element = kind(f"{name}_{short}")
@@ -168,14 +181,15 @@ def _attach(
                 element.name = short
 
 
-def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, routing: str) -> None:
+def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, config: RobotConfig) -> None:
     pair, side = limb.split("_")
     leg = load_part(f"{pair}_leg", geometry)
     for tendon in list(leg.tendons):
-        if tendon.name != routing:
+        if tendon.name != config.routing:
             leg.delete(tendon)
         else:
             tendon.name = "tendon"
+    add_hinges(leg, config.hinges)
     if side == "right":
         mirror(leg)
     frame = place if isinstance(place, mujoco.MjsFrame) else place.add_frame()
@@ -197,18 +211,19 @@ def _stiffen_tail(spec: mujoco.MjSpec) -> None:
     spec.compiler.fusestatic = True
 
 
-def _pose(spec: mujoco.MjSpec, routing: str) -> None:
+def _pose(spec: mujoco.MjSpec, config: RobotConfig) -> None:
     """Make the published stance the model's zero pose, so that MuJoCo's reference inertias are those of the standing
     robot; joint values still count from the straight leg. Angles are rounded to 0.1 mrad. It does not depend on the
     geometry, so that every value in the model is linear in the geometry."""
     for pair, leg in LEGS.items():
-        hip, knee, pulley = (round(angle, 4) for angle in standing(leg, routing))
+        hip, knee, pulley = (round(angle, 4) for angle in standing(leg, config.routing))
         for joint in spec.joints:
-            angle = {"hip": hip, "knee": knee, "pulley": pulley}.get(joint.name.rsplit("_", 1)[-1])
+            kind = chain_of(joint.name).rsplit("_", 1)[-1]
+            angle = {"hip": hip, "knee": knee, "pulley": pulley}.get(kind)
             if joint.name.startswith(pair) and angle is not None:
                 turn = angle * joint.axis[0]
                 joint.parent.quat = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0, 0.0])
-                joint.ref = angle
+                joint.ref = angle / config.hinges if kind == "knee" else angle
     torso = spec.body("torso")
     if torso is not None:
         torso.pos = np.array([0.0, 0.0, stance_height(Geometry())])
@@ -225,7 +240,8 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     # A world that diverges must stay diverged, so that it is flagged, and must not be reset. One robot is one island:
     # searching for others in every step gives bit-identical forces and takes 4 % longer.
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_ISLAND
+    place_hinges(spec, config.hinges)
     set_masses(spec, config.robot, parameters)
-    set_joints(spec, parameters)
+    set_joints(spec, parameters, config.hinges)
     set_tendons(spec)
     add_servos(spec, config.routing, parameters)

@@ -11,6 +11,7 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from nermo_mjx.robot.flexure import chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.interface import SERVOS, servo_range
 from nermo_mjx.robot.masses import ROBOT_MASSES, is_front, part_of
@@ -73,20 +74,25 @@ def _site_in_body(part: str, site: str, geometry: Geometry) -> tuple[np.ndarray,
     return model.site(site).pos, model.site(site).quat
 
 
-def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
-    """Springs, dampers and rotor inertias (Table A.1)."""
+def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1) -> None:
+    """Springs, dampers and rotor inertias (Table A.1).
+
+    Args:
+        hinges: of each compliant joint; in series they have these values together.
+    """
     stiffness, damping = parameters.stiffness, parameters.damping
     for joint in spec.joints:
-        kind = joint.name.rstrip("_0123456789").rsplit("_", 1)[-1]
+        kind = chain_of(joint.name).rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
             _compliant(joint, TAIL_STIFFNESS, TAIL_DAMPING, ARMATURE["tail"])
         elif is_spine_joint(joint.name):
-            _compliant(joint, stiffness.spine, damping.spine, ARMATURE["spine"])
+            _compliant(joint, stiffness.spine, damping.spine, ARMATURE["spine"], hinges=hinges)
         elif kind == "knee":
             pair = joint.name.split("_")[0]
-            _compliant(joint, getattr(stiffness, f"{pair}_knee"), damping.knee, ARMATURE["knee"], KNEE_REST[pair])
+            spring = getattr(stiffness, f"{pair}_knee")
+            _compliant(joint, spring, damping.knee, ARMATURE["knee"], KNEE_REST[pair], hinges)
         elif kind == "ankle":
-            _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"])
+            _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"], hinges=hinges)
         elif kind == "hip":
             _compliant(joint, 0.0, damping.hip, ARMATURE["servo"])
         elif kind in ("pulley", "neck", "tilt"):
@@ -95,13 +101,13 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
 
 def is_spine_joint(joint: str) -> bool:
     """Whether a joint, by its name, is one of the spine's compliant ones, lateral or vertical."""
-    return joint.rstrip("0123456789") in ("spine_joint_", "spine_vertical_")
+    return chain_of(joint).rstrip("0123456789") in ("spine_joint_", "spine_vertical_")
 
 
-def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0) -> None:
+def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: float = 0.0, hinges: int = 1) -> None:
     # Coefficients of a polynomial in the angle; only the linear one is used.
-    joint.stiffness, joint.damping = np.array([stiffness, 0.0, 0.0]), np.array([damping, 0.0, 0.0])
-    joint.armature, joint.springref = armature, rest
+    joint.stiffness, joint.damping = (np.array([hinges * value, 0.0, 0.0]) for value in (stiffness, damping))
+    joint.armature, joint.springref = hinges * armature, rest / hinges
 
 
 def set_tendons(spec: mujoco.MjSpec) -> None:
@@ -153,7 +159,9 @@ def add_sensors(spec: mujoco.MjSpec) -> None:
         for servo in spec.actuators:
             add(f"{servo.name}_{reading}", getattr(kind, f"mjSENS_{sensor}"), actuator, servo.name)
     for limb in LIMBS:
-        add(f"{limb}_knee_angle", kind.mjSENS_JOINTPOS, objects.mjOBJ_JOINT, f"{limb}_knee")
+        for joint in spec.joints:
+            if chain_of(joint.name) == f"{limb}_knee":
+                add(f"{joint.name}_angle", kind.mjSENS_JOINTPOS, objects.mjOBJ_JOINT, joint.name)
     for limb in LIMBS:
         add(f"{limb}_foot_force", kind.mjSENS_TOUCH, site, f"{limb}_touch")
     for limb in LIMBS:

@@ -6,7 +6,6 @@ import copy
 import dataclasses
 import functools
 import hashlib
-import re
 from typing import Any
 
 import jax
@@ -16,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble, default_parameters
+from nermo_mjx.robot.flexure import chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.gravity import gravity_values
 from nermo_mjx.robot.interface import Sensors
@@ -35,25 +35,26 @@ class JointIndex:
 
     Attributes:
         root: address of the root's position (3) and quaternion (4).
-        hip, knee, ankle, pulley: one for each limb.
-        spine: the four lateral joints, front to rear.
+        hip, pulley: one for each limb.
+        knee, ankle: the hinges of each limb's joint, (4, hinges); their sum is the joint's angle.
+        spine: those of the four lateral joints, front to rear.
         spine_pulley, neck: single joints.
         tail: its joints, empty for the rigid tail; tail_pulley likewise.
-        spine_vertical: the four vertical joints of Nermo 4.1, front to rear, else empty; spine_vertical_pulley and
-            head_tilt likewise.
+        spine_vertical: those of the four vertical joints of Nermo 4.1, front to rear, else empty; spine_vertical_pulley
+            and head_tilt likewise.
     """
 
     root: int
     hip: tuple[int, ...]
-    knee: tuple[int, ...]
-    ankle: tuple[int, ...]
+    knee: tuple[tuple[int, ...], ...]
+    ankle: tuple[tuple[int, ...], ...]
     pulley: tuple[int, ...]
-    spine: tuple[int, ...]
+    spine: tuple[tuple[int, ...], ...]
     spine_pulley: int
     neck: int
     tail: tuple[int, ...]
     tail_pulley: tuple[int, ...]
-    spine_vertical: tuple[int, ...] = ()
+    spine_vertical: tuple[tuple[int, ...], ...] = ()
     spine_vertical_pulley: tuple[int, ...] = ()
     head_tilt: tuple[int, ...] = ()
 
@@ -85,7 +86,7 @@ class _Compiled:
             "servo_angle": slice(start[f"{servo}_angle"], start[f"{servo}_angle"] + n),
             "servo_velocity": slice(start[f"{servo}_velocity"], start[f"{servo}_velocity"] + n),
             "servo_torque": slice(start[f"{servo}_torque"], start[f"{servo}_torque"] + n),
-            "knee_angle": slice(start["front_left_knee_angle"], start["front_left_knee_angle"] + 4),
+            "knee_angle": slice(start[f"{servo}_torque"] + n, start["front_left_foot_force"]),
             "foot_force": slice(start["front_left_foot_force"], start["front_left_foot_force"] + 4),
             "foot_position": slice(start["front_left_foot_position"], start["front_left_foot_position"] + 12),
             "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
@@ -178,6 +179,7 @@ class Robot:
         parts: dict[str, Any] = {name: data[..., span] for name, span in self._compiled.sensor_slices.items()}
         for name in ("foot_position", "foot_velocity"):
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
+        parts["knee_angle"] = parts["knee_angle"].reshape(*data.shape[:-1], 4, -1).sum(axis=-1)
         parts["tail_force"] = parts["tail_force"].sum(axis=-1)
         return Sensors(**parts)
 
@@ -192,7 +194,7 @@ class Robot:
         servos = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
         readings = {
             "position": place + turned, "orientation": jnp.stack([w, x, y, z]), "servo_angle": qpos[servos],
-            "knee_angle": qpos[np.array(self.joints.knee)],
+            "knee_angle": qpos[np.array(self.joints.knee).ravel()],
         }  # fmt: skip
         for name, reading in readings.items():
             data = data.at[self._compiled.sensor_slices[name]].set(reading)
@@ -310,6 +312,7 @@ def load_robot(
     cone: str = "elliptic",
     physics: str = "reference",
     timestep: float | None = None,
+    hinges: int = 1,
 ) -> Robot:
     """Assemble a robot in a scene. The same arguments compile once; each call returns a robot with models of its own.
 
@@ -322,7 +325,7 @@ def load_robot(
         ParameterError: unknown name, unusable scene, or time step out of range.
     """
     given = {} if timestep is None else {"timestep": timestep}
-    config = RobotConfig(robot, scene, tail, routing, cone, physics, **given)
+    config = RobotConfig(robot, scene, tail, routing, cone, physics, hinges=hinges, **given)
     return Robot(config, _compile(config))
 
 
@@ -332,18 +335,21 @@ def _joint_index(model: mujoco.MjModel) -> JointIndex:
     def limbs(joint: str) -> tuple[int, ...]:
         return tuple(address[f"{limb}_{joint}"] for limb in LIMBS)
 
+    def chain(joint: str) -> tuple[int, ...]:
+        return tuple(at for name, at in address.items() if chain_of(name) == joint)
+
     return JointIndex(
         root=address["root"],
         hip=limbs("hip"),
-        knee=limbs("knee"),
-        ankle=limbs("ankle"),
+        knee=tuple(chain(f"{limb}_knee") for limb in LIMBS),
+        ankle=tuple(chain(f"{limb}_ankle") for limb in LIMBS),
         pulley=limbs("pulley"),
-        spine=tuple(address[f"spine_joint_{i}"] for i in range(1, 5)),
+        spine=tuple(chain(f"spine_joint_{i}") for i in range(1, 5)),
         spine_pulley=address["spine_pulley"],
         neck=address["neck"],
         tail=tuple(at for name, at in address.items() if name.startswith("tail_joint")),
         tail_pulley=tuple(at for name, at in address.items() if name == "tail_pulley"),
-        spine_vertical=tuple(at for name, at in address.items() if re.fullmatch(r"spine_vertical_\d", name)),
+        spine_vertical=tuple(filter(None, (chain(f"spine_vertical_{i}") for i in range(1, 5)))),
         spine_vertical_pulley=tuple(at for name, at in address.items() if name == "spine_vertical_pulley"),
         head_tilt=tuple(at for name, at in address.items() if name == "head_tilt"),
     )

@@ -49,8 +49,8 @@ class Setup:
     0.68
 
     Attributes:
-        robot, scene, tail, routing, cone, physics, timestep: see `RobotConfig`. `dataclasses.replace` with another
-            preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
+        robot, scene, tail, routing, cone, physics, timestep, hinges: see `RobotConfig`. `dataclasses.replace` with
+            another preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
             is stored as MJCF, so that setups with the same scene are equal.
         gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
@@ -82,6 +82,7 @@ class Setup:
     cone: str = "elliptic"
     physics: str = "reference"
     timestep: float = RobotConfig.timestep
+    hinges: int = 1
     gait: str = "trt"
     spine: str = "none"
     steering: str = "leg"
@@ -97,7 +98,7 @@ class Setup:
 
     def __post_init__(self) -> None:
         config = RobotConfig(
-            self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep
+            self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep, self.hinges
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
@@ -129,7 +130,7 @@ class Setup:
                  if self._applies(field.name)}  # fmt: skip
         named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
         given |= {"metrics": named} if named else {}
-        return {name: value if value is None or isinstance(value, (str, float, tuple)) else type(value).__name__
+        return {name: value if value is None or isinstance(value, (str, int, float, tuple)) else type(value).__name__
                 for name, value in given.items()}  # fmt: skip
 
     @functools.cached_property
@@ -140,7 +141,9 @@ class Setup:
 
     def load(self) -> Robot:
         """The assembled robot in its scene."""
-        return load_robot(self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep)
+        return load_robot(
+            self.robot, self.scene, self.tail, self.routing, self.cone, self.physics, self.timestep, self.hinges
+        )
 
     def make_controller(self) -> ControllerLike:
         """The controller with these choices."""

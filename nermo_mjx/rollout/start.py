@@ -75,12 +75,13 @@ class StartPose:
         root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])
         qpos = jnp.asarray(self.robot.model.qpos0, float).at[joints.root : joints.root + 7].set(root)
         qpos = qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
-        qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle)
-        qpos = qpos.at[np.array(joints.spine)].set(bend).at[joints.spine_pulley].set(servo.spine)
+        hinges = self.robot.config.hinges  # bend equally
+        qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle[:, None] / hinges)
+        qpos = qpos.at[np.array(joints.spine)].set(bend / hinges).at[joints.spine_pulley].set(servo.spine)
         if lifted is None:
             return qpos
         pulley = np.array(joints.spine_vertical_pulley)
-        return qpos.at[np.array(joints.spine_vertical)].set(lifted).at[pulley].set(servo.spine_vertical)
+        return qpos.at[np.array(joints.spine_vertical)].set(lifted / hinges).at[pulley].set(servo.spine_vertical)
 
     def batch(
         self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None

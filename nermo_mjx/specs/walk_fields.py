@@ -15,6 +15,7 @@ from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.control.trajectory import FORMS
 from nermo_mjx.robot import GAITS
 from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
+from nermo_mjx.robot.flexure import MOST_HINGES
 from nermo_mjx.robot.parameters import ROUTINGS
 from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.robot.quantity import ParameterError
@@ -22,7 +23,7 @@ from nermo_mjx.robot.scene import resolve_scene, scenes
 from nermo_mjx.rollout import Setup
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import FieldPath, describe
-from nermo_mjx.specs.values import NAMES, ByParameter, number_of
+from nermo_mjx.specs.values import NAMES, ByParameter, Whole, number_of
 
 
 def _kept(given: Any) -> Any:
@@ -54,6 +55,9 @@ class SetupFields(Fields):
     physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
     timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
                             "takes precedence over that of physics")  # fmt: skip
+    hinges: Annotated[int, Whole(1, MOST_HINGES)] = Field(
+        Setup.hinges, description="of each compliant joint of legs and spine"
+    )
     gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
     spine: str = chosen(Setup.spine, SPINES, "its modes")
     steering: str = chosen(Setup.steering, STEERING, "what turns the robot")

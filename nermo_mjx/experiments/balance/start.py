@@ -56,7 +56,7 @@ def start_pose(robot: Robot, start: Nudge) -> np.ndarray:
     qpos[joints.root : joints.root + 3] = start.place + np.array([0.0, 0.0, radius - lowest])
     qpos[joints.root + 3 : joints.root + 7] = attitude.as_quat(scalar_first=True)
     qpos[list(joints.hip)], qpos[list(joints.pulley)] = servo.T
-    qpos[list(joints.knee)] = pose.knee_angle
+    qpos[np.array(joints.knee)] = pose.knee_angle[:, None] / robot.config.hinges
     return qpos
 
 

@@ -17,7 +17,7 @@ _OPTIONS: Final = (
     "robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory", "head", "tail_motion",
 )  # fmt: skip
 #: Choices without an option: `walk` supports only their defaults.
-_NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone}
+_NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
 #: Pilots that `walk` supports, and the parameters that their options set.
 _PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": ("turn_rate",)}
 _SIDES: Final = {"left": 1.0, "right": -1.0}
