@@ -122,7 +122,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
     from nermo_mjx.control.published import PROFILES, STEERING
     from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.physics.engine import ENGINES
+    from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.robot import GAITS
     from nermo_mjx.robot.assembly import ROBOTS, TAILS
     from nermo_mjx.specs.walk_fields import Pilot

@@ -53,7 +53,7 @@ KINDS: Final = {
         Kind("identification", "an identification", "experiments.identification.plots:figures",
              "experiments.status:identification_status", tracked=True),
         Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.reports:status", tracked=True),
-        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.reports:status",
+        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.reports:status",
              tracked=True),
         Kind("benchmarks", "benchmarks", "bench.page:figures", "bench.history:status", tracked=True),
     )

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from nermo_mjx.experiments.line import KINDS, Line
 from nermo_mjx.experiments.settings import differences
 from nermo_mjx.experiments.table import case_count, number, status_counts
-from nermo_mjx.runs import Written
-from nermo_mjx.runs.text import MISSING, to_json
+from nermo_mjx.runs.text import MISSING
 
 if TYPE_CHECKING:
     from nermo_mjx.experiments.catalogue import Experiment
@@ -22,15 +21,6 @@ HEADINGS = (
     ("figure", "left"), ("kind", "left"), ("published", "right"), ("as published", "right"), ("exact", "right"),
     ("ratio", "right"), ("holds", "left"), ("ensemble", "right"),
 )  # fmt: skip
-
-
-def write(directory: Directory, experiments: Mapping[str, Experiment], written: Written) -> None:
-    """Write the report of all experiments that the directory holds."""
-    from nermo_mjx.experiments.report_page import page
-
-    content = collect(directory, experiments)
-    written.write(directory.out / "report.json", to_json(content))
-    written.write(directory.out / "report.md", page(directory, content, experiments).encode())
 
 
 def collect(directory: Directory, experiments: Mapping[str, Experiment]) -> dict[str, Any]:

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any, Final
 from nermo_mjx.control.published import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.judgement import AGREES
 from nermo_mjx.experiments.line import KINDS
-from nermo_mjx.experiments.report import HEADINGS, cells, published
+from nermo_mjx.experiments.report import HEADINGS, cells, collect, published
 from nermo_mjx.experiments.settings import said
 from nermo_mjx.experiments.table import case_tables
-from nermo_mjx.runs.text import MISSING, listed, table
+from nermo_mjx.runs import Written
+from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.sweep.spec import START_SPREAD
 
 if TYPE_CHECKING:
@@ -28,6 +29,13 @@ _MEANING: Final = {
     "fitted": "a term of the identification, or decided by those",
     "theory": "formula against formula; nothing is simulated",
 }
+
+
+def write(directory: Directory, experiments: Mapping[str, Experiment], written: Written) -> None:
+    """Write the report of all experiments that the directory holds."""
+    content = collect(directory, experiments)
+    written.write(directory.out / "report.json", to_json(content))
+    written.write(directory.out / "report.md", page(directory, content, experiments).encode())
 
 
 def page(directory: Directory, content: Mapping[str, Any], experiments: Mapping[str, Experiment]) -> str:

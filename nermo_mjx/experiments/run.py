@@ -16,7 +16,7 @@ from typing import Any, Final, NoReturn
 import numpy as np
 
 from nermo_mjx.control.published import PROFILES
-from nermo_mjx.experiments import ensemble, report
+from nermo_mjx.experiments import ensemble, report, report_page
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored
 from nermo_mjx.experiments.line import Line, compare
@@ -26,7 +26,7 @@ from nermo_mjx.experiments.published.shares import shipped
 from nermo_mjx.experiments.settings import QUICK_REPEATS, REPEATS, Settings, check_bodies, differences
 from nermo_mjx.experiments.simulating import Part, Simulation, of_bodies, own, simulate
 from nermo_mjx.experiments.videos import shoot
-from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.runs import CodeStamp, RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.directory import remove_leftovers
@@ -292,7 +292,7 @@ class _Work:
     def _publish(self, chosen: Experiment, entry: dict[str, Any], written: Written) -> None:
         """Store an experiment's entry, and the report of the whole directory."""
         self.directory.write_entry(chosen.name, entry)
-        report.write(self.directory, EXPERIMENTS, written)
+        report_page.write(self.directory, EXPERIMENTS, written)
         written.note()
 
     def _plots(self, chosen: Experiment, outcome: Outcome, lines: Sequence[Line], written: Written) -> list[Path]:

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nermo_mjx.dynamics import forward, step
-    from nermo_mjx.physics.engine import ENGINES, Engine, Session, Trace, make_engine, resolve_engine
+    from nermo_mjx.physics.engine import Engine, Session, Trace
+    from nermo_mjx.physics.making import ENGINES, make_engine, resolve_engine
     from nermo_mjx.physics.variation import Variation
 
 _HOMES = {
     "nermo_mjx.dynamics": ("forward", "step"),
-    "nermo_mjx.physics.engine": ("ENGINES", "Engine", "Session", "Trace", "make_engine", "resolve_engine"),
+    "nermo_mjx.physics.engine": ("Engine", "Session", "Trace"),
+    "nermo_mjx.physics.making": ("ENGINES", "make_engine", "resolve_engine"),
     "nermo_mjx.physics.variation": ("Variation",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

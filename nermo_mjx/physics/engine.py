@@ -1,4 +1,4 @@
-"""The protocol of the physics engines, and their selection.
+"""The protocol of the physics engines.
 
 An engine advances a batch of worlds by control ticks. In each tick the *loop* (controller and metrics, pure functions
 that do not depend on the engine) reads the sensors of the previous tick and sets the servos; then the physics runs
@@ -11,13 +11,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Protocol, runtime_checkable
 
-import jax
 import numpy as np
-
-from nermo_mjx import runtime
-from nermo_mjx.robot import ParameterError, Robot
-
-ENGINES = ("auto", "c", "mjx", "warp")
 
 
 @runtime_checkable
@@ -99,61 +93,3 @@ class Engine(Protocol):
             qpos: initial positions, (n, nq).
             fields: model fields that differ between worlds, (n, ...) each (see `Variation`).
         """
-
-
-def resolve_engine(name: str) -> str:
-    """The engine that a name selects on this machine.
-
-    `auto` is `c` on a CPU, `warp` on an NVIDIA GPU where Warp is installed, and `mjx` on any other accelerator.
-
-    Raises:
-        ParameterError: an unknown name, or an engine that cannot run here; the message names the remedy.
-        BackendUnavailable: JAX cannot use the platform in `JAX_PLATFORMS`.
-    """
-    if name not in ENGINES:
-        raise ParameterError(f"engine is {name!r}: allowed is one of {', '.join(ENGINES)}.")
-    runtime.start_jax()
-    if name == "auto" and jax.default_backend() == "cpu":
-        return "c"
-    if name not in ("auto", "warp"):
-        return name
-    from nermo_mjx.physics.warp_engine import obstacle
-
-    found = obstacle()
-    if name == "auto":
-        return "warp" if found is None else "mjx"
-    if found is not None:
-        raise ParameterError(f"engine is 'warp': {found}")
-    return name
-
-
-def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None, threads: int | None = None) -> Engine:
-    """Build an engine by name.
-
-    >>> from nermo_mjx import Setup, load_robot
-    >>> from nermo_mjx.rollout.loop import ClosedLoop
-    >>> robot = load_robot()
-    >>> make_engine("c", robot, ClosedLoop(robot, Setup().make_controller())).name
-    'c'
-
-    Args:
-        name: see `resolve_engine`.
-        robot, loop: what runs.
-        devices: local devices that share a batch in `mjx` and `warp`; None for `$NERMO_MJX_DEVICES`, or else all.
-        threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or else all.
-
-    Raises:
-        ParameterError: an unknown engine, one that cannot run here, too many devices, or no thread.
-    """
-    chosen = resolve_engine(name)
-    if chosen == "c":
-        from nermo_mjx.physics.c_engine import CEngine
-
-        return CEngine(robot, loop, threads)
-    if chosen == "warp":
-        from nermo_mjx.physics.warp_engine import WarpEngine
-
-        return WarpEngine(robot, loop, devices)
-    from nermo_mjx.physics.mjx_engine import MjxEngine
-
-    return MjxEngine(robot, loop, devices)

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.search.optimizers import Asked
+from nermo_mjx.search.asking import Asked
 from nermo_mjx.search.scoring import Scores, ranked_cost
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nermo_mjx.search.optimizers import Asked
+from nermo_mjx.search.asking import Asked
 from nermo_mjx.search.scoring import Scores
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search

@@ -1,51 +1,23 @@
-"""Ask-and-tell optimizers of a search: asked for a batch, and told its results. They have no other input.
-
-So a search is repeated, or resumed, by telling it the contents of its table again.
-"""
+"""The optimizers of a search, by the name of its method."""
 
 from __future__ import annotations
 
-import dataclasses
 import importlib.metadata
 import importlib.util
 import warnings
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from scipy.stats import qmc
 
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.search.asking import Asked, Optimizer
 from nermo_mjx.search.scoring import Scores
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
 
 #: The library of each method, beside NumPy and SciPy.
 LIBRARIES: Final = {"cma": "cma", "nsga2": "pymoo", "cma_me": "ribs", "cma_mega": "ribs"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Asked:
-    """Points to evaluate.
-
-    Attributes:
-        shares: of the bounds, (n, p) in [0, 1].
-        gradients: of this number, from the first on, gradients are requested, too.
-    """
-
-    shares: np.ndarray
-    gradients: int = 0
-
-
-class Optimizer(Protocol):
-    """Chooses points; `ask` and `tell` alternate, and the same results lead to the same requests."""
-
-    def ask(self) -> Asked:
-        """The next batch."""
-        ...
-
-    def tell(self, found: Scores) -> None:
-        """The results of the batch, in its order."""
-        ...
 
 
 class SobolSample:

@@ -21,10 +21,11 @@ from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
+from nermo_mjx.search.asking import Asked
 from nermo_mjx.search.batches import SEARCH, Batches
 from nermo_mjx.search.gradients import Gradients, WalkGradients
 from nermo_mjx.search.keeping import keep_recordings
-from nermo_mjx.search.optimizers import Asked, check_library, make_optimizer
+from nermo_mjx.search.optimizers import check_library, make_optimizer
 from nermo_mjx.search.outcome import publish
 from nermo_mjx.search.plots import figures_of
 from nermo_mjx.search.scoring import Scores, cells_of, scores_of

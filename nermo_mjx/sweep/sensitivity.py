@@ -6,17 +6,14 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.plotting.files import Figures
 from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.sweep.comparing.arms import Source, opened
-from nermo_mjx.sweep.reports import report_table
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.saltelli import saltelli_size, unit_problem
 from nermo_mjx.sweep.summary import LEADING
@@ -119,17 +116,6 @@ def sensitivity(source: Source, metric: str = LEADING) -> Sensitivity:
     table = columns.table({"sensitivity": metric, "method": method, "noise": float(np.mean(noises)),
                            "notes": "\n".join(dict.fromkeys(notes))})  # fmt: skip
     return Sensitivity(table, metric, method, float(np.mean(noises)), tuple(dict.fromkeys(notes)))
-
-
-def figures(out: Path) -> Figures:
-    """The figures of a sensitivity's directory.
-
-    Raises:
-        DirectoryError: its table is absent or damaged.
-    """
-    from nermo_mjx.sweep.sensitivity_figure import figures_of
-
-    return figures_of(report_table(out, "sensitivity"))
 
 
 @dataclasses.dataclass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -11,9 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.sweep.points import titled
+from nermo_mjx.sweep.reports import report_table
 from nermo_mjx.sweep.sensitivity import strongest
 from nermo_mjx.sweep.table import labelled
 
@@ -24,6 +27,15 @@ _MOST_PAIRS: Final = 10
 _MOST_PANELS: Final = 6
 _COLOURS: Final = {"first": LINE, "total": BAND, "second": OKABE_ITO["purple"]}
 _WORDS: Final = {"first": "alone (first)", "total": "with all others (total)", "second": "of a pair (second)"}
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a sensitivity's directory.
+
+    Raises:
+        DirectoryError: its table is absent or damaged.
+    """
+    return figures_of(report_table(out, "sensitivity"))
 
 
 def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:

@@ -20,7 +20,7 @@ from nermo_mjx.experiments.identification.space import FREE, START
 from nermo_mjx.experiments.identification.targets import TARGETS, Target
 from nermo_mjx.experiments.report import published
 from nermo_mjx.experiments.table import number
-from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.quantity import quantities

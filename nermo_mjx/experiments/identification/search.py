@@ -22,7 +22,7 @@ from nermo_mjx.experiments.identification.memory import CandidateFile
 from nermo_mjx.experiments.identification.space import ALL, FREE, START, parameters_of, point_of
 from nermo_mjx.experiments.identification.targets import CASES, TARGETS
 from nermo_mjx.experiments.settings import Settings
-from nermo_mjx.physics.engine import resolve_engine
+from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 
