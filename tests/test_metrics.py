@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.control.path import straight
 from nermo_mjx.kinematics.attitude import attitude, uprightness
-from nermo_mjx.robot import LIMBS, Sensors
-from nermo_mjx.rollout import METRICS, metrics
+from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
+from nermo_mjx.rollout import METRICS, electrical, metrics
 from nermo_mjx.rollout.parameters import Window
 
 pytestmark = pytest.mark.compiles
@@ -255,6 +255,34 @@ def test_work_is_averaged_over_the_steps_of_a_tick():
     torque[:, 3], speed[:, 3] = power, 1.0
     result, _ = measure(stream(101, servo_torque=torque, servo_velocity=speed))
     assert result["servo_work"] == pytest.approx(power.mean() * 1.0)
+
+
+def test_current_follows_torque_and_its_share_of_the_voltage():
+    """Motors carry idle and stall current in proportion to their torque; the battery sees it for the share u = |tau|/T.
+
+    Of ten servos one is stalled and one holds half of that; the default has no back-EMF, so speeds do not matter.
+    """
+    torque = np.zeros(SERVOS)
+    torque[:2] = 0.157, -0.0785
+    result, _ = measure(stream(401, servo_torque=torque, servo_velocity=np.full(SERVOS, 3.0)))
+    idle, rise = SERVOS * 0.008, 0.8 - 0.008
+    assert result["motor_current"] == pytest.approx(idle + 1.5 * rise)
+    assert result["servo_current"] == pytest.approx(idle + 1.25 * rise)
+    assert result["electrical_power"] == pytest.approx(6.0 * (idle + 1.25 * rise))
+    assert result["charge"] == pytest.approx(4.0 * (idle + 1.25 * rise))
+    assert result["battery_time"] == pytest.approx(3600.0 / (idle + 1.25 * rise + 0.3))
+
+
+def test_the_back_emf_takes_torque_and_current():
+    """At half the no-load speed and full voltage half the stall torque is left, and half the stall current flows."""
+    servo = dataclasses.replace(ModelParameters().servo, back_emf=0.4)
+    full, half = np.full((STEPS, 1), 0.157), np.full((STEPS, 1), 0.5 * 6.0 / 0.4)
+    nothing = electrical.Drawn(*np.zeros(3))
+    drawn = electrical.update(nothing, full, half, servo.brake, 2.0)
+    back = electrical.update(nothing, full, 3.0 * half, servo.brake, 2.0)  # driven above its no-load speed
+    supply = electrical.Supply(servo, ModelParameters().battery)
+    assert electrical.result(drawn, 2.0, supply)["servo_current"] == pytest.approx(0.008 + 0.5 * (0.8 - 0.008))
+    assert electrical.result(back, 2.0, supply)["servo_current"] == pytest.approx(0.008)
 
 
 def test_cost_of_transport_needs_a_distance():

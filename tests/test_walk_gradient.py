@@ -15,11 +15,13 @@ from nermo_mjx.runtime import compiler_options
 
 pytestmark = pytest.mark.slow
 
-#: One number of each kind: spine, gait, a stiffness, a mass, friction, contact. At 0.8 Hz a cycle ends with a tick, and
-#: the measured way has a kink; at 0.81 Hz a step of the pilot has one, and C's differences hang on their width.
+#: One number of each kind: spine, gait, a stiffness, a mass, friction, contact, servos. At 0.8 Hz a cycle ends with a
+#: tick, and the measured way has a kink; at 0.81 Hz a step of the pilot has one, and C's differences hang on their
+#: width.
 POINT = {
     "spine.amplitude": 0.2, "spine.phase": -1.0, "frequency": 0.82, "stride": 0.9, "stiffness.ankle": 0.1,
-    "mass.front": 0.165, "contact.friction": 1.3, "contact.width": 0.001,
+    "mass.front": 0.165, "contact.friction": 1.3, "contact.width": 0.001, "servo.back_emf": 0.3,
+    "servo.supply_voltage": 5.5, "servo.dead_band": 0.006, "servo.backlash": 0.02,
 }  # fmt: skip
 ONE_CYCLE = Run(cycles=1, warmup_cycles=0)
 #: A loop, and NVIDIA's library of solvers.
@@ -29,7 +31,7 @@ SHARE = 1e-6
 
 
 class Walk:
-    """One gait cycle: its speed and the slopes (8,) of that in each mode, and the C engine's; each computed when asked.
+    """One gait cycle: its speed and the slopes (n,) of that in each mode, and the C engine's; each computed when asked.
 
     `ahead` and `reverse` end with what their program holds of `HELD`, lowered for GPUs and TPUs.
     """
@@ -67,7 +69,8 @@ class Walk:
 
     @functools.cached_property
     def in_c(self) -> tuple[float, np.ndarray]:
-        points = self.first + self.first * SHARE * np.concatenate([np.zeros((1, 8)), np.eye(8), -np.eye(8)])
+        ways = np.eye(len(POINT))
+        points = self.first + self.first * SHARE * np.concatenate([np.zeros_like(ways[:1]), ways, -ways])
         with jax.enable_x64(True):
             simulator = Simulator(self.setup, "c")
             # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.

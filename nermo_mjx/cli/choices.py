@@ -39,7 +39,8 @@ METRICS = (
     "slip_front_right", "slip_rear_left", "slip_rear_right", "duty_front_left", "duty_front_right", "duty_rear_left",
     "duty_rear_right", "loaded_front", "loaded_rear", "swing_loaded_front", "swing_loaded_rear", "load_front_left",
     "load_front_right", "load_rear_left", "load_rear_right", "front_load_share", "tail_time", "tail_load_share",
-    "servo_work", "cost_of_transport", "fell", "diverged", "failure_time",
+    "servo_work", "cost_of_transport", "motor_current", "servo_current", "electrical_power", "charge", "battery_time",
+    "fell", "diverged", "failure_time",
 )  # fmt: skip
 PARAMETERS = (
     "frequency", "stride", "duty", "gait_factor", "speed", "offset.front_left", "offset.front_right",
@@ -56,8 +57,10 @@ PARAMETERS = (
     "pilot.turn_rate", "pilot.radius", "pilot.direction", "head.pan", "head.tilt", "head.into_turn", "head.gain",
     "head.bandwidth", "head.lead", "tail.angle", "tail.swing_amplitude", "tail.swing_gain", "tail.swing_phase",
     "tail.yaw_gain", "tail.roll_gain", "tail.bandwidth", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
-    "servo.kv", "servo.torque_limit", "servo.speed", "contact.friction", "contact.tail_friction",
-    "contact.trunk_friction", "contact.obstacle_friction",
+    "servo.kv", "servo.torque_limit", "servo.speed",
+    "servo.supply_voltage", "servo.back_emf", "servo.dead_band", "servo.backlash", "servo.idle_current",
+    "servo.stall_current", "battery.capacity", "battery.electronics_current", "contact.friction",
+    "contact.tail_friction", "contact.trunk_friction", "contact.obstacle_friction",
     "contact.time_constant", "contact.damping_ratio", "contact.impedance", "contact.width", "stiffness.front_knee",
     "stiffness.rear_knee", "stiffness.ankle", "stiffness.spine", "damping.hip", "damping.knee", "damping.ankle",
     "damping.spine", "damping.pulley", "mass.front", "mass.rear", "ground.gravity", "ground.slope", "ground.direction",

@@ -55,7 +55,7 @@ class ServoTable:
         frequency: of the gait [Hz].
         channels: of the servos.
         speed: highest speed of each servo, (servos,) [deg/s].
-        servo_speed: limit of the model's servos, `servo.speed` [deg/s]; commands are not limited to it.
+        servo_speed: `servo.speed` of the model at its supply voltage [deg/s]; commands are not limited to it.
     """
 
     names: tuple[str, ...]
@@ -166,8 +166,9 @@ def servo_table(
     time = np.arange(rows) / rate
     _check_limits(connected, columns, time)
     steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
+    fastest = math.degrees(float(world.model.servo.top_speed))
     return ServoTable(tuple(channel.servo for channel in connected), time, columns, rate, cycles, frequency, connected,
-                      steps.max(axis=0) * rate, math.degrees(float(np.asarray(world.model.servo.speed))))  # fmt: skip
+                      steps.max(axis=0) * rate, fastest)  # fmt: skip
 
 
 def _parameters(setup: Setup, values: Mapping[str, float]) -> WorldParameters:

@@ -96,6 +96,7 @@ class NermoMjxEnv(MjxEnv):
     def _again(self, world: World, data: mjx.Data) -> World:
         """The world, or its start if the data have been put back there."""
         start = self._worlds.engine.start(world.params, data.qpos, data.qvel, data.sensordata)
+        start = self._worlds.engine.playing(start, world.fields)
         ran = world.carry.loop.loop.tick > 0
         return world._replace(carry=picked(ran & (data.time == 0.0), start, world.carry))
 

@@ -23,7 +23,7 @@ from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
 from nermo_mjx.robot.terrains import terrain_values
-from nermo_mjx.rollout.loop import LoopParameters
+from nermo_mjx.rollout.loop import LoopParameters, loop_parameters
 from nermo_mjx.rollout.metrics import Ending
 from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.rollout.setup import Setup, all_parameters
@@ -218,10 +218,10 @@ class Episodes:
         told = commanded(self.controller.base, self.task.commands, world.control, given.command)
         control = Acted(told, self.controller.parameters.action)
         window = Window(begin=0.0, end=1e6, distance=1e6)
-        terrain = world.model.terrain if self.robot.terrain.has_shape else None
-        loop = LoopParameters(control, world.start, window, world.model.servo.speed, terrain)
+        world = dataclasses.replace(world, control=control)
+        loop = loop_parameters(self.robot, world, window, values)
         geometry = world.model.geometry if names_geometry(values) else None
-        first = StartPose(self.robot, self.controller).qpos(control, world.start, terrain, geometry)
+        first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, geometry)
         number = jax.random.randint(seed, (), 0, 1 << 24)
         parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))
         return parameters, jax.tree.map(_real, world.model), first

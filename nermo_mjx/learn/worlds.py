@@ -201,7 +201,7 @@ class MjxWorlds:
         fields = self.variation.differentiable(model, self.episodes.reached)
         at_rest = self.loop.robot.sensordata_at_rest(qpos)
         carry = self.engine.start(params, qpos, jnp.zeros((self.engine.model.nv,), qpos.dtype), at_rest)
-        return World(key, params, fields, carry)
+        return World(key, params, fields, self.engine.playing(carry, fields))
 
     @full_precision
     def act(self, world: World, action: Array) -> World:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.physics.c_engine import LANES, CEngine, CSession, _Block
+from nermo_mjx.physics.servo_play import SERVO_PLAY
 from nermo_mjx.physics.variation import vary
 
 
@@ -67,6 +68,8 @@ def _restarted(block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fi
     batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
     block.models = vary(batch, block.engine.robot.physical, fields, block.models, ids)
     block.qpos[ids] = qpos
+    if block.servos is not None:
+        block.servos.play[ids], block.servos.motor[ids] = fields[SERVO_PLAY], 0.0
     batch.forward(ids)
     at_rest = np.array(batch.bind("sensordata"))[ids]
     packed = np.asarray(block.loop.pack(jax.tree.map(lambda leaf: leaf[lanes], params)))

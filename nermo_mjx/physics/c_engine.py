@@ -23,6 +23,7 @@ from mujoco.batch import Batch, SimulationError
 
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.packed_loop import PackedLoop
+from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses
 from nermo_mjx.physics.variation import vary
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import start_jax, thread_count
@@ -175,6 +176,7 @@ class _Block:
         self.steps = engine.loop.steps_per_tick
         self.batch = Batch(engine.robot.physical, self.worlds, nthread=threads)
         self.models = vary(self.batch, engine.robot.physical, fields)
+        self.servos = _Servos(engine.robot.physical, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.qpos[...] = qpos
         at_rest = self.batch.bind("sensordata")
@@ -218,12 +220,7 @@ class _Block:
         ids = None if len(self.moving) == self.worlds else self.moving
         readings = self._sensordata[: self.worlds]
         out = readings if ids is None else readings[ids]
-        lost: Any = []
-        try:
-            self.batch.rollout(self.steps, record=("sensordata",), ids=ids, out={"sensordata": out})
-        except SimulationError as error:
-            # Failed worlds keep their state and are marked as diverged for the loop; the others are unaffected.
-            lost = error.ids
+        lost = self._rollout(self.steps, ids, out) if self.servos is None else self._play(self.servos, ids, out)
         if ids is not None:
             readings[ids] = out
         if len(lost):
@@ -231,6 +228,43 @@ class _Block:
         # MuJoCo stops a world that raises a warning (a non-finite or huge acceleration) and repeats its last record.
         if self.batch.warning.any():
             readings[self.batch.warning.reshape(self.worlds, -1).any(axis=1)] = np.nan
+
+    def _rollout(self, steps: int, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
+        """Run steps of physics, and return the worlds that failed: they keep their state, the others are unaffected."""
+        try:
+            self.batch.rollout(steps, record=("sensordata",), ids=ids, out={"sensordata": out})
+        except SimulationError as error:
+            return list(error.ids)
+        return []
+
+    def _play(self, servos: _Servos, ids: np.ndarray | None, out: np.ndarray) -> list[int]:
+        """The steps of a tick one by one, each with the controls of servos with play."""
+        target, lost = self.ctrl.copy(), []
+        for step in range(self.steps):
+            self.ctrl[...] = servos.controls(target, self.qpos, self.qvel)
+            one = np.empty_like(out[:, :1])
+            lost += self._rollout(1, ids, one)
+            out[:, step : step + 1] = one
+        self.ctrl[...] = target
+        return lost
+
+
+class _Servos:
+    """Servos with play in a block of worlds, and the places of their motors in it (n, n_servos) [rad]."""
+
+    def __init__(self, model: mujoco.MjModel, play: np.ndarray) -> None:
+        self.play = np.array(play)
+        self._qpos, self._dofs = servo_addresses(model)
+        self._range, self._timestep = model.actuator_ctrlrange.T.copy(), float(model.opt.timestep)
+        self.motor = np.zeros((len(play), model.nu))
+
+    def controls(self, target: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Controls for the next step (n, n_servos); moves the motors."""
+        play, aim = Play.unpacked(self.play), np.clip(target, *self._range)
+        control, self.motor = played(
+            play, self.motor, aim, qpos[:, self._qpos], qvel[:, self._dofs], self._timestep, np
+        )  # fmt: skip
+        return control
 
 
 def _spans(worlds: int, threads: int) -> list[np.ndarray]:

@@ -6,7 +6,7 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -25,6 +25,7 @@ from nermo_mjx.dynamics.solver import ROUNDS
 from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
 from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.reading import read_entries, with_sensors
+from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses, without_play
 from nermo_mjx.physics.variation import DERIVED_FIELDS, moves_constants, vary
 from nermo_mjx.robot import Robot
 from nermo_mjx.runtime import compiler_options
@@ -32,12 +33,16 @@ from nermo_mjx.shapes import Array, Count, Dofs, Truth
 
 
 class MjxState(NamedTuple):
-    """The physics' carry of one world from step to step."""
+    """The physics' carry of one world from step to step.
+
+    `motor` holds the angles of the servos' motors from the middle of their play, if these have any.
+    """
 
     qpos: Float[Array, " nq"]
     qvel: Dofs
     act: Float[Array, " na"]
     qacc_warmstart: Dofs
+    motor: Float[Array, " n_servos"] | None = None
 
 
 class Carry(NamedTuple):
@@ -73,6 +78,7 @@ class MjxEngine:
         self.robot, self.loop = robot, loop
         self.devices = choose_devices(devices)
         self.model, self.data = self.put(robot.physical)
+        self._servo_qpos, self._servo_dofs = servo_addresses(robot.physical)
         options = compiler_options()
         self.open_worlds = jax.jit(self._open_worlds, compiler_options=options)
         self.advance = jax.jit(self._advance, donate_argnums=2, compiler_options=options)
@@ -107,6 +113,13 @@ class MjxEngine:
         steps = self.loop.steps_per_tick
         state, readings = self.loop.init(params, sensordata), jnp.tile(sensordata, (steps, 1))
         return Carry(physics, state, readings, jnp.zeros((), jnp.int32))
+
+    def playing(self, carry: Carry, fields: Mapping[str, Array]) -> Carry:
+        """The carry of one world or several before the first tick, with the servos' motors if the fields have play."""
+        if SERVO_PLAY not in fields:
+            return carry
+        motor = jnp.zeros_like(carry.physics.qpos[..., self._servo_qpos])
+        return carry._replace(physics=carry.physics._replace(motor=motor))
 
     def tick(self, params: Any, fields: dict[str, Array], carry: Carry, *, shown: bool = False) -> tuple[Carry, Array]:
         """One control tick of one world: the new carry, and the servos' targets.
@@ -145,10 +158,14 @@ class MjxEngine:
         loop, ctrl = jax.tree.unflatten(jax.tree.structure(result), found)
 
         def advanced(fields: dict[str, Array], ctrl: Array, state: MjxState) -> tuple[MjxState, tuple[Array, Array]]:
-            model = with_sensors(self.model, read).tree_replace(fields)
-            after = self.physics_step(model, blank.replace(ctrl=ctrl, **state._asdict()))
+            model = with_sensors(self.model, read).tree_replace(without_play(fields))
+            motor = state.motor
+            if motor is not None:
+                ctrl, motor = self._played(Play.unpacked(fields[SERVO_PLAY]), ctrl, state)
+            given = {name: value for name, value in state._asdict().items() if name != "motor"}
+            after = self.physics_step(model, blank.replace(ctrl=ctrl, **given))
             found = after.sensordata, self.is_unsolved(after)
-            return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart), found
+            return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart, motor), found
 
         def step(state: MjxState, _: None) -> tuple[MjxState, tuple[Array, Array]]:
             after: tuple[MjxState, tuple[Array, Array]] = each(keeping_little(advanced))(fields, ctrl, state)
@@ -158,6 +175,13 @@ class MjxEngine:
         physics, (sensordata, unsolved) = jax.lax.scan(step, carry.physics, None, length=steps)
         counted = carry.unsolved + jnp.sum(unsolved, axis=0, dtype=jnp.int32)
         return Carry(physics, loop, jnp.moveaxis(sensordata, 0, -2), counted), ctrl
+
+    def _played(self, play: Play, ctrl: Array, state: MjxState) -> tuple[Array, Array]:
+        """Controls of a step, and where the motors are after it, for servos with play."""
+        low, high = self.robot.physical.actuator_ctrlrange.T
+        angle, velocity = state.qpos[self._servo_qpos], state.qvel[self._servo_dofs]
+        target, timestep = jnp.clip(ctrl, low, high), float(self.robot.config.timestep)
+        return played(play, state.motor, target, angle, velocity, timestep)
 
     def read_entries(self, program: ClosedJaxpr) -> Bool[np.ndarray, " nsensordata"]:
         """Entries of the sensors' readings that the loop reads."""
@@ -202,7 +226,8 @@ class MjxSession:
         self.params = put(params)
         self.fields = put({name: np.asarray(values, real) for name, values in fields.items()})
         qvel = np.zeros((self.worlds, engine.model.nv))
-        self.carry = engine.open_worlds(self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)]))
+        carry = engine.open_worlds(self.params, *put([np.asarray(each, real) for each in (qpos, qvel, at_rest)]))
+        self.carry = engine.playing(carry, self.fields)
         self.slices = _slices(engine.devices.padded(self.worlds), batch_limit())
 
     @property

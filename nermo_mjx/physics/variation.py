@@ -17,6 +17,7 @@ from mujoco.batch import Batch
 
 from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
+from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
 from nermo_mjx.robot import ModelParameters, Robot
 from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint
 from nermo_mjx.robot.flexure import chain_of
@@ -32,9 +33,12 @@ from nermo_mjx.shapes import Array
 if TYPE_CHECKING:
     from nermo_mjx.dynamics.place_constants import PlaceConstants
 
-#: Model fields that each group of body parameters affects.
+#: Model fields that each group of body parameters affects, and those that single ones affect in addition.
 FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "servo": ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+    "servo.back_emf": ("dof_damping",),
+    "servo.dead_band": PLAY_FIELDS,
+    "servo.backlash": PLAY_FIELDS,
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
     "stiffness": ("jnt_stiffness",),
     "damping": ("dof_damping",),
@@ -82,6 +86,7 @@ class Variation:
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck"), joints("head_tilt")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
+        self._servo_dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         self._scene = str(robot.config.scene)
         self._terrain = np.array([model.geom(name).id for name in geom_names(self._scene)], int)
         self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
@@ -98,7 +103,7 @@ class Variation:
         # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
         gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(p.servo.kp)
         bias = jnp.asarray(model.actuator_biasprm, float).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
-        limit = jnp.asarray(p.servo.torque_limit)
+        limit = jnp.asarray(p.servo.stall_torque)
         force = jnp.broadcast_to(jnp.stack([-limit, limit]), model.actuator_forcerange.shape)
 
         contact, pairs = p.contact, self._pairs
@@ -124,6 +129,7 @@ class Variation:
         for name, ids in self._dampers.items():
             hinges = self._hinges if name in ("knee", "ankle", "spine") else 1
             damping = damping.at[ids].set(hinges * getattr(p.damping, name))
+        damping = damping.at[self._servo_dofs].add(p.servo.brake)
 
         mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
@@ -135,6 +141,8 @@ class Variation:
             "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
             "body_mass": mass * scale, "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
+            SERVO_PLAY: Play.of(p.servo).packed,
+            "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED) * jnp.array([-1.0, 1.0]),
             **self._shaped(p.terrain, placed),
         }  # fmt: skip
 
@@ -172,6 +180,8 @@ class Variation:
 
     def batch(self, parameters: ModelParameters, worlds: int, named: Iterable[str]) -> dict[str, np.ndarray]:
         """The fields that the named parameters affect, (worlds, ...) each; the others keep the model's values.
+
+        With `servo.dead_band` or `servo.backlash` two of them are `PLAY_FIELDS`, which are for the engines alone.
 
         Which fields are returned depends on the names alone, so that new values never change a compiled program.
 
@@ -226,8 +236,8 @@ class Variation:
 
 def _reached(named: Iterable[str]) -> list[str]:
     """Model fields that the named parameters affect."""
-    groups = {name.split(".")[0] for name in named} & set(FIELDS)
-    return list(dict.fromkeys(name for group in sorted(groups) for name in FIELDS[group]))
+    keys = {key for name in named for key in (name.split(".")[0], name)} & set(FIELDS)
+    return list(dict.fromkeys(field for key in sorted(keys) for field in FIELDS[key]))
 
 
 def _lengths(named: Iterable[str]) -> tuple[str, ...]:
@@ -249,7 +259,7 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
     # Built with its geometry, so that its meshes match.
     model = robot.with_geometry(parameters.geometry) if lengths else copy.copy(robot.model)
     for name, field in variation.batch(parameters, 1, values).items():
-        if name in _BUILT:
+        if name in _BUILT or name in PLAY_FIELDS:
             continue
         if name.startswith("geom_"):
             # Geoms have different ids than in the model that engines step; all other ids are the same.
@@ -296,6 +306,7 @@ def vary(
     Returns:
         The worlds' own models, if a field cannot be set per world in a batch; else None.
     """
+    fields = without_play(fields)
     chosen = np.arange(batch.nsim) if worlds is None else worlds
     if "hfield_data" not in fields:
         for name, values in fields.items():

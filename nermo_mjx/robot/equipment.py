@@ -75,12 +75,12 @@ def _site_in_body(part: str, site: str, geometry: Geometry) -> tuple[np.ndarray,
 
 
 def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1) -> None:
-    """Springs, dampers and rotor inertias (Table A.1).
+    """Springs, dampers and rotor inertias (Table A.1); the back-EMF of a servo brakes its joint.
 
     Args:
         hinges: of each compliant joint; in series they have these values together.
     """
-    stiffness, damping = parameters.stiffness, parameters.damping
+    stiffness, damping, brake = parameters.stiffness, parameters.damping, float(parameters.servo.brake)
     for joint in spec.joints:
         kind = chain_of(joint.name).rstrip("_0123456789").rsplit("_", 1)[-1]
         if joint.name.startswith("tail_joint"):
@@ -94,9 +94,9 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1
         elif kind == "ankle":
             _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"], hinges=hinges)
         elif kind == "hip":
-            _compliant(joint, 0.0, damping.hip, ARMATURE["servo"])
+            _compliant(joint, 0.0, damping.hip + brake, ARMATURE["servo"])
         elif kind in ("pulley", "neck", "tilt"):
-            _compliant(joint, 0.0, damping.pulley, ARMATURE["servo"])
+            _compliant(joint, 0.0, damping.pulley + brake, ARMATURE["servo"])
 
 
 def is_spine_joint(joint: str) -> bool:
@@ -128,7 +128,7 @@ def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -
             actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
             actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name, routing))
-            limit = float(servo.torque_limit)
+            limit = float(servo.stall_torque)
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
 
 

@@ -8,7 +8,7 @@ these speeds as closely (`identified`). `physics.variation` writes them into mod
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,15 +16,61 @@ from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 from nermo_mjx.robot.terrains import TerrainShape
 
+#: Supply voltage at which the servos have their stall torque and their speed [V].
+NOMINAL_VOLTAGE: Final = 6.0
+
 
 @parameter_tree
 class Servo:
-    """All position servos (Power HD-DSM44 at 6 V)."""
+    """All position servos (Power HD-DSM44 at 6 V).
+
+    A direct-current motor that is driven with the share u of its supply voltage V turns with the torque
+
+        tau = u T V / V0 - T k / V0 w,    -1 <= u <= 1,
+
+    at the speed w, with the stall torque T at the nominal voltage V0 and the back-EMF constant k, seen at the output:
+    its torque limit falls linearly from T V / V0 at rest to zero at the no-load speed V / k. The data sheet's 0.07 s
+    for 60 degrees at 6 V are 0.40 V s/rad. The default is 0: `damping.hip` and `damping.pulley`, those of the author's
+    model, already brake by as much as 0.39 V s/rad would.
+    """
 
     kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
     kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
+    supply_voltage: Any = quantity(
+        NOMINAL_VOLTAGE, unit="V", low=3.0, high=9.0, doc="stall torque and speed are in proportion to it"
+    )
+    back_emf: Any = quantity(
+        0.0, unit="V s/rad", low=0.0, high=2.0, doc="back-EMF constant at the output: supply voltage per no-load speed"
+    )
+    dead_band: Any = quantity(0.0, unit="rad", low=0.0, high=0.2, doc="error of its angle that it does not respond to")
+    backlash: Any = quantity(0.0, unit="rad", low=0.0, high=0.2, doc="free travel of its gears, from flank to flank")
+    idle_current: Any = quantity(0.008, unit="A", low=0.0, high=1.0, doc="of one servo without torque")
+    stall_current: Any = quantity(0.8, unit="A", low=0.0, high=10.0, doc="of one servo at its stall torque, at 6 V")
+
+    @property
+    def stall_torque(self) -> Any:
+        """Largest torque at this supply voltage [N m]."""
+        return self.torque_limit * (self.supply_voltage / NOMINAL_VOLTAGE)
+
+    @property
+    def top_speed(self) -> Any:
+        """Fastest change of the angle it aims at, at this supply voltage [rad/s]."""
+        return self.speed * (self.supply_voltage / NOMINAL_VOLTAGE)
+
+    @property
+    def brake(self) -> Any:
+        """Torque lost to the back-EMF per speed [N m s/rad]; it does not depend on the supply voltage."""
+        return self.torque_limit * self.back_emf / NOMINAL_VOLTAGE
+
+
+@parameter_tree
+class Battery:
+    """The battery, which feeds servos and electronics directly; only metrics depend on it."""
+
+    capacity: Any = quantity(1.0, unit="A h", low=0.01, high=100.0, doc="charge of the full battery")
+    electronics_current: Any = quantity(0.3, unit="A", low=0.0, high=10.0, doc="drawn by everything but the servos")
 
 
 @parameter_tree
@@ -102,6 +148,7 @@ class ModelParameters:
     """All body parameters; every leaf may carry leading batch axes."""
 
     servo: Servo = group(Servo)
+    battery: Battery = group(Battery)
     contact: Contact = group(Contact)
     stiffness: Stiffness = group(Stiffness)
     damping: Damping = group(Damping)

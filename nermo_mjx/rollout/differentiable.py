@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -21,8 +21,9 @@ from nermo_mjx.physics.variation import Variation
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.length import Run
-from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
+from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller, loop_parameters
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.setup import Setup, with_own
@@ -138,13 +139,14 @@ class Rollout:
         """The metrics and the path of one world; both are differentiable. The arguments are the same."""
         params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)
-        loop, ticks = self._loop_parameters(params, self.seconds(values, policy))
+        loop, ticks = self._loop_parameters(params, self.seconds(values, policy), values)
         if qpos is None:
             geometry = params.model.geometry if names_geometry(values) else None
             qpos = self.start.qpos(params.control, params.start, loop.terrain, geometry)
         first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))
+        carry = self.engine.playing(carry, body)
 
         def tick(carry: Carry) -> tuple[Carry, Path]:
             carry, ctrl = self.engine.tick(loop, body, carry)
@@ -154,7 +156,8 @@ class Rollout:
         mass = jnp.asarray(params.model.mass.front + params.model.mass.rear, float)
         # A traced frequency below `slowest` would not finish its run: NaN is better than a wrong result.
         complete = loop.window.end <= (ticks - 1 + 1e-3) * self.controller.dt
-        measured = measures.result(carry.loop.metrics, mass, params.model.ground.gravity, self.setup.own_metrics)
+        gravity, supply = params.model.ground.gravity, Supply.of(params.model)
+        measured = measures.result(carry.loop.metrics, mass, gravity, supply, self.setup.own_metrics)
         return {name: jnp.where(complete, value, jnp.nan) for name, value in measured.items()}, path
 
     def _parameters(self, values: Mapping[str, ArrayLike], policy: Any) -> WorldParameters:
@@ -168,12 +171,13 @@ class Rollout:
         self.setup.check(checked, jointly=len(known) == len(values) and not _traced(policy))
         return jax.tree.map(_real, params)
 
-    def _loop_parameters(self, params: WorldParameters, seconds: float) -> tuple[LoopParameters, int]:
+    def _loop_parameters(
+        self, params: WorldParameters, seconds: float, named: Container[str]
+    ) -> tuple[LoopParameters, int]:
         """Parameters of the loop, and the number of ticks that covers a run of the given seconds."""
         begin, end = self.length.seconds(_real(self.controller.cycle_rate(params.control)))
         window = Window(begin=jnp.asarray(begin, float), end=jnp.asarray(end, float), distance=jnp.asarray(1e6))
-        terrain = params.model.terrain if self.robot.terrain.has_shape else None
-        loop = LoopParameters(params.control, params.start, window, params.model.servo.speed, terrain)
+        loop = loop_parameters(self.robot, params, window, named)
         return loop, math.ceil(seconds / self.controller.dt - 1e-6) + 1
 
     def seconds(self, values: Mapping[str, ArrayLike], policy: Any = None) -> float:

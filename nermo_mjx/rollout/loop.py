@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Container
 from typing import Any
 
 import jax
@@ -16,7 +17,7 @@ from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.own_metrics import OwnMetric
-from nermo_mjx.rollout.parameters import Start, Window
+from nermo_mjx.rollout.parameters import Start, Window, WorldParameters
 from nermo_mjx.shapes import Array, Count, Scalar
 
 
@@ -30,6 +31,7 @@ class LoopParameters:
         start, window: of the run.
         servo_speed: maximum rate of change of a servo's target [rad/s].
         terrain: shape of the ground, in a scene that has one; None for the compiled ground.
+        servo_brake: of the servos by their back-EMF [N m s/rad]; None unless it is named.
     """
 
     control: Any
@@ -37,6 +39,26 @@ class LoopParameters:
     window: Window
     servo_speed: Any
     terrain: TerrainShape | None = None
+    servo_brake: Any = None
+
+
+def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named: Container[str]) -> LoopParameters:
+    """Parameters of the loop of worlds.
+
+    Args:
+        robot: that runs.
+        world: all parameters.
+        window: when to measure.
+        named: those that are not the robot's defaults.
+    """
+    servo = world.model.servo
+    brake = servo.brake if "servo.back_emf" in named else None
+    return LoopParameters(world.control, world.start, window, servo.top_speed, terrain_of(robot, world), brake)
+
+
+def terrain_of(robot: Robot, world: WorldParameters) -> TerrainShape | None:
+    """Shape of the ground; None in a scene that has none."""
+    return world.model.terrain if robot.terrain.has_shape else None
 
 
 @jax.tree_util.register_dataclass
@@ -106,7 +128,7 @@ class ClosedLoop:
             stance = controller.stance(state.control)
         return metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
-            stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own,
+            stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own, params.servo_brake,
         )  # fmt: skip
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:

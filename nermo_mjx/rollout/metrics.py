@@ -24,8 +24,8 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.attitude import attitude, uprightness
-from nermo_mjx.robot import LIMBS, Sensors
-from nermo_mjx.rollout import eye_metrics, path_metrics, reduction
+from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
+from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction
 from nermo_mjx.rollout.catalogue import ANGLES, METRICS, PAIRS
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
 from nermo_mjx.rollout.own_metrics import OwnMetric
@@ -88,6 +88,7 @@ class MetricState:
         tail_loaded: time the tail was loaded [s].
         path: how the path was followed.
         eyes: motion of the eyes.
+        drawn: what the servos draw.
         own: accumulators of custom metrics; None without any.
         on_path: whether the pilot has a path.
         lost: whether the readings have become invalid, including after the run's end.
@@ -118,6 +119,7 @@ class MetricState:
     tail_loaded: Scalar
     path: path_metrics.PathState
     eyes: eye_metrics.EyeState
+    drawn: electrical.Drawn
     own: reduction.OwnState | None
     on_path: Truth
     lost: Truth
@@ -139,7 +141,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
         low=readings + jnp.inf, high=readings - jnp.inf, course=angles[2], turning=zero, position=position,
         origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four,
         swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
-        eyes=eye_metrics.init(sensors),
+        eyes=eye_metrics.init(sensors), drawn=electrical.Drawn(zero, zero, zero),
         own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
@@ -156,6 +158,7 @@ def update(
     stance: Bool[Array, " 4"] | None = None,
     ground: Any = 0.0,
     own: tuple[OwnMetric, ...] = (),
+    brake: Any = None,
 ) -> MetricState:
     """Add one control tick.
 
@@ -170,6 +173,7 @@ def update(
         stance: feet in planned contact during the tick; all of them if nothing is planned.
         ground: height of the ground beneath the torso [m].
         own: custom metrics, the same as for `init`.
+        brake: of the servos by their back-EMF (`Servo.brake`); None for servos without.
     """
     # If the accelerometer is non-finite, so are the velocities one step later; not reading it saves computing it.
     told = jax.tree.leaves(dataclasses.replace(sensors, accelerometer=sensors.gyro))
@@ -209,7 +213,8 @@ def update(
     readings = jnp.append(angles, error)
     low, high = _extremes(state, readings, part)
 
-    power = jnp.maximum(sensors.servo_torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean()
+    torque = electrical.motor_torque(sensors.servo_torque, sensors.servo_velocity, brake)
+    power = jnp.maximum(torque * sensors.servo_velocity, 0.0).sum(axis=-1).mean()
     contact = _share_loaded(sensors.foot_force)
     bears = part.weight * contact.mean(axis=0)
     swings = jnp.zeros_like(bears) if stance is None else jnp.where(stance, 0.0, 1.0).astype(bears.dtype)
@@ -241,6 +246,7 @@ def update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
         eyes=eye_metrics.update(state.eyes, sensors, part.weight, share),
+        drawn=electrical.update(state.drawn, sensors.servo_torque, sensors.servo_velocity, brake, part.weight),
         own=None if state.own is None else reduction.update(own, state.own, sensors, part, share, ~lost & (time > 0.0)),
         on_path=jnp.asarray(path is not None),
         lost=lost,
@@ -284,7 +290,11 @@ def _share(part: Array, whole: Array) -> Array:
 
 
 def result(
-    state: MetricState, mass: Scalar, gravity: Any = GRAVITY, own: tuple[OwnMetric, ...] = ()
+    state: MetricState,
+    mass: Scalar,
+    gravity: Any = GRAVITY,
+    supply: electrical.Supply | None = None,
+    own: tuple[OwnMetric, ...] = (),
 ) -> dict[str, Scalar]:
     """The metrics of one world, named as in `METRICS`, and the custom ones. A metric that was never measured is NaN.
 
@@ -294,6 +304,7 @@ def result(
         state: accumulators at the end.
         mass: of the robot [kg].
         gravity: for the robot's weight [m/s^2].
+        supply: servos and battery; the defaults if None.
         own: custom metrics, the same as for `init`.
     """
     begun = state.begun
@@ -320,6 +331,7 @@ def result(
         values = {"mean": state.mean[i], "std": std[i], "min": state.low[i], "max": state.high[i]}
         metrics |= {f"{angle}_{name}": value for name, value in values.items()}
     metrics |= eye_metrics.result(state.eyes, time)
+    metrics |= electrical.result(state.drawn, time, supply or electrical.Supply.of(ModelParameters()))
     for i, limb in enumerate(LIMBS):
         metrics |= {
             f"duty_{limb}": state.loaded[i] / time,

@@ -20,9 +20,10 @@ from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import metrics as measures
+from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.length import Run
-from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
+from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller, loop_parameters, terrain_of
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
 from nermo_mjx.rollout.parameters import Window, WorldParameters
 from nermo_mjx.rollout.result import History, RunResult
@@ -48,6 +49,7 @@ class Batch:
         ticks: control ticks until the last world is done.
         may_end_early: whether worlds are finished when they have walked their distance.
         mass, gravity: of each robot (n,) [kg, m/s^2].
+        supply: servos and battery, leaves (n,).
         worlds, named, length: see `RunResult`.
     """
 
@@ -58,6 +60,7 @@ class Batch:
     may_end_early: bool
     mass: np.ndarray
     gravity: np.ndarray
+    supply: Supply
     worlds: WorldParameters
     named: tuple[str, ...]
     length: Run
@@ -135,15 +138,16 @@ class Simulator:
         params, worlds = _batched(self.parameters(values, policy), single, values)
         window = _window(run or Run(), params, self.controller, worlds)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
-        terrain = params.model.terrain if self.robot.terrain.has_shape else None
+        terrain = terrain_of(self.robot, params)
         geometry = params.model.geometry if names_geometry(values) else None
         return Batch(
-            params=_single(LoopParameters(params.control, params.start, window, params.model.servo.speed, terrain)),
+            params=_single(loop_parameters(self.robot, params, window, values)),
             qpos=self.start.batch(params.control, params.start, terrain, geometry),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,
             mass=mass,
+            supply=Supply.of(params.model),
             gravity=np.asarray(params.model.ground.gravity, float),
             worlds=params,
             named=tuple(values),
@@ -229,7 +233,7 @@ class Simulator:
             if done + size >= ticks:
                 break
 
-        measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity)
+        measured = self._results(session.loop_state.metrics, batch.mass, batch.gravity, batch.supply)
         table = {name: np.asarray(column, float) for name, column in measured.items()}
         unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(

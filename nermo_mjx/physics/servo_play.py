@@ -1,0 +1,101 @@
+"""Dead band and backlash of the servos: what engines compute before each step of physics if one of them is named.
+
+A servo measures the angle q of its output, and does not respond to an error of less than its dead band d. Its motor
+turns the output through gears with a free travel b, so that the motor's angle m, seen at the output, is within b / 2 of
+q. With the target u,
+
+    e = u - q,   a = e - clip(e, -d, d),   tau = clip(kp a - kv w, -T, T),
+    dm/dt = v tau / T,   m within [q - b / 2, q + b / 2],
+
+and the output receives tau while m is at the end that it moves to, or else nothing. A reversed torque reaches it only
+after the motor has crossed the play, at the share tau / T of its no-load speed v, `Servo.top_speed`. A step in which
+the motor arrives counts with its remainder, so that the torque is continuous in the time of arrival. The motor's
+inertia, and the damping by its back-EMF, stay with the joint while it crosses. MuJoCo's position actuator has the
+torque clip(kp (c - q) - kv w, -T, T): a control c gives either, and neither a new actuator nor a new joint is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from nermo_mjx.robot.model_parameters import Servo
+
+#: Key among the fields of a batch: a `Play`, packed. Not a field of MuJoCo's model.
+SERVO_PLAY: Final = "servo_play"
+#: Fields that servos with play need; the controls' range is wide, since it is the targets that are limited.
+PLAY_FIELDS: Final = (SERVO_PLAY, "actuator_ctrlrange")
+#: Bound of that range [rad].
+UNLIMITED: Final = 1e6
+
+T = TypeVar("T")
+
+
+class Play(NamedTuple):
+    """The servos of one world, or of several with leading axes.
+
+    Attributes:
+        dead_band, backlash: half the insensitive range of errors, and the free travel of the gears [rad].
+        kp, kv, stall_torque: of the loop [N m/rad, N m s/rad, N m].
+        speed: of the motor without load [rad/s].
+    """
+
+    dead_band: Any
+    backlash: Any
+    kp: Any
+    kv: Any
+    stall_torque: Any
+    speed: Any
+
+    @classmethod
+    def of(cls, servo: Servo) -> Play:
+        """The play of servos with these parameters."""
+        return cls(servo.dead_band, servo.backlash, servo.kp, servo.kv, servo.stall_torque, servo.top_speed)
+
+    @property
+    def packed(self) -> Any:
+        """One array, (..., 6), in JAX."""
+        return jnp.stack([jnp.asarray(leaf, float) for leaf in self], axis=-1)
+
+    @classmethod
+    def unpacked(cls, packed: Any) -> Play:
+        """From (..., 6); leaves (..., 1), which broadcast over servos."""
+        return cls(*(packed[..., i, None] for i in range(len(cls._fields))))
+
+
+def played(
+    play: Play, motor: Any, target: Any, angle: Any, velocity: Any, timestep: float, xp: Any = jnp
+) -> tuple[Any, Any]:
+    """Controls of the position actuators for one step of physics, and where the motors are in their play.
+
+    Args:
+        play: of the servos.
+        motor: angles of the motors from the middle of their play (..., n_servos) [rad].
+        target: of the servos [rad].
+        angle, velocity: of their outputs [rad, rad/s].
+        timestep: of the physics [s].
+        xp: `jax.numpy` or `numpy`.
+    """
+    error = target - angle
+    asked = error - xp.clip(error, -play.dead_band, play.dead_band)
+    drive = xp.clip((play.kp * asked - play.kv * velocity) / play.stall_torque, -1.0, 1.0)
+    half = play.backlash / 2
+    shift = timestep * (play.speed * drive - velocity)
+    ahead = xp.where(shift < 0.0, half + motor, half - motor)
+    share = xp.clip(1.0 - ahead / xp.maximum(xp.abs(shift), 1e-12), 0.0, 1.0)
+    control = angle + (share * drive * play.stall_torque + play.kv * velocity) / play.kp
+    return control, xp.clip(motor + shift, -half, half)
+
+
+def without_play(fields: Mapping[str, T]) -> dict[str, T]:
+    """The fields that are MuJoCo's."""
+    return {name: value for name, value in fields.items() if name != SERVO_PLAY}
+
+
+def servo_addresses(model: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Addresses in `qpos` and `qvel` of the joints that servos turn, in the order of `ctrl`."""
+    joints = np.asarray(model.actuator_trnid)[:, 0]
+    return np.asarray(model.jnt_qposadr)[joints], np.asarray(model.jnt_dofadr)[joints]
