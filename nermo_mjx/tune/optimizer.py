@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from nermo_mjx.robot.nearest import did_you_mean
@@ -29,7 +30,7 @@ _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
 
 @dataclasses.dataclass(frozen=True)
 class Optimizer:
-    """An optimizer by name.
+    """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
         name: `controlled_adam` (`nermo_mjx.tune.controlled_adam`), or of a function of optax that has a learning rate:
@@ -53,6 +54,9 @@ class Optimizer:
         if self.clip is not None and not 0.0 < self.clip < float("inf"):
             raise ParameterError(f"optimizer.clip is {self.clip:g}: allowed is (0, inf).")
         _try_out(self)
+
+    def __hash__(self) -> int:
+        return hash((self.name, *sorted(self.options), self.clip))
 
     @property
     def reads_values(self) -> bool:
@@ -115,8 +119,9 @@ def _schedule(key: str, written: Mapping[str, Any]) -> optax.Schedule:
     values = {option: {int(step): scale for step, scale in value.items()} if isinstance(value, Mapping) else value
               for option, value in values.items()}  # fmt: skip
     schedule = _call(field, full, known[full], values)
-    first = jnp.asarray(schedule(jnp.zeros((), int)))
-    if first.shape != () or not bool(jnp.isfinite(first)):
+    with jax.ensure_compile_time_eval():  # a program that is traced builds its optimizer, too
+        first = np.asarray(schedule(jnp.zeros((), int)))
+    if first.shape != () or not np.isfinite(first):
         raise ParameterError(f"{field} starts at {first}: expected a finite number.")
     return schedule
 
@@ -138,26 +143,29 @@ def _call(field: str, name: str, make: Callable[..., Any], values: Mapping[str, 
         raise ParameterError(f"{field} is {name}, which refuses its options: {_line(error)}.") from None
 
 
+@functools.lru_cache
 def _try_out(optimizer: Optimizer) -> None:
     """Two updates of two starts with two parameters: what fails here would fail after the first simulation."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         chosen = optimizer.build()
         point = jnp.array([[0.5, -0.3], [0.1, 0.2]])
+
+        def updated(state: Any) -> Any:
+            return jax.vmap(lambda *given: chosen.update(*given[:3], value=given[3]))(
+                jnp.ones_like(point), state, point, point.sum(axis=1)
+            )
+
         try:
-            state = jax.vmap(chosen.init)(point)
-            before = jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state)
-            for _ in range(2):
-                step, state = jax.vmap(lambda *given: chosen.update(*given[:3], value=given[3]))(
-                    jnp.ones_like(point), state, point, point.sum(axis=1)
-                )
+            before = jax.eval_shape(jax.vmap(chosen.init), point)
+            step, after = jax.jit(lambda: updated(updated(jax.vmap(chosen.init)(point))[1]))()
         except Exception as error:
             raise ParameterError(f"optimizer.name is {optimizer.name!r}, which does not work from gradients alone: "
                                  f"{_line(error)}.") from None  # fmt: skip
-    if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(state)):
+    if any(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key) for leaf in jax.tree.leaves(after)):
         raise ParameterError(f"optimizer.name is {optimizer.name!r}, which draws random numbers of its own, and a "
                              "checkpoint cannot hold them: let the estimator make the noise.")  # fmt: skip
-    if not bool(jnp.isfinite(step).all()) or before != jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), state):
+    if not np.isfinite(step).all() or before != jax.eval_shape(lambda: after):
         raise ParameterError(f"optimizer.name is {optimizer.name!r}, whose steps with these options are {step[0]}: "
                              "expected finite numbers.")  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
@@ -10,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from nermo_mjx.tune.bounds import confine, from_unconstrained, slope
+from nermo_mjx.tune.bounds import Bounds, confine, from_unconstrained, slope
 from nermo_mjx.tune.estimators import Estimate, estimate
 from nermo_mjx.tune.evaluation import Problem
-from nermo_mjx.tune.sampling import offsets, perturbations
+from nermo_mjx.tune.optimizer import Optimizer
+from nermo_mjx.tune.sampling import Estimator, offsets, perturbations
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.state import TuneState
 
@@ -47,21 +49,20 @@ class Iterate:
 
 
 class Tuner:
-    """Steps a tuning on a problem; its two small programs run before and after the problem's large one."""
+    """Steps a tuning on a problem; two small programs, which tunings share, run before and after its large one."""
 
     def __init__(self, tuning: Tuning, problem: Problem) -> None:
         assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
-        self.tuning, self.problem = tuning, problem
-        self.bounds, self.optimizer = tuning.bounds, tuning.optimizer.build()
-        self._place = jax.jit(self._placed)
-        self._advance = jax.jit(self._advanced)
+        self.tuning, self.problem, self.bounds = tuning, problem, tuning.bounds
 
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
         estimator, starts = self.tuning.estimator, len(state.u)
-        points = self._place(state)
+        points = _placed(estimator, self.bounds, state)
         found = self.problem.evaluate(points, estimator.needs_gradient)
-        after, est, ok, scale = self._advance(state, found.value, found.gradient, found.ok)
+        after, est, ok, scale = _advanced(
+            estimator, self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
+        )
         cost = self.problem.gradient_cost if estimator.needs_gradient else 1.0
         centres = np.arange(starts) * estimator.worlds
         value, well, dx = (np.asarray(each) for each in (found.value, ok, scale))
@@ -78,57 +79,62 @@ class Tuner:
             simulated_seconds=len(value) * self.problem.simulated_seconds * cost,
         )
 
-    def _noise(self, state: TuneState) -> Float[Array, "starts k p"]:
-        return perturbations(self.tuning.estimator, state.key, state.iteration, *state.u.shape)
 
-    def _coordinates(self, state: TuneState) -> Float[Array, "starts worlds p"]:
-        return state.u[:, None] + offsets(self.tuning.estimator, self._noise(state))
+def _noise(estimator: Estimator, state: TuneState) -> Float[Array, "starts k p"]:
+    return perturbations(estimator, state.key, state.iteration, *state.u.shape)
 
-    def _placed(self, state: TuneState) -> Float[Array, "n p"]:
-        """Parameters of all worlds, start by start; the first of each start is its point."""
-        return from_unconstrained(self.bounds, self._coordinates(state)).reshape(-1, state.u.shape[1])
 
-    def _advanced(
-        self,
-        state: TuneState,
-        value: Float[Array, " n"],
-        gradient: Float[Array, "n p"] | None,
-        ok: Bool[Array, " n"],
-    ) -> tuple[TuneState, Estimate, Bool[Array, " starts"], Float[Array, "starts p"]]:
-        """The state after the iteration, the gradient it stepped along (to u), whether each point is ok, and its dx/du.
+def _coordinates(estimator: Estimator, state: TuneState) -> Float[Array, "starts worlds p"]:
+    return state.u[:, None] + offsets(estimator, _noise(estimator, state))
 
-        A start without a completed walk has no gradient: it moves halfway back to its best point, and
-        its optimizer is not updated; an optimizer that uses values reacts by itself.
-        """
-        at = self._coordinates(state)
-        value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])
-        if gradient is not None:
-            gradient = gradient.reshape(at.shape) * slope(self.bounds, at)
-            ok = ok & jnp.isfinite(gradient).all(axis=-1)
-        found = estimate(self.tuning.estimator, self._noise(state), value, gradient, ok)
-        better = ok[:, 0] & (value[:, 0] < state.best_value)
-        best_u = jnp.where(better[:, None], state.u, state.best_u)
-        lost = found.lost
-        # What a smoothed gradient is the gradient of: the mean over the worlds; of an exact one, the point itself.
-        level = jnp.where(lost, jnp.inf, jnp.where(ok, value, 0.0).sum(axis=1) / jnp.maximum(ok.sum(axis=1), 1))
-        step, optimizer = jax.vmap(self._updated)(found.gradient, state.optimizer, state.u, level)
-        forward = confine(self.bounds, state.u + step)
-        waits = lost & (not self.tuning.optimizer.reads_values)
-        after = TuneState(
-            u=jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward),
-            optimizer=jax.tree.map(lambda new, old: jnp.where(_like(waits, new), old, new), optimizer, state.optimizer),
-            iteration=state.iteration + 1,
-            key=state.key,
-            best_u=best_u,
-            best_value=jnp.where(better, value[:, 0], state.best_value),
-            best_iteration=jnp.where(better, state.iteration, state.best_iteration),
-        )
-        return after, found, ok[:, 0], slope(self.bounds, state.u)
 
-    def _updated(self, gradient: Array, optimizer: Any, u: Array, value: Array) -> tuple[Array, Any]:
-        """Step and state of one start's optimizer."""
-        step, after = self.optimizer.update(gradient, optimizer, u, value=value)
-        return step, after
+@functools.partial(jax.jit, static_argnums=0)
+def _placed(estimator: Estimator, bounds: Bounds, state: TuneState) -> Float[Array, "n p"]:
+    """Parameters of all worlds, start by start; the first of each start is its point."""
+    return from_unconstrained(bounds, _coordinates(estimator, state)).reshape(-1, state.u.shape[1])
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _advanced(
+    estimator: Estimator,
+    optimizer: Optimizer,
+    bounds: Bounds,
+    state: TuneState,
+    value: Float[Array, " n"],
+    gradient: Float[Array, "n p"] | None,
+    ok: Bool[Array, " n"],
+) -> tuple[TuneState, Estimate, Bool[Array, " starts"], Float[Array, "starts p"]]:
+    """The state after the iteration, the gradient it stepped along (to u), whether each point is ok, and its dx/du.
+
+    A start without a completed walk has no gradient: it moves halfway back to its best point, and
+    its optimizer is not updated; an optimizer that uses values reacts by itself.
+    """
+    update, at = optimizer.build().update, _coordinates(estimator, state)
+    value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])
+    if gradient is not None:
+        gradient = gradient.reshape(at.shape) * slope(bounds, at)
+        ok = ok & jnp.isfinite(gradient).all(axis=-1)
+    found = estimate(estimator, _noise(estimator, state), value, gradient, ok)
+    better = ok[:, 0] & (value[:, 0] < state.best_value)
+    best_u = jnp.where(better[:, None], state.u, state.best_u)
+    lost = found.lost
+    # What a smoothed gradient is the gradient of: the mean over the worlds; of an exact one, the point itself.
+    level = jnp.where(lost, jnp.inf, jnp.where(ok, value, 0.0).sum(axis=1) / jnp.maximum(ok.sum(axis=1), 1))
+    step, updated = jax.vmap(lambda gradient, past, u, value: update(gradient, past, u, value=value))(
+        found.gradient, state.optimizer, state.u, level
+    )
+    forward = confine(bounds, state.u + step)
+    waits = lost & (not optimizer.reads_values)
+    after = TuneState(
+        u=jnp.where(waits[:, None], 0.5 * (state.u + best_u), forward),
+        optimizer=jax.tree.map(lambda new, old: jnp.where(_like(waits, new), old, new), updated, state.optimizer),
+        iteration=state.iteration + 1,
+        key=state.key,
+        best_u=best_u,
+        best_value=jnp.where(better, value[:, 0], state.best_value),
+        best_iteration=jnp.where(better, state.iteration, state.best_iteration),
+    )
+    return after, found, ok[:, 0], slope(bounds, state.u)
 
 
 def _like(flags: Bool[Array, " starts"], leaf: Array) -> Bool[Array, " starts *1"]:
