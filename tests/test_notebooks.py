@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,19 +13,32 @@ import nbformat
 import pytest
 from IPython.core.inputtransformer2 import TransformerManager
 from nbclient import NotebookClient
+from nbformat.v4 import new_code_cell, new_notebook
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 INSTALL = nbformat.read(NOTEBOOKS[0], as_version=4).cells[1].source
 
 
+@pytest.fixture(scope="module")
+def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[NotebookClient]:
+    """One kernel for all notebooks: it imports the package, and compiles what several use, once."""
+    where = {"metadata": {"path": tmp_path_factory.mktemp("kernel")}}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NERMO_MJX_SMALL", "1")
+        client = NotebookClient(new_notebook(), timeout=300, kernel_name="python3", resources=where)
+        with client.setup_kernel():
+            yield client
+
+
 @pytest.mark.usefixtures("drawing")
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NERMO_MJX_SMALL", "1")
-    notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=300, kernel_name="python3", resources={"metadata": {"path": tmp_path}}).execute()
+def test_a_notebook_runs(path: Path, tmp_path: Path, kernel: NotebookClient) -> None:
+    """In a folder of its own, without any name of another notebook."""
+    kernel.nb = notebook = nbformat.read(path, as_version=4)
+    notebook.cells.insert(0, new_code_cell(f"%reset -f\n%cd -q {tmp_path}"))
+    kernel.execute(cleanup_kc=False)
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     kinds = {kind for output in outputs for kind in output.get("data", {})}
     assert "image/png" in kinds, "a figure is shown"
