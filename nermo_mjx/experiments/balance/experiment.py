@@ -150,8 +150,14 @@ def _measured_bodies(values: Mapping[str, float], bodies: Mapping[str, np.ndarra
 
 def _theory(loop: BalanceLoop, params: BalanceParameters, worlds: int) -> list[float]:
     """Margin of each world by (5.34, 5.35), in the commanded posture [m]."""
-    feet = np.asarray(forward(four_legs(Geometry()), STANCE, ROUTING).foot)
-    bends = np.asarray(joint_angle(jax.vmap(loop.spine_servo)(params), Geometry()))
+
+    @jax.jit
+    def posture(params: BalanceParameters) -> tuple[jax.Array, jax.Array]:
+        """Feet in the stance, and the angle of each world's spine joints."""
+        bends = joint_angle(jax.vmap(loop.spine_servo)(params), Geometry())
+        return forward(four_legs(Geometry()), STANCE, ROUTING).foot, bends
+
+    feet, bends = (np.asarray(each) for each in posture(params))
     limbs = np.argmax(np.asarray(params.lifted), axis=1)
     return [stability(loop.robot.mass_model, feet, limbs[i], float(bends[i])) for i in range(worlds)]
 
