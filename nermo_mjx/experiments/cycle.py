@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 from jaxtyping import Float
 from scipy.signal import find_peaks
@@ -34,6 +34,7 @@ AFTER_STANCE: Final = 1 / 6
 LIFT_OFF: Final = 0.25
 #: Number of worlds recorded at once: 2 MB each.
 _AT_ONCE: Final = 64
+_attitude = jax.jit(attitude)
 
 ABOUT: Final = {
     "pitch_peaks": Column("1", "nose-up peaks of the pitch's mean course over a gait cycle"),
@@ -73,9 +74,12 @@ def of_world(trace: History, world: int, values: Mapping[str, float], run: Run) 
     warmup, end = run.seconds(np.asarray(rate))
     inside = (trace.time > float(warmup) + 1e-6) & (trace.time < float(end) + 1e-6)
     phase = values["start.phase"] + rate * trace.time[inside]
-    sensors = {name: np.asarray(trace.sensors[name][world][inside], float) for name in
-               ("orientation", "servo_angle", "foot_force", "foot_velocity")}  # fmt: skip
-    _, pitch, yaw = np.asarray(attitude(jnp.asarray(sensors["orientation"])), float).T
+    sensors = {
+        name: np.asarray(trace.sensors[name][world][inside], float)
+        for name in ("servo_angle", "foot_force", "foot_velocity")
+    }
+    # Of the whole trace: its length is the same for all worlds, so that one program serves them all.
+    _, pitch, yaw = np.asarray(_attitude(trace.sensors["orientation"][world]), float)[inside].T
     spine = sensors["servo_angle"][:, SERVOS.index("spine")]
     stance = {limb: values["offset." + limb] for limb in LIMBS}
     return {

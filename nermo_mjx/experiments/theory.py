@@ -9,8 +9,11 @@ import functools
 from collections.abc import Mapping
 from typing import Final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array
 
 from nermo_mjx.control import turning
 from nermo_mjx.control.parameters import ControlParameters
@@ -38,14 +41,19 @@ def speed(values: Mapping[str, np.ndarray]) -> np.ndarray:
         values: parameters by name, (n,) each: frequency, gait_factor, stride, stance.max_stride, spine.amplitude and
             tracking.clock_ratio.
     """
-    gain = np.asarray(stride_gain(joint_angle(values["spine.amplitude"], _ROBOT), _ROBOT), float)
+    gain = np.asarray(_stride_gain(values["spine.amplitude"]), float)
     stride = values["stride"] * values["stance.max_stride"] + gain
     return values["frequency"] * values["gait_factor"] * stride / values["tracking.clock_ratio"]
 
 
 def stride_gain_of(servo: float) -> float:
     """Stride gained without slip by swinging the spine by this servo angle [rad] to both sides (5.33) [m]."""
-    return float(stride_gain(joint_angle(jnp.asarray(servo), _ROBOT), _ROBOT))
+    return float(_stride_gain(servo))
+
+
+@jax.jit
+def _stride_gain(servo: ArrayLike) -> Array:
+    return stride_gain(joint_angle(servo, _ROBOT), _ROBOT)
 
 
 def standing_pitch() -> float:
@@ -72,8 +80,12 @@ def smallest_radius(steering: str, stride: float = 0.06) -> float:
     theta_v = spine * SPINE.max_joint_angle
     if not legs:
         return float(turning.spine_radius(jnp.asarray(theta_v), *map(jnp.asarray, turning.spine_lengths(_ROBOT)))[0])
-    stance = ControlParameters().stance
-    return float(turning.smallest_radius(jnp.asarray(stride), stance, jnp.asarray(theta_v), _ROBOT))
+    return float(_smallest_radius(stride, theta_v))
+
+
+@jax.jit
+def _smallest_radius(stride: ArrayLike, theta_v: ArrayLike) -> Array:
+    return turning.smallest_radius(jnp.asarray(stride), ControlParameters().stance, jnp.asarray(theta_v), _ROBOT)
 
 
 @functools.cache
@@ -92,9 +104,9 @@ def equal_stride_radius(servo: float, stride: float = 0.06) -> float:
     theta_v = joint_angle(jnp.asarray(servo), _ROBOT)
     back = np.stack([[0.0, 1.0], np.asarray(transform(theta_v, _ROBOT), float)[:2, 1]])
     neutral = np.asarray(neutral_feet(ControlParameters().stance), float)
-    motions = []
-    for moment in np.linspace(-0.5, 0.5, _MOMENTS) * stride:
-        feet = np.asarray(feet_positions(theta_v, neutral + np.array([moment, 0.0]), _ROBOT), float)[:, :2]
+    motions, moments = [], np.linspace(-0.5, 0.5, _MOMENTS) * stride
+    all_feet = feet_positions(theta_v, neutral + np.stack([moments, 0.0 * moments], axis=-1)[:, None], _ROBOT)
+    for feet in np.asarray(all_feet, float)[..., :2]:
         for pair in _DIAGONALS:
             # Rows: speed of a foot on the ground, along x and y, for the body's speeds along x and y and its turn.
             rows = np.array([[[1.0, 0.0, -y], [0.0, 1.0, x]] for x, y in feet[list(pair)]]).reshape(4, 3)
