@@ -167,8 +167,9 @@ def test_a_batch_is_its_members():
     course = maze_course()
     progress = jnp.linspace(0.0, course.length, 24).reshape(4, 6)
     place = jnp.asarray(np.random.default_rng(3).uniform(-1, 1, (4, 6, 3)), jnp.float32)
-    together = locate(course, progress, place)
-    apart = jax.vmap(jax.vmap(functools.partial(locate, course)))(progress, place)
+    one_by_one = functools.partial(locate, course)
+    together = jax.jit(one_by_one)(progress, place)
+    apart = jax.jit(jax.vmap(jax.vmap(one_by_one)))(progress, place)
     for one, other in zip(jax.tree.leaves(together), jax.tree.leaves(apart), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)
     assert together.tangent.shape == (4, 6, 2)

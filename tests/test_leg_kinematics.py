@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from nermo_mjx.kinematics import leg as kin
-from nermo_mjx.kinematics.tendon import arm_range, knee_range
+from nermo_mjx.kinematics import tendon
+from nermo_mjx.kinematics.tendon import arm_range
+from nermo_mjx.robot import leg_plane
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.leg_plane import pull
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
 
@@ -35,6 +36,9 @@ HIP = 1.5
 forward = jax.jit(kin.forward, static_argnames="routing")
 inverse = jax.jit(kin.inverse, static_argnames="routing")
 jacobian = jax.jit(kin.jacobian, static_argnames="routing")
+knee_range = jax.jit(tendon.knee_range, static_argnames="routing")
+knee_servo = jax.jit(kin.knee_servo, static_argnames="routing")
+pull = jax.jit(leg_plane.pull, static_argnames="routing")
 
 
 def poses(leg: kin.Leg, routing: str, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -117,7 +121,7 @@ def test_type_1_agrees_with_the_published_spiral(geometry):
     leg = kin.leg_of(g)
     with jax.enable_x64(True):
         q1, theta = poses(leg, "type1", 25)
-        q2 = np.asarray(kin.knee_servo(leg, q1, theta, "type1"))
+        q2 = np.asarray(knee_servo(leg, q1, theta, "type1"))
         knee_angle = forward(leg, np.stack([q1, q2], -1), routing="type1").knee_angle
         ours = np.asarray(kin.points(leg, q1, knee_angle).attachment)
 
@@ -146,7 +150,7 @@ def test_inverse_undoes_forward(routing, x64, tolerance):
     with jax.enable_x64(x64):
         legs = kin.four_legs(ROBOT)
         q1, theta = poses(legs, routing, 2000)
-        servo = jnp.stack([jnp.asarray(q1), kin.knee_servo(legs, q1, theta, routing)], axis=-1)
+        servo = jnp.stack([jnp.asarray(q1), knee_servo(legs, q1, theta, routing)], axis=-1)
         pose = forward(legs, servo, routing=routing)
         solution = inverse(legs, pose.foot, routing=routing)
         again = forward(legs, solution.servo, routing=routing)
@@ -232,7 +236,7 @@ def test_jacobian_is_the_finite_difference(routing):
     with jax.enable_x64(True):
         legs = kin.four_legs(ROBOT)
         q1, theta = poses(legs, routing, 50)
-        servo = np.stack([q1, kin.knee_servo(legs, q1, theta, routing)], axis=-1)
+        servo = np.stack([q1, knee_servo(legs, q1, theta, routing)], axis=-1)
         ours = jacobian(legs, servo, routing=routing)
         # Away from the ends of the knee's range, where the pose saturates within the step.
         low, high, _ = knee_range(legs, q1, routing)
@@ -335,7 +339,7 @@ def test_the_border_of_the_workspace_has_finite_derivatives(x64):
                 for end in knee_range(legs, q1, routing)[:2]:
                     end = jnp.broadcast_to(end, (4,))
                     foot = kin.points(legs, q1, end).foot
-                    servo = jnp.stack([jnp.full(4, q1), kin.knee_servo(legs, q1, end, routing)], axis=-1)
+                    servo = jnp.stack([jnp.full(4, q1), knee_servo(legs, q1, end, routing)], axis=-1)
                     for values in (foot, servo):
                         for scale in (1 - 3e-7, 1.0, 1 + 3e-7):
                             assert_finite(scale * values)

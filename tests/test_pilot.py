@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from nermo_mjx.control import pilot
 from nermo_mjx.control.controller import named_pilot
 from nermo_mjx.control.parameters import ControlParameters, Pilot
-from nermo_mjx.control.path import PATHS, arc, straight
+from nermo_mjx.control.path import PATHS
 from nermo_mjx.robot.quantity import ParameterError
 
+arc, straight = jax.jit(PATHS["arc"]), jax.jit(PATHS["straight"])
+steer = jax.jit(pilot.steer)
 metres = st.floats(-5, 5)
 
 
@@ -25,8 +27,8 @@ def test_a_robot_to_the_left_of_its_path_is_steered_to_the_right():
     point = straight(Pilot(), jnp.asarray([0.01, -1.0, 0.05]))
     assert point.error == pytest.approx(0.01)
     published = pilot_of(error_gain=40.0, change_gain=300.0)
-    assert pilot.steer(published, point.error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
-    assert pilot.steer(published, jnp.zeros(()), jnp.float32(1e-3)) == pytest.approx(-0.3)
+    assert steer(published, point.error, jnp.zeros(())) == pytest.approx(-40.0 * 0.01)
+    assert steer(published, jnp.zeros(()), jnp.float32(1e-3)) == pytest.approx(-0.3)
 
 
 @settings(max_examples=60, deadline=None)
@@ -52,12 +54,12 @@ def test_the_arc_bends_to_its_direction_and_guidance_is_added_before_the_limit(d
     place = jnp.asarray([[0.3, -0.2, 0.0], [0.0, 0.0, 0.0]])
     given = pilot_of(radius=0.5, direction=direction, error_gain=10.0, output_limit=0.8)
     np.testing.assert_allclose(arc(given, place).curvature, direction * 2.0)
-    turns = [float(pilot.steer(given, jnp.float32(error), jnp.float32(0.0), 0.6)) for error in (0.0, 0.02, -0.1)]
+    turns = [float(steer(given, jnp.float32(error), jnp.float32(0.0), 0.6)) for error in (0.0, 0.02, -0.1)]
     assert turns == pytest.approx([0.6, 0.4, 0.8])
 
 
 def test_the_arc_has_a_finite_gradient_at_its_centre():
-    slope = jax.grad(lambda place: arc(pilot_of(radius=0.5), place).error)(jnp.asarray([0.5, 0.0, 0.0]))
+    slope = jax.jit(jax.grad(lambda place: arc(pilot_of(radius=0.5), place).error))(jnp.asarray([0.5, 0.0, 0.0]))
     assert np.isfinite(slope).all()
 
 
@@ -68,7 +70,7 @@ def test_the_turn_rate_is_limited_for_any_position(x, y, name):
     course = [(0.0, 0.0), (0.0, -1.0), (0.5, -2.0)] if name == "waypoints" else None
     controller = named_pilot(name, course, None)
     error = controller.locate(ControlParameters(), position, jnp.zeros(())).error
-    assert abs(pilot.steer(pilot_of(output_limit=0.5), error, error)) <= 0.5
+    assert abs(steer(pilot_of(output_limit=0.5), error, error)) <= 0.5
 
 
 def test_a_table_is_interpolated_or_held():
@@ -117,6 +119,6 @@ def test_the_tangent_points_along_the_path(path, direction):
 def test_the_error_grows_to_the_left_of_the_tangent(path):
     """The oracle is the slope of the error: it points to the left of the way ahead."""
     params, place = pilot_of(radius=0.7, direction=-1.0), jnp.asarray([0.1, -0.3, 0.05])
-    slope = jax.grad(lambda point: path(params, point).error)(place)
+    slope = jax.jit(jax.grad(lambda point: path(params, point).error))(place)
     ahead = path(params, place).tangent
     np.testing.assert_allclose(slope[:2], [-ahead[1], ahead[0]], atol=1e-5)

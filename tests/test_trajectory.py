@@ -11,13 +11,16 @@ from scipy.interpolate import CubicSpline
 from nermo_mjx.control import trajectory
 from nermo_mjx.control.parameters import Stance, Tracking
 
+position = jax.jit(trajectory.position, static_argnames="form")
+weights = jax.jit(trajectory.weights, static_argnames="form")
+
 KNOTS = np.array([0.0, 0.5, 1.0])
 PROGRESS = np.linspace(0.0, 1.0, 101)
 coordinate = st.floats(-0.125, 0.125, width=32, allow_subnormal=False)
 
 
 def path(points, form="cubic"):
-    return np.asarray(trajectory.position(jnp.asarray(points, jnp.float32), jnp.asarray(PROGRESS), form))
+    return np.asarray(position(np.asarray(points, np.float32), PROGRESS, form))
 
 
 @settings(max_examples=40, deadline=None)
@@ -43,12 +46,12 @@ def test_the_other_forms_are_the_polyline_and_the_parabola_through_the_points(va
 @pytest.mark.parametrize("form", trajectory.FORMS)
 def test_the_weights_of_the_control_points_sum_to_one(form):
     """So a path moves with its points, and a foot whose points coincide stands still."""
-    np.testing.assert_allclose(trajectory.weights(jnp.asarray(PROGRESS), form).sum(axis=-2), 1.0, atol=1e-6)
+    np.testing.assert_allclose(weights(PROGRESS, form).sum(axis=-2), 1.0, atol=1e-6)
 
 
 def test_the_derivative_of_the_path_is_finite_and_continuous_over_the_mid_point():
     points = jnp.asarray([[0.03, -0.05], [0.0, -0.04], [-0.03, -0.05]])
-    velocity = jax.vmap(jax.jacfwd(lambda progress: trajectory.position(points, progress)))
+    velocity = jax.jit(jax.vmap(jax.jacfwd(lambda progress: position(points, progress))))
     slope = velocity(jnp.asarray([0.0, 0.49999, 0.5, 0.50001, 1.0]))
     assert np.isfinite(slope).all()
     np.testing.assert_allclose(slope[1], slope[3], atol=1e-5)
@@ -70,7 +73,7 @@ def test_a_stance_foot_is_pressed_down_and_moves_backward_and_a_swing_foot_is_ra
 def test_a_plan_starts_where_the_foot_is():
     start = jnp.asarray(np.random.default_rng(0).uniform(-0.05, 0.05, (4, 2)), jnp.float32)
     points = trajectory.plan(Stance(), start, jnp.ones(4, bool), jnp.full(4, 0.06))
-    np.testing.assert_array_equal(trajectory.position(points, jnp.zeros(4)), start)
+    np.testing.assert_array_equal(position(points, jnp.zeros(4)), start)
 
 
 def test_exact_tracking_closes_the_whole_error_and_has_a_finite_derivative():

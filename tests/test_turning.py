@@ -20,6 +20,10 @@ from nermo_mjx.robot.quantity import replace_quantities
 #: The published robot.
 ROBOT = Geometry()
 
+path_curvature, smallest_radius = jax.jit(turning.path_curvature), jax.jit(turning.smallest_radius)
+stride_shares, leg_radius = jax.jit(turning.stride_shares), jax.jit(turning.leg_radius)
+slopes_of_turning_curve = jax.jit(jax.grad(turning.turning_curve, argnums=(0, 1)))
+
 rates = st.floats(-1, 1, width=32, allow_subnormal=False)
 
 
@@ -53,15 +57,15 @@ def test_the_normalised_stride_scales_the_saturated_stride():
 @pytest.mark.parametrize(("rate", "shares"), [(1.0, [0, 1, 0, 1]), (-1.0, [1, 0, 1, 0]), (0.0, [1, 1, 1, 1])])
 def test_full_input_stops_the_inner_legs(rate, shares):
     """Positive turns left, so the left legs FL and RL are the inner ones."""
-    np.testing.assert_allclose(turning.stride_shares(turning_of(), jnp.float32(rate)), shares, atol=1e-6)
+    np.testing.assert_allclose(stride_shares(turning_of(), jnp.float32(rate)), shares, atol=1e-6)
 
 
 @settings(max_examples=50, deadline=None)
 @given(rates, st.floats(0, 20, width=32, allow_subnormal=False))
 def test_stride_shares_stay_in_range_and_mirror_with_the_turn_rate(rate, exponent):
-    shares = turning.stride_shares(turning_of(exponent), jnp.float32(rate))
+    shares = stride_shares(turning_of(exponent), jnp.float32(rate))
     assert ((shares >= 0) & (shares <= 1)).all()
-    mirrored = turning.stride_shares(turning_of(exponent), jnp.float32(-rate))
+    mirrored = stride_shares(turning_of(exponent), jnp.float32(-rate))
     np.testing.assert_array_equal(shares[jnp.asarray([1, 0, 3, 2])], mirrored)
 
 
@@ -75,11 +79,11 @@ def test_the_turning_curve_is_the_signed_power(exponent):
 
 def test_exponent_zero_turns_leg_modulation_off():
     """Erratum 4: t = 0 is not a^0 = 1."""
-    np.testing.assert_array_equal(turning.stride_shares(turning_of(0.0), jnp.float32(1.0)), jnp.ones(4))
+    np.testing.assert_array_equal(stride_shares(turning_of(0.0), jnp.float32(1.0)), jnp.ones(4))
 
 
 def test_the_leg_share_switches_the_legs_and_the_spine_share_the_spine():
-    np.testing.assert_array_equal(turning.stride_shares(turning_of(leg=0.0), jnp.float32(1.0)), jnp.ones(4))
+    np.testing.assert_array_equal(stride_shares(turning_of(leg=0.0), jnp.float32(1.0)), jnp.ones(4))
     assert turning.spine_share(turning_of(spine=0.0), jnp.float32(1.0)) == 0.0
     assert turning.spine_share(turning_of(spine=1.0), jnp.float32(-0.4)) == pytest.approx(-0.4)
 
@@ -88,19 +92,19 @@ def test_the_leg_share_switches_the_legs_and_the_spine_share_the_spine():
 @pytest.mark.parametrize("rate", [-1.0, 0.0, 1e-4, 1.0])
 def test_the_turning_curve_has_finite_derivatives(rate, exponent):
     """|a|^t has an infinite slope at 0 for t < 1."""
-    slopes = jax.grad(turning.turning_curve, argnums=(0, 1))(jnp.float32(rate), jnp.float32(exponent))
+    slopes = slopes_of_turning_curve(jnp.float32(rate), jnp.float32(exponent))
     assert np.isfinite(slopes).all()
 
 
 def test_the_smallest_leg_based_radius_is_the_published_one():
     """turning.simulation.min_radius_no_slip_theory_trt.lb: 0.151 m, given to three digits."""
-    radius = turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(0.0), ROBOT)
+    radius = smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(0.0), ROBOT)
     assert radius == pytest.approx(0.151, abs=5e-4)
 
 
 def test_the_smallest_mix_based_radius_is_smaller_and_within_a_tenth_of_the_published_one():
     """min_radius_no_slip_theory_trt.mb is 0.134 m. The feet's diagonal gives 0.145 m; see `foot_diagonals`."""
-    left, right = (turning.smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(t), ROBOT) for t in (0.1, -0.1))
+    left, right = (smallest_radius(jnp.float32(0.06), Stance(), jnp.float32(t), ROBOT) for t in (0.1, -0.1))
     assert left == pytest.approx(float(right), rel=1e-4)
     assert left == pytest.approx(0.134, rel=0.1)
     assert left < 0.151
@@ -112,11 +116,11 @@ def test_the_leg_based_radius_is_the_printed_formula(stride, difference, diagona
     """(5.40-5.42)."""
     turn = stride * difference / diagonal
     printed = stride * np.sin((np.pi - turn) / 2) / np.sin(turn)
-    assert turning.leg_radius(stride, difference, diagonal) == pytest.approx(printed, rel=1e-4)
+    assert leg_radius(stride, difference, diagonal) == pytest.approx(printed, rel=1e-4)
 
 
 def test_equal_strides_walk_straight():
-    radius, slope = jax.value_and_grad(lambda d: 1 / turning.leg_radius(0.06, d, 0.15))(jnp.float32(0.0))
+    radius, slope = jax.value_and_grad(lambda d: 1 / leg_radius(0.06, d, 0.15))(jnp.float32(0.0))
     assert radius == 0.0
     assert np.isfinite(slope)
 
@@ -150,10 +154,8 @@ def steered(steering, **values):
 def test_the_turn_rate_for_a_curvature_walks_that_curvature_or_is_full_lock(steering, exponent):
     params = steered(steering, **{"turning.exponent": exponent})
     rates = turn_rates_for(params, CURVATURES)
-    full = turning.path_curvature(params, jnp.float32(1.0))
-    np.testing.assert_allclose(
-        turning.path_curvature(params, rates), np.minimum(CURVATURES, full), rtol=1e-4, atol=4e-6
-    )
+    full = path_curvature(params, jnp.float32(1.0))
+    np.testing.assert_allclose(path_curvature(params, rates), np.minimum(CURVATURES, full), rtol=1e-4, atol=4e-6)
     np.testing.assert_array_equal(np.asarray(rates) == 1.0, full <= CURVATURES)
 
 
@@ -189,7 +191,7 @@ def test_a_bent_robot_with_equal_strides_turns_as_two_feet_let_it():
     full = jnp.float32(1.0)
     for servo in (0.2, 0.4):
         expected = bent_robots_curvature(float(joint_angle(servo, ROBOT)))
-        found = float(turning.path_curvature(steered("spine", **{"spine.max_servo_angle": servo}), full))
+        found = float(path_curvature(steered("spine", **{"spine.max_servo_angle": servo}), full))
         assert found == pytest.approx(expected, rel=0.03)
     assert 1 / found == pytest.approx(0.441, rel=0.02)
 
@@ -202,14 +204,14 @@ def test_the_expected_curvature_of_the_legs_is_that_of_least_slip_and_the_spines
     # The left foot steps 1 - share, the right 1; on the ground they slide by what the body's motion does not take up.
     rows = np.array([[[1, 0, -y], [0, 1, x]] for x, y in feet], float).reshape(4, 3)
     motion, *_ = np.linalg.lstsq(rows, -np.array([0.0, 1 - share, 0.0, 1.0]), rcond=None)
-    legs = float(turning.path_curvature(steered("leg"), rate))
+    legs = float(path_curvature(steered("leg"), rate))
     assert legs == pytest.approx(motion[2] / -motion[1], rel=0.08)
-    assert float(turning.path_curvature(steered("leg"), -rate)) == pytest.approx(-legs, rel=1e-5)
+    assert float(path_curvature(steered("leg"), -rate)) == pytest.approx(-legs, rel=1e-5)
 
     full = jnp.float32([1.0, -1.0])
-    spine, mix = (turning.path_curvature(steered(name), full) for name in ("spine", "mix"))
+    spine, mix = (path_curvature(steered(name), full) for name in ("spine", "mix"))
     assert spine[0] == -spine[1] > 0.0
-    np.testing.assert_allclose(mix, turning.path_curvature(steered("leg"), full) + spine, rtol=1e-6)
+    np.testing.assert_allclose(mix, path_curvature(steered("leg"), full) + spine, rtol=1e-6)
 
 
 def test_no_turn_rate_turns_without_legs_and_spine():
