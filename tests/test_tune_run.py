@@ -94,6 +94,19 @@ def test_it_finds_the_best_point(name):
     assert problem.batches == [(tuning.estimator.worlds, name != "evolution")] * 80
 
 
+def test_tunings_of_one_estimator_and_optimizer_share_their_programs(compilations):
+    """The second one, within other bounds, compiles its problem only."""
+    for high in (0.4, 0.3):
+        compilations.clear()
+        tuning = Tuning.from_dict(
+            SPEC | {"tune": SPEC["tune"] | {"spine.amplitude": {"bounds": [0.0, high], "start": 0.05}}}
+        )
+        _, found = Tuner(tuning, FakeProblem(tuning)).step(initial_state(tuning))
+        np.testing.assert_allclose(found.points[0], [0.05, 2.5], rtol=1e-5)
+    assert any("program" in name for name in compilations)
+    assert not [name for name in compilations if "_placed" in name or "_advanced" in name]
+
+
 def test_every_point_is_within_the_bounds(tmp_path):
     """Steps as long as the range lead nowhere else."""
     result, _ = tune(tmp_path, {"optimizer": {"name": "sgd", "learning_rate": 500.0}, "iterations": 6})
