@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -109,6 +110,15 @@ def test_ppo_learns_to_hold_the_mass():
     assert returned(learned) > -1.5
     assert rows[-1]["lasted"] == 1.0
     assert rows[-1]["explained"] > 0.9
+
+
+def test_the_learning_rate_holds_the_policys_change_near_its_aim():
+    """By one factor per iteration, down or up, however many steps an iteration has."""
+    _, rows = long_training()
+    factors = np.array([after["rate"] / before["rate"] for before, after in itertools.pairwise(rows)])
+    assert np.isclose(factors[:, None], [1 / 1.5, 1.0, 1.5], rtol=1e-5).any(axis=1).all()
+    assert (factors != 1.0).any()
+    assert 0.5 * QUICK.kl < np.median([row["kl"] for row in rows[20:]]) < 2.0 * QUICK.kl
 
 
 def test_the_exact_gradient_reaches_it_in_a_tenth_of_the_steps():

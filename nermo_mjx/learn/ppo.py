@@ -88,7 +88,7 @@ def _updated(ppo: PPO, observed: int, learned: Learned, found: Experience) -> tu
     parts = shuffled[:, : size * ppo.minibatches].reshape(-1, size)
 
     def step(carry: tuple[Any, ...], part: Array) -> tuple[tuple[Any, ...], dict[str, Array]]:
-        actor, critic, (of_actor, of_critic), rate = carry
+        actor, critic, (of_actor, of_critic) = carry
         seen, action, old, gain, target = jax.tree.map(lambda each: each[part], rows)
 
         def policy_loss(actor: Any) -> tuple[Array, Array]:
@@ -101,15 +101,18 @@ def _updated(ppo: PPO, observed: int, learned: Learned, found: Experience) -> tu
 
         slope, kl = jax.grad(policy_loss, has_aux=True)(actor)
         miss, of_value = jax.value_and_grad(_value_loss)(critic, seen, target)
-        rate = rate if ppo.kl is None else _followed(rate, kl, ppo.kl)
-        actor, of_actor = stepped(actor, slope, of_actor, rate)
+        actor, of_actor = stepped(actor, slope, of_actor, learned.rate)
         critic, of_critic = stepped(critic, of_value, of_critic, ppo.rate)
-        return (actor, critic, (of_actor, of_critic), rate), {"kl": kl, "value_loss": miss}
+        return (actor, critic, (of_actor, of_critic)), {"kl": kl, "value_loss": miss}
 
-    before = (learned.actor, learned.critic, learned.optimizers, learned.rate)
-    (actor, critic, optimizers, rate), numbers = jax.lax.scan(step, before, parts)
+    before = (learned.actor, learned.critic, learned.optimizers)
+    (actor, critic, optimizers), numbers = jax.lax.scan(step, before, parts)
+    # The change by all steps of an iteration. Within one it grows from zero: a rate that followed it there would first
+    # be raised with every step, and then be too high.
+    kl = numbers["kl"][-ppo.minibatches :].mean()
+    rate = learned.rate if ppo.kl is None else _followed(learned.rate, kl, ppo.kl)
     about = {
-        "kl": numbers["kl"][-ppo.minibatches :].mean(),
+        "kl": kl,
         "value_loss": numbers["value_loss"].mean(),
         "explained": 1.0 - jnp.var(gain) / (jnp.var(value + gain) + 1e-12),
         "rate": rate,
