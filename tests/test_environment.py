@@ -102,6 +102,21 @@ def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(sta
 
 
 @pytest.mark.compiles
+def test_staggered_worlds_do_not_end_their_episodes_together():
+    """The first ends after a share of the duration that differs between worlds, and all later ones last it out."""
+    environment = Environment(SETUP, worlds=12, task=TASK, staggered=True)
+    state, ends = environment.reset(3), []
+    for _ in range(40):
+        state = environment.step(state, np.zeros((12, 9)))
+        ends.append(state.truncated)
+    first = np.argmax(ends, axis=0) + 1
+    assert len(set(first)) > 6
+    assert 1 <= first.min() < 8 < 14 < first.max() <= 20
+    np.testing.assert_array_equal(np.array(ends)[first + 19, np.arange(12)], True)
+    np.testing.assert_array_equal(np.sum(ends, axis=0), 2)
+
+
+@pytest.mark.compiles
 def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measures(states):
     episode = states[1:21]
     for name, measured in (("progress", "distance"), ("work", "servo_work")):

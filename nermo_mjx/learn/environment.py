@@ -44,6 +44,7 @@ class Environment:
         worlds: int = 128,
         task: Task | None = None,
         seed: int = 0,
+        staggered: bool = False,
         threads: int | None = None,
     ) -> None:
         """
@@ -53,6 +54,8 @@ class Environment:
             worlds: how many.
             task: what the policy does there.
             seed: for `reset()` without a key.
+            staggered: after `reset`, the time of each world's first episode is over after a random share of the
+                task's duration, so that episodes do not end together in all worlds.
             threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
 
         Raises:
@@ -71,7 +74,7 @@ class Environment:
         self.episodes = Episodes(self.setup, self.robot, self.controller, self.task)
         self.loop = EpisodeLoop(self.robot, self.controller, self.task, self.episodes.drawn)
         self.engine = name
-        shared = self.loop, self.episodes, worlds
+        shared = self.loop, self.episodes, worlds, staggered
         self._worlds: Worlds = CWorlds(*shared, threads) if name == "c" else MjxWorlds(*shared)
 
     @property

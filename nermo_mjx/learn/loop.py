@@ -107,8 +107,6 @@ class EpisodeLoop:
         )
         self.observation_names = self.observer.names
         self.privileged_names = observing.privileged_names(self.observer.names, drawn, self.has_path)
-        #: Control ticks of an episode.
-        self.ticks = max(1, round(task.duration / self.dt / task.decimation)) * task.decimation
 
     @property
     def steps_per_tick(self) -> int:
@@ -154,7 +152,7 @@ class EpisodeLoop:
         now = self.run.measure(params.loop, state.loop, sensordata)
         speed = self._speed(params, state, now)
         sensors = self.run.last_reading(now, sensordata)
-        status, failed = self._status(state, now)
+        status, failed = self._status(params, state, now)
         moment = Moment(
             before=state.before, now=now, sensors=sensors, seconds=jnp.asarray(self.dt * self.task.decimation),
             speed=speed, command={name: getattr(params.given.command, name) for name in self.task.commands},
@@ -190,15 +188,15 @@ class EpisodeLoop:
         key = jax.random.fold_in(jax.random.key(params.seed), state.loop.tick) if self.observer.noisy else None
         observation = self.observer.observe(params.given.sensing, state.memory, sensors, told, key)
         exact = jnp.concatenate([self.observer.readings(sensors), self.observer.told(told, sensors)])
-        left = 1.0 - state.loop.tick / self.ticks
+        left = (params.ticks - state.loop.tick) / self.task.ticks(self.dt)
         ground = functools.partial(self.robot.terrain.height, shape=params.loop.terrain)
         privileged = observing.privileged(exact, sensors, ground, now.readings[2], left, params.drawn, self.has_path)
         return observation.astype(jnp.float32), privileged.astype(jnp.float32)
 
-    def _status(self, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:
+    def _status(self, params: EpisodeParameters, state: EpisodeState, now: MetricState) -> tuple[Count, Truth]:
         """How the episode stands, and whether it failed."""
         task, no = self.task, jnp.zeros((), bool)
-        over = state.loop.tick >= self.ticks
+        over = state.loop.tick >= params.ticks
         arrived = no if task.distance is None else now.travelled >= task.distance
         left = no if task.corridor is None else jnp.abs(now.readings[3]) > task.corridor
         flags = {

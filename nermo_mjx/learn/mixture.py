@@ -34,13 +34,20 @@ class Mixture:
     """
 
     def __init__(
-        self, parts: Sequence[tuple[Setup, Task]], *, engine: str = "c", worlds: int = 256, threads: int | None = None
+        self,
+        parts: Sequence[tuple[Setup, Task]],
+        *,
+        engine: str = "c",
+        worlds: int = 256,
+        staggered: bool = False,
+        threads: int | None = None,
     ) -> None:
         """
         Args:
             parts: what is chosen by name, and the task, of each environment.
             engine: `c`, `mjx`, or `auto`.
             worlds: of all parts together, divided evenly.
+            staggered: see `Environment`.
             threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
 
         Raises:
@@ -51,7 +58,7 @@ class Mixture:
         counts = [len(each) for each in np.array_split(np.arange(worlds), len(parts))]
         # The parts run concurrently on the processors: a single part may have too few worlds for all of them.
         self.parts = tuple(
-            Environment(setup, engine=engine, worlds=count, task=task, threads=1)
+            Environment(setup, engine=engine, worlds=count, task=task, staggered=staggered, threads=1)
             for (setup, task), count in zip(parts, counts, strict=True)
         )
         check_alike({str(part.setup.scene): part.loop for part in self.parts})

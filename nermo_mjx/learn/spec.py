@@ -141,8 +141,9 @@ class Training(WalkSpec, Described):
     def environment(self, engine: str) -> Environment | Mixture:
         """The worlds in which it learns, on the engine `c` or `mjx`."""
         if not self.scenes:
-            return Environment(self.setup, engine=engine, worlds=self.worlds, task=self.task)
-        return Mixture([(each.setup, each.task) for each in self.scenes], engine=engine, worlds=self.worlds)
+            return Environment(self.setup, engine=engine, worlds=self.worlds, task=self.task, staggered=True)
+        parts = [(each.setup, each.task) for each in self.scenes]
+        return Mixture(parts, engine=engine, worlds=self.worlds, staggered=True)
 
     def evaluated(self) -> list[tuple[Setup, Task]]:
         """Setup and task of each scene of the evaluation; what is set there is not drawn."""

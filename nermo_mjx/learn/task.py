@@ -119,6 +119,10 @@ class Task:
         named = {*self.set, *self.randomize}
         return tuple(name for name in ("speed", "yaw_rate") if f"command.{name}" in named)
 
+    def ticks(self, dt: float) -> int:
+        """Control ticks of `dt` seconds in an episode, a whole number of control steps."""
+        return max(1, round(self.duration / dt / self.decimation)) * self.decimation
+
     def check(self, setup: Setup) -> None:
         """Refuse unknown names, values out of range, and names with two sources.
 
@@ -171,12 +175,14 @@ class EpisodeParameters:
         given: sensor delay and noise, and the command.
         drawn: what was drawn, each in [-1, 1] of its range, (r,).
         seed: of the noise, a whole number below 2^24.
+        ticks: control ticks until its time is over.
     """
 
     loop: LoopParameters
     given: Given
     drawn: Float[Array, " r"]
     seed: Count
+    ticks: Count
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -198,8 +204,15 @@ class Episodes:
         """Names of the parameters that are not the setup's."""
         return (*self.task.set, *self.drawn)
 
-    def __call__(self, key: Any) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
-        """Parameters, body and first position of an episode."""
+    def __call__(
+        self, key: Any, cut_short: Any = False
+    ) -> tuple[EpisodeParameters, ModelParameters, Float[Array, " nq"]]:
+        """Parameters, body and first position of an episode.
+
+        Args:
+            key: of its draws.
+            cut_short: whether its time is over after a random share of the task's duration.
+        """
         numbers = jax.numpy
         seed, draw, body = jax.random.split(key, 3)
         values: dict[str, Any] = dict(self.task.set)
@@ -223,7 +236,10 @@ class Episodes:
         geometry = world.model.geometry if names_geometry(values) else None
         first = StartPose(self.robot, self.controller).qpos(control, world.start, loop.terrain, geometry)
         number = jax.random.randint(seed, (), 0, 1 << 24)
-        parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number))
+        ticks, part = self.task.ticks(self.controller.dt), self.task.decimation
+        short = part * jax.random.randint(jax.random.fold_in(seed, 1), (), 1, ticks // part + 1)
+        length = numbers.where(cut_short, short, ticks)
+        parameters = jax.tree.map(_real, EpisodeParameters(loop, given, shares, number, length))
         return parameters, jax.tree.map(_real, world.model), first
 
 

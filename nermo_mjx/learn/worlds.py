@@ -60,12 +60,15 @@ class Worlds(Protocol):
 class CWorlds:
     """Worlds of MuJoCo's C engine. The k-th episode of a world depends on key, world and k alone."""
 
-    def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, threads: int | None) -> None:
+    def __init__(
+        self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: int | None
+    ) -> None:
         """
         Args:
             loop: what runs in each.
             episodes: what draws theirs.
             worlds: how many.
+            staggered: whether the first episodes are cut short.
             threads: processors.
         """
         self.loop, self.episodes, self.worlds = loop, episodes, worlds
@@ -77,7 +80,7 @@ class CWorlds:
 
         def draw(key: Array, world: Array, episode: Array) -> Any:
             own = jax.random.fold_in(jax.random.fold_in(jax.random.wrap_key_data(key), world), episode)
-            return episodes(own)
+            return episodes(own, staggered & (episode == 0))
 
         self.draw = Lanes(draw)
 
@@ -161,14 +164,14 @@ class World(NamedTuple):
 class MjxWorlds:
     """Worlds of MJX, in pure functions; `begin`, `act` and `seen` are those of one world."""
 
-    def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int) -> None:
+    def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool) -> None:
         """
         Args:
-            loop, episodes, worlds: see `CWorlds`.
+            loop, episodes, worlds, staggered: see `CWorlds`.
         """
         from nermo_mjx.physics.mjx_engine import MjxEngine  # MJX takes a second to start
 
-        self.loop, self.episodes, self.worlds = loop, episodes, worlds
+        self.loop, self.episodes, self.worlds, self.staggered = loop, episodes, worlds, staggered
         self.engine = MjxEngine(loop.robot, loop, 1)
         self.variation = Variation(loop.robot)
 
@@ -176,7 +179,7 @@ class MjxWorlds:
     def reset(self, key: Any) -> State:
         """See `Worlds`."""
         keys = jax.random.split(jax.random.wrap_key_data(key), self.worlds)
-        world = jax.vmap(self.begin)(jax.random.key_data(keys))
+        world = jax.vmap(functools.partial(self.begin, cut_short=self.staggered))(jax.random.key_data(keys))
         return self._state(jax.vmap(self.seen)(world), None, world)
 
     @full_precision
@@ -195,9 +198,9 @@ class MjxWorlds:
         return self._state(seen, jax.vmap(self.seen)(world), world)
 
     @full_precision
-    def begin(self, key: Array) -> World:
-        """A world at the start of the episode of a key."""
-        params, model, qpos = self.episodes(jax.random.wrap_key_data(key))
+    def begin(self, key: Array, cut_short: bool = False) -> World:
+        """A world at the start of the episode of a key, see `Episodes`."""
+        params, model, qpos = self.episodes(jax.random.wrap_key_data(key), cut_short)
         fields = self.variation.differentiable(model, self.episodes.reached)
         at_rest = self.loop.robot.sensordata_at_rest(qpos)
         carry = self.engine.start(params, qpos, jnp.zeros((self.engine.model.nv,), qpos.dtype), at_rest)
