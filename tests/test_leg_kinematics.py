@@ -21,7 +21,7 @@ from nermo_mjx.kinematics import tendon
 from nermo_mjx.kinematics.tendon import arm_range
 from nermo_mjx.robot import leg_plane
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
+from nermo_mjx.robot.parameters import FRONT_LEG, IDLER_RADIUS, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
 
 #: The published robot.
@@ -57,7 +57,9 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
     <mujoco><compiler angle="radian"/><worldbody>
       <site name="axis"/> <site name="guide" pos="0 {g.guide[0]} {g.guide[1]}"/>
       <site name="behind" pos="0 {-0.05 * s} {g.pulley_height + g.pulley_radius}"/>
-      <site name="above" pos="0 0 {g.pulley_height + 0.02}"/>
+      <site name="above" pos="0 0 {g.pulley_height + 0.02}"/> <site name="lead" pos="0 0 {leg_plane.lead_height(g)}"/>
+      <site name="beside" pos="0 {-2 * s * IDLER_RADIUS} 0"/>
+      <geom name="idler" type="cylinder" size="{IDLER_RADIUS} 0.01" zaxis="1 0 0"/>
       <geom name="pulley" type="cylinder" size="{g.pulley_radius} 0.01" pos="0 0 {g.pulley_height}" zaxis="1 0 0"/>
       <body>
         <joint name="hip" axis="1 0 0"/> <geom size="0.001"/>
@@ -76,7 +78,20 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
       </spatial>
       <spatial name="type2"><site site="guide"/><site site="attachment"/></spatial>
       <spatial name="type3"><site site="axis"/><site site="attachment"/></spatial>
+      <spatial name="type3_idler">
+        <site site="lead"/><geom geom="idler" sidesite="beside"/><site site="attachment"/>
+      </spatial>
     </tendon></mujoco>""")
+
+
+def test_an_idler_couples_knee_and_hip_by_its_radius():
+    """A swing of the hip winds up the tendon: the servo makes up r_i / r_p of it, in front and behind, forward; with
+    type 3 nothing."""
+    for geometry in (FRONT_LEG, REAR_LEG):
+        leg = kin.leg_of(geometry)
+        for routing, share in (("type3", 0.0), ("type3_idler", -IDLER_RADIUS / geometry.pulley_radius)):
+            servo = np.asarray(kin.knee_servo(leg, np.array([-0.2, 0.3]), np.full(2, 1.4), routing))
+            assert servo[1] - servo[0] == pytest.approx(0.5 * share, abs=1e-6)
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)
@@ -98,12 +113,19 @@ def test_points_are_where_mujoco_puts_them(geometry):
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("geometry", GEOMETRIES)
 def test_tendon_lengths_are_those_of_mujoco(geometry, routing):
-    """Types 2 and 3 equal MuJoCo's tendon length, and type 1 MuJoCo's tendon around the pulley up to a constant."""
+    """Types 2 and 3 equal MuJoCo's tendon length, and where it is wound up, MuJoCo's up to a constant.
+
+    MuJoCo has a tendon jump off its idler where B is above that.
+    """
     model = mujoco_leg(geometry)
     data = mujoco.MjData(model)
     leg = kin.leg_of(geometry)
     with jax.enable_x64(True):
         q1, theta = poses(leg, routing, 40)
+        if routing == "type3_idler":
+            below = np.asarray(kin.points(leg, q1, theta).attachment)[:, 1] < 0.0
+            q1, theta = q1[below], theta[below]
+            assert len(q1) > 20
         ours = np.asarray(pull(leg, q1, theta, routing))
     theirs = []
     for angles in zip(q1, theta, strict=True):
@@ -111,7 +133,7 @@ def test_tendon_lengths_are_those_of_mujoco(geometry, routing):
         mujoco.mj_forward(model, data)
         theirs.append(data.tendon(routing).length[0])
     difference = ours - theirs
-    np.testing.assert_allclose(difference, difference[0] if routing == "type1" else 0.0, atol=1e-12)
+    np.testing.assert_allclose(difference, difference[0] if routing in ("type1", "type3_idler") else 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)

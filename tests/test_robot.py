@@ -499,7 +499,7 @@ def test_exported_xml_is_self_contained_and_the_same_model(tail):
     [
         ({"robot": "mickey"}, "robot is 'mickey': allowed is 'nermo_lite' or 'nermo_41'."),
         ({"tail": "short"}, "tail is 'short': allowed is 'rigid' or 'articulated'."),
-        ({"routing": "type4"}, "routing is 'type4': allowed is 'type1' or 'type2' or 'type3'."),
+        ({"routing": "type4"}, "routing is 'type4': allowed is 'type1' or 'type2' or 'type3' or 'type3_idler'."),
         ({"cone": "round"}, "cone is 'round': allowed is 'elliptic' or 'pyramidal'."),
         ({"timestep": 0.1}, "timestep is 0.1: allowed is [1e-05, 0.004] s."),
         ({"timestep": float("nan")}, "timestep is nan: allowed is [1e-05, 0.004] s."),

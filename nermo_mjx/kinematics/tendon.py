@@ -1,6 +1,6 @@
-"""The three routings of the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
+"""The routings of the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
 
-All three obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
+All obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
 depends on hip and knee angle alone (`robot.leg_plane`); the servo angle is then (pull - l_t0) / (k r_p). As there,
 lengths are worked out in a frame whose y is multiplied by the knee direction s.
 """
@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from nermo_mjx.robot.leg_plane import TINY, check_routing, shank
+from nermo_mjx.robot.parameters import IDLER_RADIUS
 from nermo_mjx.shapes import Array
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     check_routing(routing)
     if routing == "type3":
         return jnp.full(jnp.shape(leg.l1), math.pi), jnp.asarray(True)
+    if routing == "type3_idler":  # on the other side of the axis than type 1 of the pulley
+        return math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), jnp.asarray(True)
     if routing == "type2":
         y, z = leg.knee_direction * leg.guide[..., 0], leg.guide[..., 1]
     else:

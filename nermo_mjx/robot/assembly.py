@@ -52,7 +52,8 @@ class RobotConfig:
         robot: `nermo_lite`, or `nermo_41` with vertical spine joints and head tilt (see `nermo_41`).
         scene: name of a file in `mjcf/scenes`, or a custom scene; stored as `scene.resolve_scene` returns it.
         tail: `rigid` (default: a third faster) or `articulated`, 19 joints; same mass and centre of mass.
-        routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`.
+        routing: of the leg tendons, `type3` through the hip axis (the robot), `type1`, `type2`, or `type3_idler` around
+            an idler on that axis; see `leg_plane.pull`.
         cone: of the friction, `elliptic` or `pyramidal`.
         physics: `reference` or `fast`, see `PRESETS`.
         timestep: of the physics [s]; overrides that of the preset, which is the default.
@@ -189,6 +190,9 @@ def _attach_leg(spec: mujoco.MjSpec, geometry: Geometry, place: Any, limb: str, 
             leg.delete(tendon)
         else:
             tendon.name = "tendon"
+    if config.routing != "type3_idler":
+        for element in (leg.geom("idler"), *map(leg.site, ("lead", "idler_side", "rim_idler"))):
+            leg.delete(element)
     add_hinges(leg, config.hinges)
     if side == "right":
         mirror(leg)

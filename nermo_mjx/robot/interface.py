@@ -31,8 +31,12 @@ SERVO_RANGE: Final = {
 }  # fmt: skip
 
 
-#: The same with routing type 1, whose servo angle includes the tendon's wrap angle.
-KNEE_RANGE_TYPE1: Final = {"front_knee": (1.3, 2.8), "rear_knee": (-2.6, -0.35)}
+#: The same with routing type 1, whose servo angle includes the tendon's wrap angle, and with an idler, which turns it
+#: by a quarter of the hip's angle.
+KNEE_RANGE: Final = {
+    "type1": {"front_knee": (1.3, 2.8), "rear_knee": (-2.6, -0.35)},
+    "type3_idler": {"front_knee": (-1.1, 1.3), "rear_knee": (-0.8, 1.7)},
+}
 
 
 def servos_by_count(count: int) -> tuple[str, ...]:
@@ -47,9 +51,8 @@ def servos_by_count(count: int) -> tuple[str, ...]:
 def servo_range(servo: str, routing: str = "type3") -> tuple[float, float]:
     """The range of one of `SERVOS` [rad]; commands outside it saturate."""
     kind = servo.replace("left_", "").replace("right_", "")
-    if routing == "type1" and kind in KNEE_RANGE_TYPE1:
-        return KNEE_RANGE_TYPE1[kind]
-    return SERVO_RANGE["hip" if kind.endswith("hip") else kind]
+    ranges = SERVO_RANGE | KNEE_RANGE.get(routing, {})
+    return ranges["hip" if kind.endswith("hip") else kind]
 
 
 @jax.tree_util.register_dataclass

@@ -11,7 +11,7 @@ from typing import Any, Final
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.robot.parameters import ROUTINGS, LegGeometry
+from nermo_mjx.robot.parameters import IDLER_RADIUS, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
 
 #: Lower limit of lengths in denominators [m].
@@ -35,7 +35,8 @@ def pull(leg: Any, q1: Any, knee_angle: Any, routing: str, xp: Any = jnp) -> Any
     """Tendon length without its wrap on the pulley, l_t - r_p theta_2 [m]; it decreases as the knee flexes.
 
     Type 3 leads through the hip axis: |OB|, whatever q1. Type 2 leads through the guide point: |CB|. Both have
-    theta_2 = 0. Type 1 is the tangent from the pulley to B, whose tangent point moves with the leg (5.3-5.11).
+    theta_2 = 0. Type 1 is the tangent from the pulley to B, whose tangent point moves with the leg (5.3-5.11). Type 3
+    with an idler passes the hip axis on the other side: the tangent from the idler to B, and what it winds up there.
 
     Lengths are worked out in a frame whose y is multiplied by the knee direction s: in it every knee bends towards +y,
     the tendon leaves the pulley on the +y side, and the same equations hold for front and rear legs.
@@ -57,13 +58,22 @@ def pull(leg: Any, q1: Any, knee_angle: Any, routing: str, xp: Any = jnp) -> Any
         guide = xp.asarray(leg.guide)
         y, z = y - leg.knee_direction * guide[..., 0], z - guide[..., 1]
         return xp.sqrt(xp.maximum(y**2 + z**2, TINY**2))
-    down = leg.pulley_height - z
-    outside = y**2 + down**2 > leg.pulley_radius**2 + TINY**2
-    y, down = xp.where(outside, y, 0.0), xp.where(outside, down, leg.pulley_radius + 1.0)
-    tangent = xp.sqrt(y**2 + down**2 - leg.pulley_radius**2)
+    if routing == "type3_idler":
+        y, down, radius = -y, -z, IDLER_RADIUS
+    else:
+        down, radius = leg.pulley_height - z, leg.pulley_radius
+    outside = y**2 + down**2 > radius**2 + TINY**2
+    y, down = xp.where(outside, y, 0.0), xp.where(outside, down, radius + 1.0)
+    tangent = xp.sqrt(y**2 + down**2 - radius**2)
     # theta_2 = atan(l_t/r_p) - th_s of the spiral model; th_s = pi/2 - atan2(y, down) puts its cut above the pulley.
-    wrap = xp.arctan2(tangent, leg.pulley_radius) - math.pi / 2 + xp.arctan2(y, down)
-    return xp.where(outside, tangent - leg.pulley_radius * wrap, 0.0)
+    wrap = xp.arctan2(tangent, radius) - math.pi / 2 + xp.arctan2(y, down)
+    length = tangent - radius * wrap
+    if routing == "type3_idler":  # behind which B may pull it straight, from where it crosses the leg's axis
+        height = lead_height(leg)
+        touch = xp.arcsin(IDLER_RADIUS / height)
+        straight = xp.sqrt(y**2 + (down + height) ** 2) - xp.sqrt(height**2 - radius**2) - radius * touch
+        length = xp.where(wrap > touch, straight, length)
+    return xp.where(outside, length, 0.0)
 
 
 def standing(leg: LegGeometry, routing: str) -> tuple[float, float, float]:
@@ -93,11 +103,23 @@ def tendon_limit(leg: LegGeometry, routing: str) -> float:
         forward = 0.0 if leg.knee_direction > 0 else math.pi
         free, touch = _tangent(leg.tie_type1, radius, turn)
         return free + radius * ((turn * (forward - touch)) % math.tau) + leg.tendon_length
-    y, z = leg.guide if routing == "type2" else (0.0, 0.0)
+    y, z = {"type2": leg.guide, "type3_idler": (0.0, lead_height(leg))}.get(routing, (0.0, 0.0))
     (tied, start), (free, end) = (
-        _tangent(leg.tie, radius, turn), _tangent((y, z - leg.pulley_height), radius, -turn),
+        _tangent(leg.tie_idler if routing == "type3_idler" else leg.tie, radius, turn),
+        _tangent((y, z - leg.pulley_height), radius, -turn),
     )  # fmt: skip
-    return tied + radius * ((turn * (end - start)) % math.tau) + free + leg.tendon_length
+    length = tied + radius * ((turn * (end - start)) % math.tau) + free + leg.tendon_length
+    if routing != "type3_idler":
+        return length
+    # The crossed tangent has the angle a to the leg's axis, sin(a) = (r_p + r_i) / d_1; the wrap counts from the
+    # idler's rear point in front, and from its front point behind.
+    return length + math.sqrt(z**2 - IDLER_RADIUS**2) + IDLER_RADIUS * math.asin(IDLER_RADIUS / z)
+
+
+def lead_height(leg: Any) -> Any:
+    """Height above the hip axis [m] at which a tendon between pulley and idler crosses the line through their
+    centres."""
+    return leg.pulley_height * IDLER_RADIUS / (leg.pulley_radius + IDLER_RADIUS)
 
 
 def _tangent(point: tuple[float, float], radius: float, turn: float) -> tuple[float, float]:

@@ -16,7 +16,7 @@ from typing import Final
 
 LIMBS: Final = ("front_left", "front_right", "rear_left", "rear_right")
 GAITS: Final = ("trt", "trt1", "lat", "bound", "gallop")
-ROUTINGS: Final = ("type1", "type2", "type3")
+ROUTINGS: Final = ("type1", "type2", "type3", "type3_idler")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +35,7 @@ class LegGeometry:
         tie: where the tendon is tied to the pulley, just outside its rim, at servo angle 0, (y, z) from E [m]. MuJoCo
             picks a wrap's side by the mean of its two tangent points, so that a wrap must stay below 180 degrees: the
             point keeps it between 40 and 175 degrees over the servo's range.
-        tie_type1: the same for routing type 1.
+        tie_type1, tie_idler: the same for the routings type 1 and type 3 with an idler.
         side: a point on the side where the tendon passes the pulley, (y, z) from E [m].
         neutral_foot: position of the foot in the published stance, (y, z) from O [m] (Table A.7).
     """
@@ -53,6 +53,7 @@ class LegGeometry:
     guide: tuple[float, float]
     tie: tuple[float, float]
     tie_type1: tuple[float, float]
+    tie_idler: tuple[float, float]
     side: tuple[float, float]
     neutral_foot: tuple[float, float]
 
@@ -60,16 +61,19 @@ class LegGeometry:
 FRONT_LEG: Final = LegGeometry(
     l1=0.0295, l2=0.0145, l3=0.0225, l4=0.0145, theta3=math.radians(23), pulley_radius=0.008, pulley_height=0.0128,
     tendon_length=0.033, knee_direction=-1.0, servo_direction=1.0, guide=(-0.004, -0.002),
-    tie=(-0.0024771, 0.0076237), tie_type1=(0.0076237, -0.0024771), side=(-0.0106490, 0.0074565),
-    neutral_foot=(-0.005, -0.045),
+    tie=(-0.0024771, 0.0076237), tie_type1=(0.0076237, -0.0024771), tie_idler=(-0.0034826, 0.0072200),
+    side=(-0.0106490, 0.0074565), neutral_foot=(-0.005, -0.045),
 )  # fmt: skip
 REAR_LEG: Final = LegGeometry(
     l1=0.0317, l2=0.0200, l3=0.0305, l4=0.0205, theta3=math.radians(73), pulley_radius=0.008, pulley_height=0.0128,
     tendon_length=0.032, knee_direction=1.0, servo_direction=-1.0, guide=(0.004, -0.002),
-    tie=(0.0051526, 0.0061406), tie_type1=(-0.0074582, 0.0029379), side=(0.0117820, 0.0054940),
-    neutral_foot=(0.000, -0.050),
+    tie=(0.0051526, 0.0061406), tie_type1=(-0.0074582, 0.0029379), tie_idler=(0.0069528, 0.0039893),
+    side=(0.0117820, 0.0054940), neutral_foot=(0.000, -0.050),
 )  # fmt: skip
 LEGS: Final = {"front": FRONT_LEG, "rear": REAR_LEG}
+#: Radius of the idler on the hip axis, of routing `type3_idler` [m]: the hip's axle, by whose site of that radius the
+#: author's model leads its tendon (`router_hip` of his leg_rl_assets/rl_t3_asset_exp.xml); otherwise not published.
+IDLER_RADIUS: Final = 0.002
 #: Distance of a leg servo's output from the plane of its leg, inward, and from there to the end of its case [m].
 SERVO_INSIDE: Final = 0.0038
 SERVO_DEPTH: Final = 0.0190

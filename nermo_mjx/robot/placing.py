@@ -16,9 +16,9 @@ import numpy as np
 from nermo_mjx.robot import nermo_41
 from nermo_mjx.robot.files import load_file
 from nermo_mjx.robot.geometry import Geometry, dh_table, leg_geometry
-from nermo_mjx.robot.leg_plane import tendon_limit
+from nermo_mjx.robot.leg_plane import lead_height, tendon_limit
 from nermo_mjx.robot.mirror import turn
-from nermo_mjx.robot.parameters import BODY, EYE, LEGS, ROUTINGS, SERVO_INSIDE, SPINE, TAIL
+from nermo_mjx.robot.parameters import BODY, EYE, IDLER_RADIUS, LEGS, ROUTINGS, SERVO_INSIDE, SPINE, TAIL
 from nermo_mjx.robot.tail import add_tail
 
 #: From the shoulder's or hip's axis to the end of the capsule about its servos, left, back and up [m].
@@ -90,9 +90,11 @@ def _leg(spec: mujoco.MjSpec, pair: str, geometry: Geometry) -> None:
     centre = np.array([0.0, leg.pulley_height])
     for site, place in (
         ("guide", leg.guide), ("side", centre + leg.side), ("rim", leg.tie), ("rim_type1", leg.tie_type1),
+        ("rim_idler", leg.tie_idler),
+        ("lead", (0.0, lead_height(leg))), ("idler_side", (-2.0 * leg.knee_direction * IDLER_RADIUS, 0.0)),
     ):  # fmt: skip
         spec.site(site).pos = np.array([0.0, *place])
-    spec.geom("pulley").size[0] = leg.pulley_radius
+    spec.geom("pulley").size[0], spec.geom("idler").size[0] = leg.pulley_radius, IDLER_RADIUS
     spec.geom("sole").size[0] = float(geometry.foot.radius)
     spec.body("pulley").pos = np.array([0.0, *centre])
     down = {element: np.array([0.0, 0.0, -float(length)]) for element, length in (
