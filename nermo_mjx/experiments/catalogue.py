@@ -12,6 +12,9 @@ from nermo_mjx.experiments.line import Figure
 from nermo_mjx.experiments.maze_course import maze_course
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.experiments.stands import leg as leg_stand
+from nermo_mjx.experiments.stands import spine as spine_stand
+from nermo_mjx.experiments.stands.stand import SETTABLE as STAND_SETTABLE
 from nermo_mjx.experiments.videos import Shot
 from nermo_mjx.robot.nearest import choice
 
@@ -73,6 +76,17 @@ any part of the robot with a box."""
 _BODY: Final = f"""\
 What is measured without a walk: dimensions of the standing robot by its visible parts, mass, and how far knees and \
 spine bend under the load of the publication's finite elements, {body.TORQUE:g} N m, on their test stands."""
+_LEG_STAND: Final = """\
+One leg without gravity, its hip axis fixed, for each routing of the knee's tendon: the downward pull at the neutral \
+foot at which the first of its two servos reaches its torque limit; the speed of the rising foot per rad/s of the knee \
+servo, times its 15 rad/s; the work of both servos, where they drive, in a slow swing of 60 mm that is 10 mm high; and \
+the knee's bend per swing of the hip while the knee servo is held. The bend of the knee under the load of the finite \
+elements is that of chains of hinges, too."""
+_SPINE_STAND: Final = """\
+The spine without gravity, its base fixed, bent by one or both of its servos: the force against the bend at the hip of \
+the straight spine at which a servo reaches its torque limit; the speed of the hip per rad/s of the servos, times \
+their 15 rad/s; the work of a slow bend to 0.4 rad of the servos, and the range of the hip between both sides. The bend of \
+the spine under the load of the finite elements is that of chains of hinges, too."""
 
 EXPERIMENTS: Final[dict[str, Experiment]] = {
     experiment.name: experiment
@@ -139,6 +153,26 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             _BODY,
             quick="nothing is left out",
             metrics=tuple(body.ABOUT),
+        ),
+        Experiment(
+            leg_stand.NAME,
+            leg_stand.run,
+            published.FIGURES[leg_stand.NAME],
+            STAND_SETTABLE,
+            "Leg on the test stand",
+            _LEG_STAND,
+            quick="nothing is left out",
+            metrics=("force", "speed", "work", "coupling", "bend"),
+        ),
+        Experiment(
+            spine_stand.NAME,
+            spine_stand.run,
+            published.FIGURES[spine_stand.NAME],
+            STAND_SETTABLE,
+            "Spine on the test stand",
+            _SPINE_STAND,
+            quick="nothing is left out",
+            metrics=("joint_angle", "range", "force", "speed", "work", "bend"),
         ),
     )
 }  # fmt: skip

@@ -12,7 +12,7 @@ from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
 from nermo_mjx.experiments.line import Line, compare
 from nermo_mjx.experiments.outcome import Outcome
-from nermo_mjx.experiments.plots import agreement, balance, maze, straight_line, turning
+from nermo_mjx.experiments.plots import agreement, balance, maze, stands, straight_line, turning
 from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.runs.files import DirectoryError
@@ -24,6 +24,8 @@ DRAWERS: Final[dict[str, Drawer]] = {
     "balance": balance.figures,
     "maze": maze.figures,
     "body": lambda outcome, lines: iter(()),
+    "leg-stand": stands.leg_figures,
+    "spine-stand": stands.spine_figures,
 }
 
 

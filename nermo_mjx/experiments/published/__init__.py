@@ -8,7 +8,7 @@ than the simulated time, so measured ones are converted before they are compared
 from typing import Final
 
 from nermo_mjx.experiments.line import Figure
-from nermo_mjx.experiments.published import balance, body, maze, straight_line, turning
+from nermo_mjx.experiments.published import balance, body, maze, stands, straight_line, turning
 from nermo_mjx.experiments.published.reasons import REASONS
 
 FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
@@ -17,6 +17,8 @@ FIGURES: Final[dict[str, tuple[Figure, ...]]] = {
     "balance": balance.FIGURES,
     "maze": maze.FIGURES,
     "body": body.FIGURES,
+    "leg-stand": stands.LEG_FIGURES,
+    "spine-stand": stands.SPINE_FIGURES,
 }
 
 __all__ = ["FIGURES", "REASONS"]

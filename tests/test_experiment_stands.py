@@ -1,0 +1,108 @@
+"""The test stands: force, speed, work and bend against virtual work, the kinematics, and the springs' energy."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from nermo_mjx.experiments.line import compare
+from nermo_mjx.experiments.plots.stands import leg_figures, spine_figures
+from nermo_mjx.experiments.published import FIGURES
+from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.experiments.stands import leg, spine
+from nermo_mjx.experiments.stands.stand import Stand
+from nermo_mjx.kinematics import leg as kinematics
+from nermo_mjx.robot import ModelParameters, ParameterError, assemble_leg
+from nermo_mjx.robot.equipment import KNEE_REST
+from nermo_mjx.robot.parameters import LEGS, ROUTINGS
+from nermo_mjx.robot.quantity import replace_quantities
+
+PAIRS = ("front", "rear")
+
+
+@pytest.fixture(scope="module")
+def of_leg():
+    return leg.run(Settings(("exact",)))
+
+
+@pytest.fixture(scope="module")
+def of_spine():
+    return spine.run(Settings(("exact",)))
+
+
+def slopes(pair: str, routing: str) -> tuple[np.ndarray, np.ndarray]:
+    """d(y, z) / d(q1, q2) of the neutral foot, and d theta_1 / d(q1, q2), in double precision."""
+    servo = leg.servo_angles(pair, np.array(LEGS[pair].neutral_foot), routing)
+    numbers = kinematics.leg_of(LEGS[pair])
+    with jax.enable_x64(True):
+        knee = jax.jacfwd(lambda change: kinematics.forward(numbers, servo + change, routing).knee_angle)(np.zeros(2))
+        return np.asarray(kinematics.jacobian(numbers, servo, routing)), np.asarray(knee)
+
+
+@pytest.mark.parametrize("routing", ROUTINGS)
+@pytest.mark.parametrize("pair", PAIRS)
+def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
+    """Speed within 3 % (the servo's sag changes with the spring's torque), coupling within 0.02."""
+    case = {"pair": pair, "routing": routing, "hinges": 1}
+    foot, knee = slopes(pair, routing)
+    assert of_leg.mean("speed", **case) == pytest.approx(15.0 * abs(foot[1, 1]), rel=0.03)
+    assert of_leg.mean("coupling", **case) == pytest.approx(LEGS[pair].knee_direction * knee[0], abs=0.02)
+
+
+@pytest.mark.parametrize("routing", ROUTINGS)
+@pytest.mark.parametrize("pair", PAIRS)
+def test_force_is_that_of_virtual_work(pair, routing):
+    """With a stiff ankle: F dz + k (theta_1 - rest) d theta_1 = tau dq2, within 5 %, unless the hip's servo gives first."""
+    stiff = replace_quantities(ModelParameters(), {"stiffness.ankle": np.asarray(2.0)})
+    limb, foot = f"{pair}_left", np.array(LEGS[pair].neutral_foot)
+    servo = leg.servo_angles(pair, foot, routing)
+    measured = Stand(assemble_leg(limb, routing, stiff)).settle(servo).held(f"{limb}_foot", (0.0, 0.0, -1.0), 20.0)
+    jacobian, knee = slopes(pair, routing)
+    with jax.enable_x64(True):
+        angle = float(kinematics.inverse(kinematics.leg_of(LEGS[pair]), foot, routing).knee_angle)
+    spring = float(getattr(ModelParameters().stiffness, f"{pair}_knee")) * (angle - KNEE_REST[pair])
+    rise, limit = jacobian[1], float(ModelParameters().servo.torque_limit)
+    # The knee's servo drives it in the sense in which the foot rises, and the hip's servo carries the rest.
+    knee_servo = (limit - spring * knee[1] * np.sign(rise[1])) / abs(rise[1])
+    hip_servo = [(side * limit - spring * knee[0]) / rise[0] for side in (1.0, -1.0)]
+    assert measured == pytest.approx(min(knee_servo, *(each for each in hip_servo if each > 0)), rel=0.05)
+
+
+def test_work_of_a_bend_is_the_energy_of_the_springs(of_spine):
+    """Half of k theta^2 of each joint, and 3 % that damping takes; twice as much in both planes."""
+    for plane, joints in (("lateral", 4), ("vertical", 4), ("combined", 8)):
+        case = {"robot": "nermo_41", "plane": plane}
+        stored = 0.5 * joints * 1.2 * of_spine.mean("joint_angle", **case) ** 2
+        assert of_spine.mean("work", **case) == pytest.approx(stored * 1.02, rel=0.02)
+
+
+def test_both_planes_move_the_hip_as_each_does(of_spine):
+    """Sideways and up are at right angles: range and speed add in squares within 3 %."""
+    for column in ("range", "speed"):
+        lateral, vertical, both = (of_spine.mean(column, robot="nermo_41", plane=plane) for plane in spine.PLANES)
+        assert both == pytest.approx(np.hypot(lateral, vertical), rel=0.03)
+
+
+def test_every_line_is_measured_and_only_the_load_case_is_judged(of_leg, of_spine):
+    """The load case of Table A.1 holds with chains of hinges; what has no published value is not judged."""
+    for name, outcome in ((leg.NAME, of_leg), (spine.NAME, of_spine)):
+        lines = compare(outcome, FIGURES[name], {})
+        assert all(line.exact is not None and line.kind == "chosen" for line in lines)
+        assert {line.figure.split()[0] for line in lines if line.holds is not None} == {"bend"}
+        assert all(line.holds for line in lines if line.published is not None)
+        assert set(outcome.columns) <= set(outcome.about)
+
+
+@pytest.mark.draws
+def test_both_stands_are_drawn(of_leg, of_spine):
+    """A bar for each routing of each pair of legs, and for each plane, in four panels."""
+    for made, bars in ((leg_figures(of_leg, ()), 2 * len(ROUTINGS)), (spine_figures(of_spine, ()), len(spine.PLANES))):
+        ((_, figure),) = made
+        assert [len(ax.patches) for ax in figure.axes] == [bars] * 4
+
+
+def test_what_a_stand_does_not_have_is_refused():
+    """A contact, say: there is no ground."""
+    with pytest.raises(ParameterError, match=r"contact\.friction"):
+        leg.run(Settings(values={"contact.friction": 1.0}))
