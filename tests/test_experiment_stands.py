@@ -53,7 +53,7 @@ def test_speed_and_coupling_are_those_of_the_kinematics(of_leg, pair, routing):
 @pytest.mark.parametrize("routing", ROUTINGS)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_force_is_that_of_virtual_work(pair, routing):
-    """With a stiff ankle: F dz + k (theta_1 - rest) d theta_1 = tau dq2, within 5 %, unless the hip's servo gives first."""
+    """With a stiff ankle F dz + k (theta_1 - rest) d theta_1 = tau dq, within 5 %, for the servo that gives first."""
     stiff = replace_quantities(ModelParameters(), {"stiffness.ankle": np.asarray(2.0)})
     limb, foot = f"{pair}_left", np.array(LEGS[pair].neutral_foot)
     servo = leg.servo_angles(pair, foot, routing)
@@ -103,6 +103,7 @@ def test_both_stands_are_drawn(of_leg, of_spine):
 
 
 def test_what_a_stand_does_not_have_is_refused():
-    """A contact, say: there is no ground."""
-    with pytest.raises(ParameterError, match=r"contact\.friction"):
-        leg.run(Settings(values={"contact.friction": 1.0}))
+    """What is no parameter of the body, and a motor's back-EMF, which the stand's servos do not have."""
+    for name in ("frequency", "servo.back_emf"):
+        with pytest.raises(ParameterError, match=name):
+            leg.run(Settings(values={name: 0.5}))

@@ -85,8 +85,8 @@ elements is that of chains of hinges, too."""
 _SPINE_STAND: Final = """\
 The spine without gravity, its base fixed, bent by one or both of its servos: the force against the bend at the hip of \
 the straight spine at which a servo reaches its torque limit; the speed of the hip per rad/s of the servos, times \
-their 15 rad/s; the work of a slow bend to 0.4 rad of the servos, and the range of the hip between both sides. The bend of \
-the spine under the load of the finite elements is that of chains of hinges, too."""
+their 15 rad/s; the work of a slow bend to 0.4 rad of the servos, and the range of the hip between both sides. The \
+bend of the spine under the load of the finite elements is that of chains of hinges, too."""
 
 EXPERIMENTS: Final[dict[str, Experiment]] = {
     experiment.name: experiment

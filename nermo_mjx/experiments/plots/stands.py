@@ -22,7 +22,7 @@ _NOTE = "on the test stand, without gravity; the published values of these table
 def leg_figures(outcome: Outcome, lines: Sequence[Line]) -> Iterator[tuple[str, Figure | None]]:
     """(name, figure) of the leg's stand."""
     names = {"force": "pull withstood by the foot", "speed": "speed of the rising foot", "work": "work of a swing",
-             "coupling": "knee's bend per swing of the hip"}  # fmt: skip
+             "coupling": "knee's bend per hip's swing"}  # fmt: skip
     groups = {
         f"{pair} leg": [{"pair": pair, "routing": routing, "hinges": 1} for routing in ROUTINGS]
         for pair in ("front", "rear")

@@ -8,19 +8,17 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
+from nermo_mjx.experiments import body
 from nermo_mjx.experiments.cases import LABELS
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.robot import ModelParameters, ParameterError
 from nermo_mjx.robot.flexure import chain_of
 from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities
+from nermo_mjx.robot.quantity import check_quantities, replace_quantities
 
-#: Parameters that a stand depends on.
-SETTABLE: Final = frozenset(
-    name for name, _ in quantities(ModelParameters)
-    if name.startswith(("stiffness.", "damping.", "mass.", "servo.")) and name != "servo.speed"
-)  # fmt: skip
+#: Parameters of the body, without those of its servos' motors and gears, which these stands do not have.
+SETTABLE: Final = body.SETTABLE - {f"servo.{name}" for name in ("supply_voltage", "back_emf", "dead_band", "backlash")}
 #: Time in which a stand comes to rest, and in which a motion or a load is slow: inertia and damping hardly matter [s].
 REST: Final = 2.0
 SLOW: Final = 8.0
@@ -141,11 +139,11 @@ def measured(
         choice("values", parameter, sorted(SETTABLE))
     rows: list[dict[str, Any]] = []
     total = max(count, 1) * len(cases)
-    for body in range(max(count, 1)):
-        values = settings.values | {parameter: float(of[body]) for parameter, of in bodies.items()}
+    for i in range(max(count, 1)):
+        values = settings.values | {parameter: float(of[i]) for parameter, of in bodies.items()}
         parameters = replace_quantities(ModelParameters(), {of: np.asarray(value) for of, value in values.items()})
         check_quantities(parameters)
-        numbered = {BODY: body + 1} if count else {}
+        numbered = {BODY: i + 1} if count else {}
         for case in cases:
             found = measure(parameters, **case)
             rows += [{"profile": profile, **case, **numbered, "repeat": 0, **found} for profile in settings.profiles]
