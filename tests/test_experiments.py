@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from nermo_mjx.cli import main
 from nermo_mjx.experiments import maze, straight_line, turning
 from nermo_mjx.experiments.cases import Case
+from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.outcome import Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.rollout import Run, Setup, Simulator
@@ -280,7 +281,7 @@ def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profile
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     report = json.loads(result.stdout)
-    assert {line["experiment"] for line in report["lines"]} == {"straight-line", "turning", "balance", "maze", "body"}
+    assert {line["experiment"] for line in report["lines"]} == set(EXPERIMENTS)
     measured = [line for line in report["lines"] if line["exact"] is not None]
     assert len(measured) > 100
     balance = [
@@ -288,7 +289,7 @@ def test_a_quick_look_at_all_experiments_leaves_a_whole_report(tmp_path, profile
     ]
     assert len(balance) == 8
     assert all(line["holds"] for line in balance)
-    for name in ("straight-line", "turning", "balance", "maze", "body"):
+    for name in EXPERIMENTS:
         assert (tmp_path / "results" / f"{name}.parquet").exists()
         assert list((tmp_path / "plots").glob(f"{name}-*.png"))
     assert "What does not hold" in (tmp_path / "report.md").read_text()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -43,7 +43,7 @@ ABOUT: Final = {
     "work": Column("J", f"of the servos in a slow bend to {SPINE.max_servo_angle:g} rad of them"),
     "bend": Column("rad", f"of these joints together, each under {TORQUE:g} N m, without tendons"),
 }
-CASES: Final = (
+CASES: Final[tuple[dict[str, Any], ...]] = (
     *({"robot": "nermo_lite", "plane": "lateral", "hinges": hinges} for hinges in HINGES),
     *({"robot": "nermo_41", "plane": plane, "hinges": 1} for plane in PLANES),
 )

@@ -39,7 +39,7 @@ class Stand:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
 
-    def settle(self, servo: Sequence[float]) -> Stand:
+    def settle(self, servo: Any) -> Stand:
         """Command the servos, and wait until all is at rest.
 
         Raises:
@@ -84,7 +84,7 @@ class Stand:
                 return float(np.linalg.norm(force))
         return float("nan")
 
-    def work(self, path: Callable[[float], Sequence[float]]) -> tuple[float, float]:
+    def work(self, path: Callable[[float], Any]) -> tuple[float, float]:
         """Slow motion along a path of servo angles, from 0 to 1: work that all servos do, and the part of it that is
         not returned to them, the sum where they drive [J]."""
         model, data, done, driving = self.model, self.data, 0.0, 0.0
@@ -140,7 +140,7 @@ def measured(
     rows: list[dict[str, Any]] = []
     total = max(count, 1) * len(cases)
     for i in range(max(count, 1)):
-        values = settings.values | {parameter: float(of[i]) for parameter, of in bodies.items()}
+        values = {**settings.values} | {parameter: float(of[i]) for parameter, of in bodies.items()}
         parameters = replace_quantities(ModelParameters(), {of: np.asarray(value) for of, value in values.items()})
         check_quantities(parameters)
         numbered = {BODY: i + 1} if count else {}
@@ -150,4 +150,4 @@ def measured(
             if settings.progress:
                 settings.progress(len(rows) / len(settings.profiles) / total)
     columns = {column: np.array([row[column] for row in rows]) for column in rows[0]}
-    return Outcome(name, columns, {each: LABELS[each] for each in ("profile", "repeat", BODY)} | about, {})
+    return Outcome(name, columns, {**{each: LABELS[each] for each in ("profile", "repeat", BODY)}, **about}, {})
