@@ -16,6 +16,7 @@ from nermo_mjx.robot import ModelParameters, assemble_leg
 from nermo_mjx.robot.parameters import LEGS, ROUTINGS
 
 NAME: Final = "leg-stand"
+_inverse: Final = jax.jit(leg.inverse, static_argnames="routing")
 #: The foot is pulled down by up to this force [N].
 _MOST: Final = 20.0
 #: Changes of the servos' angles from which speed (knee) and coupling (hip) follow [rad].
@@ -67,7 +68,7 @@ def _measure(parameters: ModelParameters, pair: str, routing: str, hinges: int) 
 def servo_angles(pair: str, foot: np.ndarray, routing: str) -> np.ndarray:
     """Servo angles (..., 2) [rad] that put the foot at (..., 2) = (y, z) [m], in double precision."""
     with jax.enable_x64(True):
-        return np.asarray(leg.inverse(leg.leg_of(LEGS[pair]), foot, routing).servo)
+        return np.asarray(_inverse(leg.leg_of(LEGS[pair]), foot, routing).servo)
 
 
 def swing_of(pair: str, routing: str) -> Any:
