@@ -16,28 +16,28 @@ PAIRS_AND_LIMBS = ("front", "rear", *LIMBS)
 FOOT_POINTS = 8
 
 
-def _of_limbs(default: float, **about: Any) -> Any:
-    return quantity((default,) * len(PAIRS_AND_LIMBS), labels=PAIRS_AND_LIMBS, **about)
+def _of_limbs(default: float, unit: str, low: float, high: float, doc: str) -> Any:
+    return quantity((default,) * len(PAIRS_AND_LIMBS), unit, low, high, doc, labels=PAIRS_AND_LIMBS)
 
 
 @parameter_tree
 class Limb:
     """Differences between limbs, with the trajectory 'free'. The values of a pair and of its limb are combined."""
 
-    stride: Any = _of_limbs(1.0, unit="1", low=0.0, high=2.0, doc="the limb's stride, as a share of that of the gait")
-    lift: Any = _of_limbs(0.0, unit="m", low=-0.02, high=0.02, doc="higher mid-swing than stance.swing_amplitude")
-    duty: Any = _of_limbs(0.0, unit="1", low=-0.4, high=0.4, doc="longer stance than duty, as a share of the cycle")
-    phase: Any = _of_limbs(0.0, unit="1", low=-0.5, high=0.5, doc="later stance than offset, as a share of the cycle")
+    stride: Any = _of_limbs(1.0, "1", 0.0, 2.0, "the limb's stride, as a share of that of the gait")
+    lift: Any = _of_limbs(0.0, "m", -0.02, 0.02, "higher mid-swing than stance.swing_amplitude")
+    duty: Any = _of_limbs(0.0, "1", -0.4, 0.4, "longer stance than duty, as a share of the cycle")
+    phase: Any = _of_limbs(0.0, "1", -0.5, 0.5, "later stance than offset, as a share of the cycle")
 
 
 def _foot_path() -> Any:
     return quantity(
         (0.0,) * 2 * FOOT_POINTS,
-        unit="m",
-        low=-0.02,
-        high=0.02,
+        "m",
+        -0.02,
+        0.02,
+        "y backward or z up, 1 touch-down, 2-4 stance, 5 lift-off, 6-8 swing",
         labels=tuple(f"{axis}{point}" for axis in "yz" for point in range(1, FOOT_POINTS + 1)),
-        doc="y backward or z up, 1 touch-down, 2-4 stance, 5 lift-off, 6-8 swing",
     )
 
 
@@ -57,6 +57,6 @@ class FootPaths:
 class Trim:
     """Offsets of servo angles, with the trajectory 'free'. A pair's value is added to its limb's."""
 
-    spine: Any = quantity(0.0, unit="rad", low=-0.4, high=0.4, doc="added to the spine servo, positive left")
-    hip: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the hip servo, positive backward")
-    knee: Any = _of_limbs(0.0, unit="rad", low=-0.5, high=0.5, doc="added to the knee servo")
+    spine: Any = quantity(0.0, "rad", -0.4, 0.4, "added to the spine servo, positive left")
+    hip: Any = _of_limbs(0.0, "rad", -0.5, 0.5, "added to the hip servo, positive backward")
+    knee: Any = _of_limbs(0.0, "rad", -0.5, 0.5, "added to the knee servo")

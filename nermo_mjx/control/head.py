@@ -31,16 +31,12 @@ GAZE: Final = "gaze"
 class Head:
     """Direction of the head, and stabilisation of its gaze; the tilt needs a robot with a servo for it."""
 
-    pan: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="neck beside straight ahead, positive left")
-    tilt: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="head from level, positive down")
-    into_turn: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="how far the neck looks into a full turn")
-    gain: Any = quantity(1.0, unit="1", low=0.0, high=2.0, doc="share of the torso's sway that the gaze takes out")
-    bandwidth: Any = quantity(
-        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that the gaze holds, per gait cycle"
-    )
-    lead: Any = quantity(
-        0.0, unit="s", low=0.0, high=0.2, doc="how far ahead the gyro carries the torso's rotation, for slow servos"
-    )
+    pan: Any = quantity(0.0, "rad", -1.0, 1.0, "neck beside straight ahead, positive left")
+    tilt: Any = quantity(0.0, "rad", -1.0, 1.0, "head from level, positive down")
+    into_turn: Any = quantity(0.0, "rad", -1.0, 1.0, "how far the neck looks into a full turn")
+    gain: Any = quantity(1.0, "1", 0.0, 2.0, "share of the torso's sway that the gaze takes out")
+    bandwidth: Any = quantity(0.5, "rad", 0.01, 10.0, "bandwidth of the course that the gaze holds, per gait cycle")
+    lead: Any = quantity(0.0, "s", 0.0, 0.2, "how far ahead the gyro carries the torso's rotation, for slow servos")
 
 
 class HeadAngles(NamedTuple):

@@ -23,24 +23,15 @@ HARMONICS = 6
 class Gait:
     """Timing of the feet's contact, and length of their steps (5.21, 5.22, Tables A.2, A.6)."""
 
-    frequency: Any = quantity(0.67, unit="Hz", low=0.0, open_low=True, high=5.0, doc="gait cycles per second")
-    stride: Any = quantity(1.0, unit="1", low=0.0, high=1.2, doc="stride length, as a share of the maximum")
-    duty: Any = quantity(
-        0.5, unit="1", low=0.0, open_low=True, high=1.0, open_high=True, doc="stance share of the gait cycle"
-    )
+    frequency: Any = quantity(0.67, "Hz", 0.0, 5.0, "gait cycles per second", open_low=True)
+    stride: Any = quantity(1.0, "1", 0.0, 1.2, "stride length, as a share of the maximum")
+    duty: Any = quantity(0.5, "1", 0.0, 1.0, "stance share of the gait cycle", open_low=True, open_high=True)
     gait_factor: Any = quantity(
-        2.0, unit="1", low=0.5, high=100.0, doc="strides of body travel per cycle (5.21); 1 / duty where not given"
+        2.0, "1", 0.5, 100.0, "strides of body travel per cycle (5.21); 1 / duty where not given"
     )
-    speed: Any = quantity(
-        1.0, unit="m/s", low=0.0, high=10.0, doc="commanded speed on the controller's clock; the stride saturates"
-    )
+    speed: Any = quantity(1.0, "m/s", 0.0, 10.0, "commanded speed on the controller's clock; the stride saturates")
     offset: Any = quantity(
-        (0.5, 0.0, 0.0, 0.5),
-        unit="1",
-        low=0.0,
-        high=1.0,
-        labels=LIMBS,
-        doc="cycle share at which the limb's stance starts",
+        (0.5, 0.0, 0.0, 0.5), "1", 0.0, 1.0, "cycle share at which the limb's stance starts", labels=LIMBS
     )
 
 
@@ -48,64 +39,48 @@ class Gait:
 class Stance:
     """Neutral positions and lift of the feet, in the leg's frame (Table A.7)."""
 
-    front_y: Any = quantity(
-        FRONT_LEG.neutral_foot[0], unit="m", low=-0.03, high=0.03, doc="neutral foot behind the shoulder axis"
-    )
-    front_z: Any = quantity(
-        FRONT_LEG.neutral_foot[1], unit="m", low=-0.062, high=-0.025, doc="neutral front foot height"
-    )
-    rear_y: Any = quantity(
-        REAR_LEG.neutral_foot[0], unit="m", low=-0.03, high=0.03, doc="neutral foot behind the hip axis"
-    )
-    rear_z: Any = quantity(REAR_LEG.neutral_foot[1], unit="m", low=-0.072, high=-0.030, doc="neutral rear foot height")
-    swing_amplitude: Any = quantity(0.010, unit="m", low=0.0, high=0.03, doc="foot lift at mid-swing")
-    stance_amplitude: Any = quantity(0.005, unit="m", low=0.0, high=0.02, doc="foot push-down at mid-stance")
-    max_stride: Any = quantity(0.060, unit="m", low=0.0, high=0.08, doc="stride length at stride = 1")
+    front_y: Any = quantity(FRONT_LEG.neutral_foot[0], "m", -0.03, 0.03, "neutral foot behind the shoulder axis")
+    front_z: Any = quantity(FRONT_LEG.neutral_foot[1], "m", -0.062, -0.025, "neutral front foot height")
+    rear_y: Any = quantity(REAR_LEG.neutral_foot[0], "m", -0.03, 0.03, "neutral foot behind the hip axis")
+    rear_z: Any = quantity(REAR_LEG.neutral_foot[1], "m", -0.072, -0.030, "neutral rear foot height")
+    swing_amplitude: Any = quantity(0.010, "m", 0.0, 0.03, "foot lift at mid-swing")
+    stance_amplitude: Any = quantity(0.005, "m", 0.0, 0.02, "foot push-down at mid-stance")
+    max_stride: Any = quantity(0.060, "m", 0.0, 0.08, "stride length at stride = 1")
 
 
 @parameter_tree
 class Spine:
     """The spine's motion in addition to steering (5.31-5.35, 5.45, 5.46)."""
 
-    amplitude: Any = quantity(0.4, unit="rad", low=0.0, high=0.6, doc="servo amplitude of the stride extension")
+    amplitude: Any = quantity(0.4, "rad", 0.0, 0.6, "servo amplitude of the stride extension")
     phase: Any = quantity(
-        0.0,
-        unit="rad",
-        low=-2 * np.pi,
-        high=2 * np.pi,
-        doc="psi of q_sp = A cos(2 pi phase + psi), the stride extension",
+        0.0, "rad", -2 * np.pi, 2 * np.pi, "psi of q_sp = A cos(2 pi phase + psi), the stride extension"
     )
-    max_servo_angle: Any = quantity(0.4, unit="rad", low=0.01, high=0.6, doc="q_max, servo limit of the fusion (5.45)")
-    fusion_exponent: Any = quantity(1.0, unit="1", low=0.1, high=10.0, doc="s, how turning fades the other mode (5.46)")
-    offset_compensation: Any = quantity(
-        0.0, unit="1", low=0.0, high=1.0, doc="share of the hip's rise taken by the rear legs (5.31)"
-    )
-    balance_lift: Any = quantity(
-        0.009, unit="m", low=0.0, high=0.03, doc="d_lift, wanted distance of the COM inside the triangle"
-    )
+    max_servo_angle: Any = quantity(0.4, "rad", 0.01, 0.6, "q_max, servo limit of the fusion (5.45)")
+    fusion_exponent: Any = quantity(1.0, "1", 0.1, 10.0, "s, how turning fades the other mode (5.46)")
+    offset_compensation: Any = quantity(0.0, "1", 0.0, 1.0, "share of the hip's rise taken by the rear legs (5.31)")
+    balance_lift: Any = quantity(0.009, "m", 0.0, 0.03, "d_lift, wanted distance of the COM inside the triangle")
     sagittal_amplitude: Any = quantity(
-        0.3, unit="rad", low=0.0, high=0.6, doc="vertical servo's amplitude, spine mode 'sagittal_extension'"
+        0.3, "rad", 0.0, 0.6, "vertical servo's amplitude, spine mode 'sagittal_extension'"
     )
     sagittal_phase: Any = quantity(
         0.785,
-        unit="rad",
-        low=-2 * np.pi,
-        high=2 * np.pi,
-        doc="psi of -A cos(2 pi phase + psi), vertical servo; at 0 it is most flexed as the cycle begins",
+        "rad",
+        -2 * np.pi,
+        2 * np.pi,
+        "psi of -A cos(2 pi phase + psi), vertical servo; at 0 it is most flexed as the cycle begins",
     )
-    pitch_gain: Any = quantity(
-        2.0, unit="1", low=-10.0, high=10.0, doc="vertical servo's angle per pitch, spine mode 'pitch_balance'"
-    )
+    pitch_gain: Any = quantity(2.0, "1", -10.0, 10.0, "vertical servo's angle per pitch, spine mode 'pitch_balance'")
     pitch_damping: Any = quantity(
-        0.0, unit="s", low=-1.0, high=1.0, doc="vertical servo's angle per pitch rate, spine mode 'pitch_balance'"
+        0.0, "s", -1.0, 1.0, "vertical servo's angle per pitch rate, spine mode 'pitch_balance'"
     )
     harmonics: Any = quantity(
         (0.0,) * 2 * HARMONICS,
-        unit="rad",
-        low=-0.6,
-        high=0.6,
+        "rad",
+        -0.6,
+        0.6,
+        "servo amplitude of cos or sin(k 2 pi phase), spine mode 'harmonics'",
         labels=tuple(f"{part}{order}" for order in range(1, HARMONICS + 1) for part in ("cos", "sin")),
-        doc="servo amplitude of cos or sin(k 2 pi phase), spine mode 'harmonics'",
     )
 
 
@@ -113,48 +88,34 @@ class Spine:
 class Turning:
     """How a turn rate is shared between legs and spine (5.38, 5.39). lb = (1, 0), sb = (0, 1), mb = (1, 1)."""
 
-    exponent: Any = quantity(
-        5.0, unit="1", low=0.0, high=20.0, doc="t of c(a) = sign(a)|a|^t; 0 turns leg modulation off"
-    )
-    leg: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate given to the legs")
-    spine: Any = quantity(0.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate given to the spine")
+    exponent: Any = quantity(5.0, "1", 0.0, 20.0, "t of c(a) = sign(a)|a|^t; 0 turns leg modulation off")
+    leg: Any = quantity(1.0, "1", 0.0, 1.0, "share of the turn rate given to the legs")
+    spine: Any = quantity(0.0, "1", 0.0, 1.0, "share of the turn rate given to the spine")
 
 
 @parameter_tree
 class Pilot:
     """The high-level controller: guidance by curvature, the published PD, and the path to follow."""
 
-    guidance: Any = quantity(
-        1.0, unit="1", low=0.0, high=1.0, doc="share of the turn rate for the curvature that leads back to the path"
-    )
+    guidance: Any = quantity(1.0, "1", 0.0, 1.0, "share of the turn rate for the curvature that leads back to the path")
     look_ahead: Any = quantity(
         0.9,
-        unit="m",
-        low=0.02,
-        high=10.0,
-        doc="way on which the guidance takes back most of a cross-track error, on a line; shorter on a bend",
+        "m",
+        0.02,
+        10.0,
+        "way on which the guidance takes back most of a cross-track error, on a line; shorter on a bend",
     )
-    damping: Any = quantity(1.0, unit="1", low=0.0, high=10.0, doc="damping ratio of the way back to the path")
-    bandwidth: Any = quantity(
-        1.6, unit="rad", low=0.0, high=5.0, doc="bandwidth of the guidance's observer, per gait cycle"
-    )
-    grip: Any = quantity(
-        0.525, unit="1", low=0.1, high=2.0, doc="turn that the guidance expects of the robot, over that without slip"
-    )
-    error_gain: Any = quantity(
-        0.0, unit="1/m", low=0.0, high=1000.0, doc="PD: turn rate per metre of cross-track error"
-    )
+    damping: Any = quantity(1.0, "1", 0.0, 10.0, "damping ratio of the way back to the path")
+    bandwidth: Any = quantity(1.6, "rad", 0.0, 5.0, "bandwidth of the guidance's observer, per gait cycle")
+    grip: Any = quantity(0.525, "1", 0.1, 2.0, "turn that the guidance expects of the robot, over that without slip")
+    error_gain: Any = quantity(0.0, "1/m", 0.0, 1000.0, "PD: turn rate per metre of cross-track error")
     change_gain: Any = quantity(
-        0.0,
-        unit="1/m",
-        low=0.0,
-        high=10000.0,
-        doc="PD: turn rate per metre of its change per 1/50 s of the controller's clock",
+        0.0, "1/m", 0.0, 10000.0, "PD: turn rate per metre of its change per 1/50 s of the controller's clock"
     )
-    output_limit: Any = quantity(1.0, unit="1", low=0.0, high=1.0, doc="largest turn rate")
-    turn_rate: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="turn rate held by the pilot 'open_loop'")
-    radius: Any = quantity(1.0, unit="m", low=0.05, high=1000.0, doc="radius of the pilot 'arc'")
-    direction: Any = quantity(1.0, unit="1", low=-1.0, high=1.0, doc="side of the pilot 'arc': +1 left, -1 right")
+    output_limit: Any = quantity(1.0, "1", 0.0, 1.0, "largest turn rate")
+    turn_rate: Any = quantity(0.0, "1", -1.0, 1.0, "turn rate held by the pilot 'open_loop'")
+    radius: Any = quantity(1.0, "m", 0.05, 1000.0, "radius of the pilot 'arc'")
+    direction: Any = quantity(1.0, "1", -1.0, 1.0, "side of the pilot 'arc': +1 left, -1 right")
 
 
 @parameter_tree
@@ -163,15 +124,13 @@ class Tracking:
 
     foot_gain: Any = quantity(
         1.0,
-        unit="1",
-        low=0.0,
+        "1",
+        0.0,
+        1.0,
+        "share of the foot error closed per 1/80 s of the controller's clock; 1 is exact",
         open_low=True,
-        high=1.0,
-        doc="share of the foot error closed per 1/80 s of the controller's clock; 1 is exact",
     )
-    clock_ratio: Any = quantity(
-        1.0, unit="1", low=0.05, high=2.0, doc="simulated seconds per second of the controller's clock"
-    )
+    clock_ratio: Any = quantity(1.0, "1", 0.05, 2.0, "simulated seconds per second of the controller's clock")
 
 
 @parameter_tree

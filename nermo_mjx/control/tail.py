@@ -31,20 +31,20 @@ SWING, COUNTER_YAW, COUNTER_ROLL = "swing", "counter_yaw", "counter_roll"
 class Tail:
     """How the articulated tail moves; a positive servo angle moves the tip to the left."""
 
-    angle: Any = quantity(0.0, unit="rad", low=-1.0, high=1.0, doc="servo angle about which it moves")
-    swing_amplitude: Any = quantity(0.5, unit="rad", low=0.0, high=1.0, doc="largest servo amplitude of the swing")
+    angle: Any = quantity(0.0, "rad", -1.0, 1.0, "servo angle about which it moves")
+    swing_amplitude: Any = quantity(0.5, "rad", 0.0, 1.0, "largest servo amplitude of the swing")
     swing_gain: Any = quantity(
-        4.5, unit="rad s^2/m^2", low=0.0, high=1e4, doc="servo amplitude of the swing over the square of gait.speed"
+        4.5, "rad s^2/m^2", 0.0, 1e4, "servo amplitude of the swing over the square of gait.speed"
     )
     swing_phase: Any = quantity(
-        np.pi, unit="rad", low=-2 * np.pi, high=2 * np.pi, doc="of the swing A cos(2 pi phase + tail.swing_phase)"
+        np.pi, "rad", -2 * np.pi, 2 * np.pi, "of the swing A cos(2 pi phase + tail.swing_phase)"
     )
     # Both were chosen by sweeps of the trot at 0.8 Hz (docs/control.md): with higher values the robot rolls or slows
     # down.
-    yaw_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle against the torso's yaw off course")
-    roll_gain: Any = quantity(2.0, unit="1", low=-10.0, high=10.0, doc="servo angle over the torso's roll")
+    yaw_gain: Any = quantity(2.0, "1", -10.0, 10.0, "servo angle against the torso's yaw off course")
+    roll_gain: Any = quantity(2.0, "1", -10.0, 10.0, "servo angle over the torso's roll")
     bandwidth: Any = quantity(
-        0.5, unit="rad", low=0.01, high=10.0, doc="bandwidth of the course that yaw is counted from, per gait cycle"
+        0.5, "rad", 0.01, 10.0, "bandwidth of the course that yaw is counted from, per gait cycle"
     )
 
 

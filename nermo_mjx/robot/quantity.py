@@ -68,16 +68,18 @@ class Quantity:
 
 def quantity(
     default: float | tuple[float, ...],
-    *,
     unit: str,
     low: float = -math.inf,
     high: float = math.inf,
-    doc: str,
+    doc: str = "",
+    *,
     open_low: bool = False,
     open_high: bool = False,
     labels: tuple[str, ...] = (),
 ) -> Any:
     """Declare a dataclass field that holds a quantity; see `Quantity` for the arguments and `parameter_tree`."""
+    if not doc:
+        raise TypeError("quantity() has no doc: expected the quantity's meaning in one line")
     about = Quantity(default, unit, low, high, doc, open_low, open_high, labels)
 
     def own() -> np.ndarray:
@@ -95,7 +97,7 @@ def parameter_tree(cls: type[T]) -> type[T]:
 
     >>> @parameter_tree
     ... class Hop:
-    ...     height: Any = quantity(0.01, unit="m", low=0.0, high=0.03, doc="of a hop")
+    ...     height: Any = quantity(0.01, "m", 0.0, 0.03, "of a hop")
     >>> [(name, about.allowed()) for name, about in quantities(Hop)]
     [('height', '[0, 0.03] m')]
     """

@@ -19,19 +19,19 @@ from nermo_mjx.robot.servo_limits import check_servo, highest_kp, highest_kv
 class Start:
     """Position, heading and gait phase at the start."""
 
-    x: Any = quantity(0.0, unit="m", low=-100.0, high=100.0, doc="start to the left of the path")
-    y: Any = quantity(0.0, unit="m", low=-100.0, high=100.0, doc="start behind the origin")
-    yaw: Any = quantity(0.0, unit="rad", low=-np.pi, high=np.pi, doc="heading at the start, positive to the left")
-    phase: Any = quantity(0.0, unit="1", low=-1.0, high=1.0, doc="phase of the gait cycle at the start")
+    x: Any = quantity(0.0, "m", -100.0, 100.0, "start to the left of the path")
+    y: Any = quantity(0.0, "m", -100.0, 100.0, "start behind the origin")
+    yaw: Any = quantity(0.0, "rad", -np.pi, np.pi, "heading at the start, positive to the left")
+    phase: Any = quantity(0.0, "1", -1.0, 1.0, "phase of the gait cycle at the start")
 
 
 @parameter_tree
 class Window:
     """When a run is measured; set from `Run`, not by name."""
 
-    begin: Any = quantity(0.0, unit="s", low=0.0, high=1e6, doc="end of the warm-up")
-    end: Any = quantity(1e6, unit="s", low=0.0, high=1e6, doc="end of the run")
-    distance: Any = quantity(1e6, unit="m", low=0.0, high=1e6, doc="path length after which measuring stops")
+    begin: Any = quantity(0.0, "s", 0.0, 1e6, "end of the warm-up")
+    end: Any = quantity(1e6, "s", 0.0, 1e6, "end of the run")
+    distance: Any = quantity(1e6, "m", 0.0, 1e6, "path length after which measuring stops")
 
 
 @parameter_tree
