@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import jax.numpy as jnp
 
@@ -35,7 +35,7 @@ class AppendageLike(Protocol[Angles_co]):
 
 
 @dataclasses.dataclass(frozen=True)
-class Memoryless(Generic[Angles]):
+class Memoryless(AppendageLike[Angles]):
     """Angles that depend on the present only.
 
     Attributes:
@@ -47,20 +47,17 @@ class Memoryless(Generic[Angles]):
     angles: Callable[[Any, Pace, Sensors | None], Angles]
 
     def start(self, params: Any, pace: Pace) -> tuple[Any, Angles]:
-        """See `AppendageLike`."""
         return (), self.angles(getattr(params, self.group), pace, None)
 
     def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
-        """See `AppendageLike`."""
         return memory
 
     def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
-        """See `AppendageLike`."""
         return memory, self.angles(getattr(params, self.group), pace, sensors)
 
 
 @dataclasses.dataclass(frozen=True)
-class OnCourse(Generic[Angles]):
+class OnCourse(AppendageLike[Angles]):
     """Angles relative to the robot's course, which is observed with the bandwidth among the parameters.
 
     Attributes:
@@ -74,15 +71,12 @@ class OnCourse(Generic[Angles]):
     angles: Callable[[Any, Pace, Sensors, Course], Angles]
 
     def start(self, params: Any, pace: Pace) -> tuple[Course, Angles]:
-        """See `AppendageLike`."""
         return Course(jnp.zeros(()), jnp.zeros(())), self.held(getattr(params, self.group), pace)
 
     def init(self, params: Any, memory: Course, sensors: Sensors) -> Course:
-        """See `AppendageLike`."""
         return sway.begin(sensors, geometry_of(params))
 
     def update(self, params: Any, memory: Course, sensors: Sensors, pace: Pace, dt: float) -> tuple[Course, Angles]:
-        """See `AppendageLike`."""
         own = getattr(params, self.group)
         course = sway.observe(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
         return course, self.angles(own, pace, sensors, course)

@@ -65,7 +65,7 @@ class SpineLike(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class SpineModes:
+class SpineModes(SpineLike):
     """The published spine: steering fused with the sum of the auxiliary modes.
 
     Attributes:
@@ -92,7 +92,6 @@ class SpineModes:
             object.__setattr__(self, "masses", _plain(self.masses))
 
     def __call__(self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array) -> Scalar:
-        """See `SpineLike`."""
         auxiliary = jnp.zeros_like(phase)
         if "stride_extension" in self.modes:
             auxiliary += stride_extension(params.spine, phase)

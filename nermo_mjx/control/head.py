@@ -11,7 +11,7 @@ the neck alone.
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -46,6 +46,7 @@ class HeadAngles(NamedTuple):
     tilt: Scalars
 
 
+@runtime_checkable
 class HeadLike(AppendageLike[HeadAngles], Protocol):
     """Head control, see `AppendageLike`."""
 

@@ -85,38 +85,32 @@ def limited(speed: Any, turn_rate: Any) -> Drive:
 
 
 @dataclasses.dataclass(frozen=True)
-class OpenLoop:
+class OpenLoop(PilotLike):
     """Holds the gait's speed and `pilot.turn_rate`."""
 
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
-        """See `PilotLike`."""
         return (), limited(params.gait.speed, params.pilot.turn_rate)
 
     def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        """See `PilotLike`."""
         return memory
 
     def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
-        """See `PilotLike`."""
         return self.start(params)
 
 
 @dataclasses.dataclass(frozen=True)
-class External:
+class External(PilotLike):
     """Follows a command over time; see `tabulated`."""
 
     command: Command
 
     def start(self, params: ControlParameters) -> tuple[Any, Drive]:
-        """See `PilotLike`."""
         return (), limited(*self.command(jnp.zeros(())))
 
     def init(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> Any:
-        """See `PilotLike`."""
         return memory
 
     def update(self, params: ControlParameters, memory: Any, sensors: Sensors, walk: Walk) -> tuple[Any, Drive]:
-        """See `PilotLike`."""
         return memory, limited(*self.command(walk.time))
 
 
@@ -128,7 +122,7 @@ class Beside(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True)
-class Follow:
+class Follow(PilotLike):
     """Follows a path at the gait's speed.
 
     Attributes:
@@ -154,18 +148,15 @@ class Follow:
         return self.locate(params, position, memory.point.progress)
 
     def start(self, params: ControlParameters) -> tuple[Beside, Drive]:
-        """See `PilotLike`."""
         zero = jnp.zeros(())
         point = self.locate(params, jnp.zeros(3), zero)
         return Beside(point, guidance.start(zero, zero, zero)), self._guided(params, point.curvature)
 
     def init(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> Beside:
-        """See `PilotLike`."""
         point = self.locate(params, sensors.position, memory.point.progress)
         return Beside(point, guidance.start(point.error, heading(point, sensors, geometry_of(params)), walk.speed))
 
     def update(self, params: ControlParameters, memory: Beside, sensors: Sensors, walk: Walk) -> tuple[Beside, Drive]:
-        """See `PilotLike`."""
         point = self.locate(params, sensors.position, memory.point.progress)
         seen = jnp.stack([point.error, heading(point, sensors, geometry_of(params))])
         estimate = guidance.observe(

@@ -38,7 +38,7 @@ class SagittalLike(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class SagittalModes:
+class SagittalModes(SagittalLike):
     """The sum of the chosen modes, reduced by steering as much as the lateral ones (5.46).
 
     Attributes:
@@ -56,7 +56,6 @@ class SagittalModes:
     def __call__(
         self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
     ) -> Scalar:
-        """See `SagittalLike`."""
         wanted = jnp.zeros_like(phase)
         if "sagittal_extension" in self.modes:
             wanted += sagittal_extension(params.spine, phase)

@@ -51,7 +51,7 @@ class Steps:
 
 
 @dataclasses.dataclass(frozen=True)
-class Stepping:
+class Stepping(GaitLike):
     """The published gaits: a clock, half-cycles of stance and swing, and a path through three points for each.
 
     Attributes:
@@ -67,7 +67,6 @@ class Stepping:
         choice("trajectory", self.form, trajectory.FORMS)
 
     def start(self, params: ControlParameters, phase: Scalar, drive: Drive) -> tuple[Steps, Float[Array, "4 2"]]:
-        """See `GaitLike`."""
         limbs = self.limbs(params, phase)
         points = trajectory.nominal_points(
             params.stance, limbs.stance, self._strides(params, drive), self._moved(params)
@@ -77,14 +76,12 @@ class Stepping:
     def update(
         self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
     ) -> tuple[Steps, Float[Array, "4 2"]]:
-        """See `GaitLike`."""
         phase = clock.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
         limbs = self.limbs(params, phase)
         points = self._points(params, state, limbs, before, now, dt)
         return Steps(phase, limbs.stance, points), self._feet(params, points, limbs)
 
     def walked(self, params: ControlParameters, state: Steps, drive: Drive) -> tuple[Scalar, Scalar]:
-        """See `GaitLike`."""
         speed, yaw_rate = turning.walked(params, state.points, state.stance, drive.turn_rate)
         return speed / params.tracking.clock_ratio, yaw_rate / params.tracking.clock_ratio
 

@@ -10,7 +10,7 @@ which the torso leans. As a counterweight it would move to the other side, with 
 
 from __future__ import annotations
 
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,6 +48,7 @@ class Tail:
     )
 
 
+@runtime_checkable
 class TailLike(AppendageLike[Scalars], Protocol):
     """Tail control, see `AppendageLike`: its angle is that of the tail's servo, positive bends the tip to the left
     [rad]."""
