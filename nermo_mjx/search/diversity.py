@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.search.asking import Asked
+from nermo_mjx.search.asking import Asked, Optimizer
 from nermo_mjx.search.scoring import Scores, cells_of
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
@@ -24,7 +24,7 @@ EMITTERS: Final = 4
 _WORTHLESS: Final = -1e9
 
 
-class Diversity:
+class Diversity(Optimizer):
     """An `Optimizer`. The first batch is a spread of points; then the batch is divided among emitters.
 
     A batch of CMA-MEGA begins with one point of each emitter, of which it wants gradients, and the next batch is what
@@ -51,7 +51,6 @@ class Diversity:
         self._spreads = 0
 
     def ask(self) -> Asked:
-        """See `optimizers.Optimizer`."""
         if not self._emitters:
             self._spreads += 1
             first = (self._spreads - 1) * self._batch
@@ -67,7 +66,6 @@ class Diversity:
         return Asked(self._asked, len(self._asked) if self._centres else 0)
 
     def tell(self, found: Scores) -> None:
-        """See `optimizers.Optimizer`."""
         told = self._add(found)
         if not self._emitters:
             if len(self._archive):

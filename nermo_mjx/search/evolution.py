@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.search.asking import Asked
+from nermo_mjx.search.asking import Asked, Optimizer
 from nermo_mjx.search.scoring import Scores, ranked_cost
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
@@ -23,7 +23,7 @@ GROWTH: Final = 2.0
 MOST_GROWTH: Final = 9
 
 
-class Evolution:
+class Evolution(Optimizer):
     """An `Optimizer`. The first batch is a sample; the first CMA-ES starts from its best point.
 
     When one has converged, the next begins at a random point: with twice the population (IPOP), or either with that
@@ -42,14 +42,12 @@ class Evolution:
         self._regime = "large"
 
     def ask(self) -> Asked:
-        """See `optimizers.Optimizer`."""
         if self._strategy is None:
             return Asked(self._space.spread(SPREAD * self._batch))
         self._points = np.array(self._strategy.ask())
         return Asked(self._space.shares(self._points))
 
     def tell(self, found: Scores) -> None:
-        """See `optimizers.Optimizer`."""
         if found.allowed.any():
             self._worst = max(self._worst, float(found.cost[found.allowed, 0].max()))
         cost = ranked_cost(found, self._worst)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nermo_mjx.search.asking import Asked
+from nermo_mjx.search.asking import Asked, Optimizer
 from nermo_mjx.search.scoring import Scores
 from nermo_mjx.search.space import Space
 from nermo_mjx.search.spec import Search
@@ -13,7 +13,7 @@ from nermo_mjx.search.spec import Search
 _FALLEN = 1e9
 
 
-class Genetic:
+class Genetic(Optimizer):
     """An `Optimizer`. Generations are as large as a batch; the first is a spread of points."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
@@ -30,12 +30,10 @@ class Genetic:
         self._algorithm.setup(problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False)
 
     def ask(self) -> Asked:
-        """See `optimizers.Optimizer`."""
         self._population = self._algorithm.ask()
         return Asked(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
 
     def tell(self, found: Scores) -> None:
-        """See `optimizers.Optimizer`."""
         self._population.set("F", np.where(found.ok[:, None], found.cost, 0.0))
         self._population.set("G", np.where(found.ok, found.violation, _FALLEN)[:, None])
         for individual in self._population:

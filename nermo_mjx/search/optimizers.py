@@ -20,7 +20,7 @@ from nermo_mjx.search.spec import Search
 LIBRARIES: Final = {"cma": "cma", "nsga2": "pymoo", "cma_me": "ribs", "cma_mega": "ribs"}
 
 
-class SobolSample:
+class SobolSample(Optimizer):
     """Points of one Sobol sequence, starting with the published gait: the baseline for all methods."""
 
     def __init__(self, space: Space, search: Search, batch: int) -> None:
@@ -28,7 +28,6 @@ class SobolSample:
         self._points, self._begun = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)), False
 
     def ask(self) -> Asked:
-        """See `Optimizer`."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # one point less than a power of two: the published gait stands for it
             if self._begun:
@@ -37,7 +36,7 @@ class SobolSample:
             return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
 
     def tell(self, found: Scores) -> None:
-        """See `Optimizer`."""
+        """The points do not depend on it."""
 
 
 def make_optimizer(search: Search, batch: int) -> Optimizer:

@@ -104,7 +104,6 @@ class Search(Described):
 
     @classmethod
     def of_document(cls, doc: Document) -> Search:
-        """See `Described`."""
         return _read(doc)
 
     @property
@@ -135,7 +134,6 @@ class Search(Described):
         return simulated_seconds / self.simulated_seconds
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """See `Described`."""
         data = {
             key: value for key, value in self.sweep.resolved(folder).items() if key not in ("sample", "seeds", "plots")
         }

@@ -94,7 +94,6 @@ class Sweep(WalkSpec, Described):
 
     @classmethod
     def of_document(cls, doc: Document) -> Sweep:
-        """See `Described`."""
         return _read(doc)
 
     @functools.cached_property
@@ -150,7 +149,6 @@ class Sweep(WalkSpec, Described):
         return tuple(identified.bodies().values) if self.bodies else ()
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """See `Described`."""
         data = {name: value for name, value in self.walk_fields(folder).items() if name not in self.labelled}
         if len({each.setup.timestep for each in self.structures}) > 1:
             del data["timestep"]  # each has that of its physics

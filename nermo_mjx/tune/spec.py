@@ -116,7 +116,6 @@ class Tuning(WalkSpec, Described):
 
     @classmethod
     def of_document(cls, doc: Document) -> Tuning:
-        """See `Described`."""
         return _read(doc)
 
     @property
@@ -145,7 +144,6 @@ class Tuning(WalkSpec, Described):
         return np.concatenate([given, low + (high - low) * shares])
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        """See `Described`."""
         data = self.walk_fields(folder)
         data["tune"] = {each.name: each.written() for each in self.tuned}
         data["objective"] = [term.written() for term in self.objective.terms]
