@@ -33,13 +33,13 @@ _AXES: Final = ("x", "y", "z")
 class Sensing:
     """Delay and noise of the sensor readings that reach the policy; noise is normal, and new in each control tick."""
 
-    delay: Any = quantity(0.0, unit="s", low=0.0, high=LONGEST_DELAY, doc="age of the readings that a policy gets")
-    servo_angle_noise: Any = quantity(0.0, unit="rad", low=0.0, high=1.0, doc="of the servos' angles")
-    servo_load_noise: Any = quantity(0.0, unit="N m", low=0.0, high=1.0, doc="of the servos' torques")
-    knee_angle_noise: Any = quantity(0.0, unit="rad", low=0.0, high=1.0, doc="of the knees' angles")
-    gyro_noise: Any = quantity(0.0, unit="rad/s", low=0.0, high=10.0, doc="of the IMU's angular velocity")
-    accelerometer_noise: Any = quantity(0.0, unit="m/s^2", low=0.0, high=50.0, doc="of the IMU's acceleration")
-    tilt_noise: Any = quantity(0.0, unit="1", low=0.0, high=1.0, doc="of the direction of gravity")
+    delay: Any = quantity(0.0, "s", 0.0, LONGEST_DELAY, "age of the readings that a policy gets")
+    servo_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the servos' angles")
+    servo_load_noise: Any = quantity(0.0, "N m", 0.0, 1.0, "of the servos' torques")
+    knee_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the knees' angles")
+    gyro_noise: Any = quantity(0.0, "rad/s", 0.0, 10.0, "of the IMU's angular velocity")
+    accelerometer_noise: Any = quantity(0.0, "m/s^2", 0.0, 50.0, "of the IMU's acceleration")
+    tilt_noise: Any = quantity(0.0, "1", 0.0, 1.0, "of the direction of gravity")
 
 
 @dataclasses.dataclass(frozen=True)

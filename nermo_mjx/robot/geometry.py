@@ -34,7 +34,7 @@ SEGMENT_ROWS: Final = range(SPINE.lateral_joints[0] + 1, SPINE.lateral_joints[-1
 
 
 def _link(length: float, doc: str) -> Any:
-    return quantity(length, unit="m", low=round(0.6 * length, 4), high=round(1.6 * length, 4), doc=doc)
+    return quantity(length, "m", round(0.6 * length, 4), round(1.6 * length, 4), doc)
 
 
 @parameter_tree
@@ -61,25 +61,25 @@ class RearLeg:
 class Shoulder:
     """Axis of the left shoulder from the spine base; the right one mirrors x."""
 
-    x: Any = quantity(BODY.shoulder[0], unit="m", low=0.03, high=0.06, doc="to the left")
-    y: Any = quantity(BODY.shoulder[1], unit="m", low=-0.085, high=-0.04, doc="backward")
-    z: Any = quantity(BODY.shoulder[2], unit="m", low=-0.045, high=-0.02, doc="up")
+    x: Any = quantity(BODY.shoulder[0], "m", 0.03, 0.06, "to the left")
+    y: Any = quantity(BODY.shoulder[1], "m", -0.085, -0.04, "backward")
+    z: Any = quantity(BODY.shoulder[2], "m", -0.045, -0.02, "up")
 
 
 @parameter_tree
 class Hip:
     """Axis of the left hip from the spine end; the right one mirrors x."""
 
-    x: Any = quantity(BODY.hip[0], unit="m", low=0.03, high=0.06, doc="to the left")
-    y: Any = quantity(BODY.hip[1], unit="m", low=-0.005, high=0.025, doc="backward")
-    z: Any = quantity(BODY.hip[2], unit="m", low=-0.022, high=0.002, doc="up")
+    x: Any = quantity(BODY.hip[0], "m", 0.03, 0.06, "to the left")
+    y: Any = quantity(BODY.hip[1], "m", -0.005, 0.025, "backward")
+    z: Any = quantity(BODY.hip[2], "m", -0.022, 0.002, "up")
 
 
 @parameter_tree
 class Foot:
     """All feet."""
 
-    radius: Any = quantity(FOOT_RADIUS, unit="m", low=0.001, high=0.005, doc="of the sole, a sphere")
+    radius: Any = quantity(FOOT_RADIUS, "m", 0.001, 0.005, "of the sole, a sphere")
 
 
 @parameter_tree
@@ -88,23 +88,19 @@ class SpineLengths:
 
     segment: Any = quantity(
         2 * SPINE.dh[SEGMENT_ROWS[0]][1],
-        unit="m",
-        low=0.01,
-        high=0.022,
-        doc="one lateral joint to the next; behind the third 2.2 mm more",
+        "m",
+        0.01,
+        0.022,
+        "one lateral joint to the next; behind the third 2.2 mm more",
     )
-    pulley_radius: Any = quantity(
-        SPINE.pulley_radius, unit="m", low=0.004, high=0.008, doc="of the spine servo's pulley"
-    )
+    pulley_radius: Any = quantity(SPINE.pulley_radius, "m", 0.004, 0.008, "of the spine servo's pulley")
 
 
 @parameter_tree
 class TailLength:
     """The tail, which is stretched as a whole; its segments stay as wide as they are."""
 
-    length: Any = quantity(
-        TAIL.length, unit="m", low=0.05, high=0.2, doc="first joint to the centre of the tip, backward"
-    )
+    length: Any = quantity(TAIL.length, "m", 0.05, 0.2, "first joint to the centre of the tip, backward")
 
 
 @parameter_tree

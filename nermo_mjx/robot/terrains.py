@@ -35,15 +35,15 @@ FIELD_CENTRE: Final = -2.0
 class TerrainShape:
     """The shape of a terrain; each scene uses some of it (`TERRAINS`), and has its own defaults."""
 
-    height: Any = quantity(0.01, unit="m", low=0.0, high=0.05, doc="of a plank, log, step, or of rough ground")
-    spacing: Any = quantity(0.2, unit="m", low=0.05, high=1.0, doc="way from one plank, log, step or gate to the next")
-    width: Any = quantity(0.1, unit="m", low=0.01, high=0.3, doc="of a plank, along the way")
-    radius: Any = quantity(0.1, unit="m", low=0.05, high=2.0, doc="of a log, or of the way up the spiral stair")
-    slope: Any = quantity(math.radians(10.0), unit="rad", low=0.0, high=0.6, doc="of the ramp")
-    gap: Any = quantity(0.2, unit="m", low=0.05, high=1.0, doc="between the two poles of a gate")
-    offset: Any = quantity(0.06, unit="m", low=-0.3, high=0.3, doc="of the slalom's gates from the middle")
-    shift: Any = quantity(0.0, unit="m", low=-1.0, high=1.0, doc="how much farther ahead the terrain begins")
-    side: Any = quantity(0.0, unit="m", low=-0.4, high=0.4, doc="how far to the left rough ground is moved")
+    height: Any = quantity(0.01, "m", 0.0, 0.05, "of a plank, log, step, or of rough ground")
+    spacing: Any = quantity(0.2, "m", 0.05, 1.0, "way from one plank, log, step or gate to the next")
+    width: Any = quantity(0.1, "m", 0.01, 0.3, "of a plank, along the way")
+    radius: Any = quantity(0.1, "m", 0.05, 2.0, "of a log, or of the way up the spiral stair")
+    slope: Any = quantity(math.radians(10.0), "rad", 0.0, 0.6, "of the ramp")
+    gap: Any = quantity(0.2, "m", 0.05, 1.0, "between the two poles of a gate")
+    offset: Any = quantity(0.06, "m", -0.3, 0.3, "of the slalom's gates from the middle")
+    shift: Any = quantity(0.0, "m", -1.0, 1.0, "how much farther ahead the terrain begins")
+    side: Any = quantity(0.0, "m", -0.4, 0.4, "how far to the left rough ground is moved")
 
 
 class Layout(NamedTuple):
