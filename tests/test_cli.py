@@ -19,7 +19,8 @@ from typing import Any
 import click
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
+from command import call, json_of
 from experiment_fake import Fake
 
 from nermo_mjx import Recording, load_robot
@@ -39,13 +40,6 @@ COMMANDS = (
 SHORT = ("walk", "--engine", "c", "--duration", "0.3", "--warmup", "0.1")
 
 
-def call(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
 def refused(*arguments: str | Path) -> str:
     """The message of a misused command: exit code 2, nothing on standard output, no traceback."""
     result = call(*arguments)
@@ -53,19 +47,6 @@ def refused(*arguments: str | Path) -> str:
     assert result.stdout == ""
     assert "Traceback" not in result.stderr
     return result.stderr
-
-
-def json_of(*arguments: str | Path) -> dict[str, Any]:
-    """The one JSON object that a command prints."""
-    result = call(*arguments, "--json")
-    assert result.exit_code == 0, result.stderr
-
-    def no_constant(name: str) -> None:
-        raise AssertionError(f"{name} is no JSON")
-
-    value = json.loads(result.stdout, parse_constant=no_constant)
-    assert isinstance(value, dict)
-    return value
 
 
 # --- help

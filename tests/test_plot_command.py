@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
 import os
@@ -11,13 +12,12 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner, Result
+from command import call
 from sweep_fake import SPEC, FakeSimulator
 from test_experiment_plots import walked
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
-from nermo_mjx.cli import main
 from nermo_mjx.cli.kinds import KINDS, RECORDING, Kind
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
@@ -32,13 +32,7 @@ from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.landscape import run_landscape
 
 pytestmark = pytest.mark.draws
-
-
-def plot(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, ["plot", *map(str, arguments)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
+plot = functools.partial(call, "plot")
 
 
 @pytest.fixture(scope="module")

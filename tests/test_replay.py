@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -11,14 +12,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import command
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner, Result
 from sweep_fake import FakeSimulator, speed
 
-from nermo_mjx.cli import main
 from nermo_mjx.physics.c_engine import CSession, _Block
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
@@ -28,6 +28,7 @@ from nermo_mjx.view import Recording
 
 pytestmark = [pytest.mark.compiles, pytest.mark.usefixtures("shared_simulators")]
 
+call, json_of = (functools.partial(each, "replay") for each in (command.call, command.json_of))
 #: Eight rows in chunks of 3, 3 and 2, so that the last chunk's batch is padded. With so heavy a rear and 1.2 Hz, the
 #: robot falls. Repeats start from different places.
 WALKS = {
@@ -56,20 +57,6 @@ def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_sweep(SHORT, tmp_path_factory.mktemp("short"), engine="c").out
-
-
-def call(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, ["replay", *map(str, arguments)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
-def json_of(*arguments: str | Path) -> dict[str, Any]:
-    result = call(*arguments, "--json")
-    assert result.exit_code == 0, result.stderr
-    value: dict[str, Any] = json.loads(result.stdout)
-    return value
 
 
 def row_of(out: Path, row: int) -> dict[str, Any]:

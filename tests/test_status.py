@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import types
@@ -10,14 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command import call
 from experiment_fake import Fake
 from sweep_fake import SPEC, FakeSimulator
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
 
 from nermo_mjx.bench.page import add_run
-from nermo_mjx.cli import main
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.identification import candidates, run
 from nermo_mjx.experiments.identification.targets import CASES
@@ -28,14 +28,8 @@ from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.landscape import run_landscape
 
+status = functools.partial(call, "status")
 KEYS = {"kind", "rows", "rows_done", "code", "engine", "complete"}
-
-
-def status(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, ["status", *map(str, arguments)])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
 
 
 def said(out: Path) -> dict[str, Any]:

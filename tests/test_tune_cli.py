@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command import call, json_of
 from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 import nermo_mjx
-from nermo_mjx.cli import main
 from nermo_mjx.cli import tune as tune_command
 from nermo_mjx.cli.progress import Progress, Stages
 from nermo_mjx.runs import codes_of, stamp
@@ -42,21 +41,6 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr("nermo_mjx.tune.run.Simulator", lambda *_: made["walker"])
     monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
     return made
-
-
-def call(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
-def json_of(*arguments: str | Path) -> dict[str, Any]:
-    result = call(*arguments, "--json")
-    assert result.exit_code == 0, result.stderr
-    value = json.loads(result.stdout)
-    assert isinstance(value, dict)
-    return value
 
 
 # --- tune
