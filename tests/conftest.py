@@ -19,11 +19,15 @@ from nermo_mjx import runtime
 from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
 
-# Programs of a test run for seconds and compile for longer: XLA does not optimize machine code, here and in processes
-# that tests start, unless asked to (CI does, for what it runs of the wheel). A walk then compiles in a third of the
-# time on the engine c and in two thirds on mjx, and its loop takes three times as long.
+# Programs of a test run for seconds and compile for longer: XLA does not optimize machine code, takes its older emitter
+# for all programs, not only for those of the package (`runtime.COMPILER_OPTIONS`: a Jacobian of the metrics takes 3.7 s
+# of processor time instead of 9.3), and does not split them among threads, here and in processes that tests start,
+# unless asked to (CI does, for what it runs of the wheel). A walk's loop takes three times as long.
+QUICK_TO_COMPILE = (
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+)
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0".strip()
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK_TO_COMPILE}".strip()
 files._DPI = 100  # figures are drawn at half their size
 os.fsync = lambda _: None  # no test cuts the power, and a process that is killed has written what it wrote
 gc.disable()  # until all is imported and collected: a quarter of the time of both
