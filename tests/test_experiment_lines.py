@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nermo_mjx.control.published import PROFILES
+from nermo_mjx.control.published import SIMULATED
 from nermo_mjx.experiments import maze, straight_line, theory, turning
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, worlds
 from nermo_mjx.experiments.judgement import Asked, AtMost, Effect, Number, Range, Same, Shown
@@ -249,4 +249,4 @@ def test_the_maze_is_walked_without_and_with_the_spine():
 
 
 def test_profiles_are_those_of_the_controller():
-    assert PROFILES == ("exact", "as_published")
+    assert SIMULATED == ("exact", "as_published")

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import ast
 import copy
 import functools
 import importlib.metadata
 import itertools
+from pathlib import Path
 
 import jax
 import mujoco
 import numpy as np
 import pytest
 
+import nermo_mjx
 from nermo_mjx.kinematics import body, leg, spine
 from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.masses import PARTS, part_of
+from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, part_of
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
+from nermo_mjx.robot.quantity import quantities
 
 #: The published robot.
 ROBOT = Geometry()
@@ -585,3 +589,20 @@ def test_defaults_cannot_be_written():
 def test_one_model_for_the_same_arguments():
     """Loading twice gives the same fingerprint; another tail is another model."""
     assert load_robot().fingerprint == load_robot().fingerprint != load_robot(tail="articulated").fingerprint
+
+
+def test_no_mass_and_no_number_of_a_servo_stands_twice():
+    """Defaults of masses and servos, and masses of parts, with three digits or more, are written once in the source."""
+    known = {about.default for name, about in quantities(ModelParameters) if name.startswith(("mass.", "servo."))}
+    known |= {part.mass for part in PARTS.values()} | {mass for both in ROBOT_MASSES.values() for mass in both}
+    known = {value for value in known if len(f"{value:e}".split("e")[0].replace(".", "").rstrip("0")) >= 3}
+    assert {0.157, 0.1695, 0.1005, TORSO.mass} <= known
+    package = Path(nermo_mjx.__file__).parent
+    found = [
+        (node.value, path.name)
+        for folder in ("robot", "kinematics", "control", "physics", "dynamics", "rollout", "experiments")
+        for path in sorted((package / folder).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value in known
+    ]
+    assert sorted(value for value, _ in found) == sorted(known), found

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from nermo_mjx.control.published import AS_BUILT, AS_BUILT_BODY, body_values
 from nermo_mjx.physics.servo_play import Play, played
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import ParameterError, load_robot
@@ -119,6 +120,18 @@ def test_the_battery_changes_nothing_but_its_time(simulator):
     np.testing.assert_array_equal(*found["speed"])
     drawn = found["servo_current"] + [0.3, 0.0]
     np.testing.assert_allclose(found["battery_time"], 3600.0 * np.array([1.0, 0.5]) / drawn, rtol=1e-5)
+
+
+def test_the_profile_as_built_is_its_values_named(simulator):
+    """It walks as the default does with the controller's and the body's values named, and values named override it."""
+    run = Run(duration=1.0, warmup=0.0)
+    built = simulator(profile="as_built", spine="stride_extension")
+    named = simulator(spine="stride_extension")({**AS_BUILT, **body_values("as_built")}, run)
+    found = built({"build.spine_slack": [AS_BUILT_BODY["build.spine_slack"], 0.0]}, run)
+    for name in ("speed", "roll_std", "servo_work"):
+        assert found[name][0] == pytest.approx(named[name][0], rel=1e-5)
+    assert found["speed"][1] != pytest.approx(found["speed"][0], rel=1e-3)
+    np.testing.assert_array_equal(built({}, run)["speed"][0], found["speed"][0])
 
 
 def test_a_value_out_of_range_is_refused():

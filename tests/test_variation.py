@@ -165,6 +165,31 @@ def test_servo_parameters_reach_all_servos():
         np.testing.assert_allclose(braking - default, more, rtol=1e-9)
 
 
+def test_faults_of_the_built_robot_reach_what_they_name():
+    """Slack lengthens the tendons of legs or spine alone; the asymmetry stiffens left knees and softens right ones."""
+    robot = load_robot(tail="articulated")
+    model = robot.model
+    fields = varied(robot, {"build.leg_slack": 0.001, "build.spine_slack": 0.002, "build.asymmetry": 0.2}, 1)
+    for i in range(model.ntendon):
+        kind = model.tendon(i).name.split("_")[0]
+        slack = {"front": 0.001, "rear": 0.001, "spine": 0.002, "tail": 0.0}[kind]
+        np.testing.assert_allclose(fields["tendon_range"][0, i], model.tendon_range[i] + [0.0, slack], atol=1e-12)
+    for i in range(1, model.njnt):
+        name = model.joint(i).name
+        share = {"left": 1.2, "right": 0.8}[name.split("_")[1]] if name.endswith("_knee") else 1.0
+        assert fields["jnt_stiffness"][0, i] == pytest.approx(share * model.jnt_stiffness[i], rel=1e-12), name
+
+
+def test_slack_and_another_geometry_add_up():
+    """A tendon of longer legs is longer by its slack, too."""
+    robot, name = load_robot(), "geometry.front_leg.lower"
+    values = {name: np.array(1.1 * ALL[name]), "build.leg_slack": np.array(0.001)}
+    parameters = replace_quantities(ModelParameters(), values)
+    reach = assemble(robot.config, parameters).compile().tendon_range
+    np.testing.assert_allclose(varied(robot, values, 1)["tendon_range"][0], reach, atol=1e-9)
+    np.testing.assert_allclose(compile_model(robot, values).tendon_range, reach, atol=1e-12)
+
+
 def test_masses_scale_in_proportion():
     """Front and rear take the wanted mass; parts keep their shares, inertias scale along."""
     robot = load_robot()
@@ -187,7 +212,7 @@ def test_varied_masses_are_those_of_a_model_compiled_with_them():
     assert robot.model.body_mass.sum() == pytest.approx(0.270)  # the robot's own model is untouched
 
 
-@pytest.mark.parametrize("group", ["servo", "contact", "stiffness", "damping", "mass", "ground"])
+@pytest.mark.parametrize("group", ["servo", "contact", "stiffness", "damping", "mass", "build", "ground"])
 def test_varied_and_assembled_parameters_agree(group):
     """Every parameter gives the same model whether it is varied in a batch or handed to assembly."""
     robot = load_robot()

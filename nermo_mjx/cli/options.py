@@ -176,7 +176,7 @@ def gait(function: F) -> F:
         choice("--trajectory", TRAJECTORIES, "Shape of the foot path; free: with movable points."),
         choice("--head", HEADS, "gaze: the neck keeps the image still while the torso sways."),
         choice("--tail-motion", TAIL_MOTIONS, "Motion of the articulated tail."),
-        choice("--profile", PROFILES, "Controller as described, or as published."),
+        choice("--profile", PROFILES, "Controller as described, or as published; or the robot as built."),
     ]  # fmt: skip
     for option in reversed(listed):
         function = option(function)

@@ -21,13 +21,20 @@ STEERING: dict[str, tuple[float, float]] = {"leg": (1.0, 0.0), "spine": (0.0, 1.
 #: constant turn rates with expected radii of 0.5 and 1 m: mean over three gaits, three frequencies and strides
 #: of 0.8 and 1.0 (docs/experiments.md has the spread).
 GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
-PROFILES: tuple[str, ...] = ("exact", "as_published")
+#: The robot as it was built, by the hardware's figures (docs/experiments.md has what was fitted and what chosen). It
+#: ran the author's controller in real time.
+AS_BUILT = {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], **PUBLISHED_PILOT, "spine.max_servo_angle": 0.3}
+AS_BUILT_BODY = {"build.spine_slack": 0.0006, "build.asymmetry": 0.1, "stiffness.spine": 0.9}
+PROFILES: tuple[str, ...] = ("exact", "as_published", "as_built")
+#: Profiles of the published simulation, which experiments show side by side.
+SIMULATED: tuple[str, ...] = PROFILES[:2]
 
 
 def published_values(gait: str, *, steering: str = "leg", profile: str = "exact") -> dict[str, float]:
-    """Named parameter values of a published gait, turning strategy and profile (`exact` or `as_published`).
+    """Named parameter values of a published gait, turning strategy and profile (one of `PROFILES`).
 
-    The values are keyed as `quantities(ControlParameters)` names them, for `replace_quantities`.
+    The values are keyed as `quantities(ControlParameters)` names them, for `replace_quantities`. Those of the body are
+    in `body_values`.
 
     Raises:
         ParameterError: an unknown gait, steering or profile.
@@ -41,7 +48,18 @@ def published_values(gait: str, *, steering: str = "leg", profile: str = "exact"
     if profile == "as_published":
         values |= {"tracking.foot_gain": PUBLISHED_TRACKING["gain"], "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO}
         values |= PUBLISHED_PILOT
+    if profile == "as_built":
+        values |= AS_BUILT
     return values
+
+
+def body_values(profile: str) -> dict[str, float]:
+    """Named parameter values of the body in a profile: those of `as_built`; nothing in the others.
+
+    >>> body_values("exact")
+    {}
+    """
+    return dict(AS_BUILT_BODY) if profile == "as_built" else {}
 
 
 def with_gait_factor(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.control.published import published_values
+from nermo_mjx.control.published import AS_BUILT, body_values, published_values
 from nermo_mjx.experiments.outcome import BODY, Column
 from nermo_mjx.experiments.settings import Settings, body_count
 from nermo_mjx.recording import Recording, recording_of
@@ -89,9 +89,10 @@ def worlds(
     for profile in settings.profiles:
         for case in cases:
             named = published_values(case.gait, steering=case.steering, profile=profile)
+            built = {**AS_BUILT, **body_values(profile)} if profile == "as_built" else {}
             for repeat, shift in enumerate(shifts):
                 labels.append({"profile": profile, **case.labels, "repeat": repeat})
-                rows.append({**shift, **settings.values, **named, **case.values})
+                rows.append({**shift, **settings.values, **named, **case.values, **built})
     names = dict.fromkeys(name for row in rows for name in row)
     values = {name: np.array([row.get(name, defaults[name]) for row in rows]) for name in names}
     batch = Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)

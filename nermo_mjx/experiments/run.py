@@ -15,7 +15,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from nermo_mjx.control.published import PROFILES
+from nermo_mjx.control.published import SIMULATED
 from nermo_mjx.experiments import ensemble, report, report_page
 from nermo_mjx.experiments.catalogue import EXPERIMENTS, Experiment, experiment
 from nermo_mjx.experiments.directory import Directory, Stored
@@ -28,6 +28,7 @@ from nermo_mjx.experiments.simulating import Part, Simulation, of_bodies, own, s
 from nermo_mjx.experiments.videos import shoot
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.runs import CodeStamp, RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.directory import remove_leftovers
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
@@ -89,7 +90,7 @@ def run_experiments(
     out: str | os.PathLike[str],
     *,
     engine: str = "auto",
-    profiles: Sequence[str] = PROFILES,
+    profiles: Sequence[str] = SIMULATED,
     repeats: int | None = None,
     seed: int = 0,
     quick: bool = False,
@@ -108,7 +109,7 @@ def run_experiments(
         names: of `EXPERIMENTS`.
         out: the directory; see `nermo_mjx.experiments.directory`.
         engine: `auto`, `c` or `mjx`; `auto` is the one that the directory was started with, if any.
-        profiles: of `PROFILES`.
+        profiles: of `SIMULATED`.
         repeats: worlds of each case, from starts that differ by a seeded shift; by default 3, or 1 in a quick run.
         seed: of the shifts.
         quick: run fewer cases, without video.
@@ -135,6 +136,8 @@ def run_experiments(
     if repeats is None:
         repeats = QUICK_REPEATS if quick else REPEATS
     settings = Settings(profiles, repeats, seed, quick, values or {})
+    for profile in settings.profiles:
+        choice("profile", profile, SIMULATED)
     check_bodies(bodies)
     drawn = None if bodies is None else ensemble.draw(bodies, seed)
     _check_settable(chosen, settings)

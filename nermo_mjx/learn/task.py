@@ -202,7 +202,7 @@ class Episodes:
     @property
     def reached(self) -> tuple[str, ...]:
         """Names of the parameters that are not the setup's."""
-        return (*self.task.set, *self.drawn)
+        return (*self.setup.body, *self.task.set, *self.drawn)
 
     def __call__(
         self, key: Any, cut_short: Any = False

@@ -6,7 +6,7 @@ import copy
 import functools
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
 from nermo_mjx.robot import ModelParameters, Robot
-from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint
+from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint, slack_of
 from nermo_mjx.robot.flexure import chain_of
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.gravity import gravity_vector
@@ -42,6 +42,9 @@ FIELDS: Final[dict[str, tuple[str, ...]]] = {
     "contact": ("pair_friction", "pair_solref", "pair_solimp"),
     "stiffness": ("jnt_stiffness",),
     "damping": ("dof_damping",),
+    "build.leg_slack": ("tendon_range",),
+    "build.spine_slack": ("tendon_range",),
+    "build.asymmetry": ("jnt_stiffness",),
     "mass": ("body_mass", "body_inertia"),
     "ground": ("opt.gravity",),
     "terrain": ("geom_pos", "geom_quat", "geom_size", "geom_rbound", "hfield_data"),
@@ -87,6 +90,13 @@ class Variation:
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck"), joints("head_tilt")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
         self._servo_dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+        left = np.array(["left" in names[i] for i in range(model.njnt)])
+        knees = np.concatenate([self._springs["front_knee"], self._springs["rear_knee"]])
+        self._knees = {1.0: knees[left[knees]], -1.0: knees[~left[knees]]}
+        self._tendons = [
+            np.array([i for i in range(model.ntendon) if slack_of(model.tendon(i).name) == kind], int)
+            for kind in ("leg_slack", "spine_slack")
+        ]
         self._scene = str(robot.config.scene)
         self._terrain = np.array([model.geom(name).id for name in geom_names(self._scene)], int)
         self._pairs = contact_kinds(model, scene_geoms(str(robot.config.scene)))
@@ -130,21 +140,31 @@ class Variation:
             hinges = self._hinges if name in ("knee", "ankle", "spine") else 1
             damping = damping.at[ids].set(hinges * getattr(p.damping, name))
         damping = damping.at[self._servo_dofs].add(p.servo.brake)
+        for side, ids in self._knees.items():
+            stiffness = stiffness.at[ids].multiply(1.0 + side * p.build.asymmetry)
 
         mass = jnp.asarray(model.body_mass, float)
         front, rear = model.body_mass[self._front].sum(), model.body_mass[1:][~self._front[1:]].sum()
         scale = jnp.where(self._front, p.mass.front / front, p.mass.rear / rear)
         placed = self._geometry(lengths)(p.geometry) if lengths else {}
         inertia = placed.pop("body_inertia", jnp.asarray(model.body_inertia, float))
+        reach = placed.pop("tendon_range", jnp.asarray(model.tendon_range, float))
+        for ids, slack in self.slacks(p):
+            reach = reach.at[ids, 1].add(slack)
         return placed | {
             "actuator_gainprm": gain, "actuator_biasprm": bias, "actuator_forcerange": force, "pair_friction": friction,
             "pair_solref": solref, "pair_solimp": solimp, "jnt_stiffness": stiffness, "dof_damping": damping,
-            "body_mass": mass * scale, "body_inertia": inertia * scale[:, None],
+            "tendon_range": reach, "body_mass": mass * scale, "body_inertia": inertia * scale[:, None],
             "opt.gravity": gravity_vector(p.ground.gravity, p.ground.slope, p.ground.direction, jnp),
             SERVO_PLAY: Play.of(p.servo).packed,
             "actuator_ctrlrange": jnp.full(model.actuator_ctrlrange.shape, UNLIMITED) * jnp.array([-1.0, 1.0]),
             **self._shaped(p.terrain, placed),
         }  # fmt: skip
+
+    def slacks(self, parameters: ModelParameters) -> list[tuple[np.ndarray, Any]]:
+        """Ids of the tendons of legs and spine, and by how much they are too long [m]."""
+        build = parameters.build
+        return list(zip(self._tendons, (build.leg_slack, build.spine_slack), strict=True))
 
     def _shaped(self, shape: TerrainShape, placed: Mapping[str, Array]) -> dict[str, Float[Array, ...]]:
         """Fields of the geoms that a terrain's shape moves, merged with those of the robot; none in other scenes."""
@@ -270,6 +290,8 @@ def compile_model(robot: Robot, values: Mapping[str, float]) -> mujoco.MjModel:
             set_heights(model, robot.model, field[0])
         else:
             operator.attrgetter(name)(model)[...] = field[0]
+    for ids, slack in variation.slacks(parameters):
+        model.tendon_range[ids, 1] += float(slack)
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
 

@@ -247,5 +247,5 @@ def _finish(spec: mujoco.MjSpec, config: RobotConfig, parameters: ModelParameter
     place_hinges(spec, config.hinges)
     set_masses(spec, config.robot, parameters)
     set_joints(spec, parameters, config.hinges)
-    set_tendons(spec)
+    set_tendons(spec, parameters)
     add_servos(spec, config.routing, parameters)

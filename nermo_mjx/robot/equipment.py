@@ -89,7 +89,8 @@ def set_joints(spec: mujoco.MjSpec, parameters: ModelParameters, hinges: int = 1
             _compliant(joint, stiffness.spine, damping.spine, ARMATURE["spine"], hinges=hinges)
         elif kind == "knee":
             pair = joint.name.split("_")[0]
-            spring = getattr(stiffness, f"{pair}_knee")
+            side = 1.0 if "left" in joint.name else -1.0
+            spring = getattr(stiffness, f"{pair}_knee") * (1.0 + side * parameters.build.asymmetry)
             _compliant(joint, spring, damping.knee, ARMATURE["knee"], KNEE_REST[pair], hinges)
         elif kind == "ankle":
             _compliant(joint, stiffness.ankle, damping.ankle, ARMATURE["ankle"], hinges=hinges)
@@ -110,12 +111,20 @@ def _compliant(joint: Any, stiffness: Any, damping: Any, armature: float, rest: 
     joint.armature, joint.springref = hinges * armature, rest / hinges
 
 
-def set_tendons(spec: mujoco.MjSpec) -> None:
-    """Make every tendon's length limit as stiff as the time step permits."""
+def slack_of(tendon: str) -> str | None:
+    """The parameter of `Build` that a tendon's slack is, by its name."""
+    return "spine_slack" if tendon.startswith("spine_") else "leg_slack" if tendon.endswith("_tendon") else None
+
+
+def set_tendons(spec: mujoco.MjSpec, parameters: ModelParameters) -> None:
+    """Make every tendon's length limit as stiff as the time step permits, and add the slack of the built robot."""
     time_constant = max(TENDON_TIME_CONSTANT, 2.0 * spec.option.timestep)
     for tendon in spec.tendons:
         tendon.solref_limit = np.array([time_constant, 1.0])
         tendon.solimp_limit = np.array(TENDON_SOLIMP)
+        slack = slack_of(tendon.name)
+        if slack is not None:
+            tendon.range = np.array(tendon.range) + np.array([0.0, float(getattr(parameters.build, slack))])
 
 
 def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -> None:

@@ -128,8 +128,9 @@ PARTS_41: Final[dict[str, Part]] = PARTS | {
     "spine_vertical_pulley": SPINE_PULLEY,
 }
 ROBOT_PARTS: Final = {"nermo_lite": PARTS, "nermo_41": PARTS_41}
+_REAR_MASS: Final = 0.1005
 #: Masses in front of and behind the spine [kg].
-ROBOT_MASSES: Final = {"nermo_lite": (0.1695, 0.1005), "nermo_41": (0.1745, 0.1005)}
+ROBOT_MASSES: Final = {"nermo_lite": (0.1695, _REAR_MASS), "nermo_41": (0.1745, _REAR_MASS)}
 
 #: Bodies counted to the front mass; every other moving body is counted to the rear.
 FRONT_PARTS: Final = (

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.masses import ROBOT_MASSES
 from nermo_mjx.robot.quantity import group, parameter_tree, quantity
 from nermo_mjx.robot.terrains import TerrainShape
 
@@ -124,8 +125,23 @@ class Mass:
     Defaults are those of Nermo-Lite; Nermo 4.1 has its own (`masses.ROBOT_MASSES`).
     """
 
-    front: Any = quantity(0.1695, unit="kg", low=0.05, high=0.5, doc="torso, head, front legs and half the spine")
-    rear: Any = quantity(0.1005, unit="kg", low=0.03, high=0.5, doc="hip, rear legs, tail and half the spine")
+    front: Any = quantity(
+        ROBOT_MASSES["nermo_lite"][0], unit="kg", low=0.05, high=0.5, doc="torso, head, front legs and half the spine"
+    )
+    rear: Any = quantity(
+        ROBOT_MASSES["nermo_lite"][1], unit="kg", low=0.03, high=0.5, doc="hip, rear legs, tail and half the spine"
+    )
+
+
+@parameter_tree
+class Build:
+    """How the built robot differs from its drawings: printed parts and tendons that were tied by hand."""
+
+    leg_slack: Any = quantity(0.0, unit="m", low=0.0, high=0.004, doc="by how much the legs' tendons are too long")
+    spine_slack: Any = quantity(0.0, unit="m", low=0.0, high=0.004, doc="by how much the spine's tendons are too long")
+    asymmetry: Any = quantity(
+        0.0, unit="1", low=-0.5, high=0.5, doc="share by which the left knees' springs are stiffer, the right softer"
+    )
 
 
 @parameter_tree
@@ -153,6 +169,7 @@ class ModelParameters:
     stiffness: Stiffness = group(Stiffness)
     damping: Damping = group(Damping)
     mass: Mass = group(Mass)
+    build: Build = group(Build)
     ground: Ground = group(Ground)
     terrain: TerrainShape = group(TerrainShape)
     geometry: Geometry = group(Geometry)

@@ -137,6 +137,7 @@ class Rollout:
         policy: Any = None,
     ) -> tuple[dict[str, Scalar], Path]:
         """The metrics and the path of one world; both are differentiable. The arguments are the same."""
+        values = {**self.setup.body, **values}
         params = self._parameters(values, policy)
         body = self.variation.differentiable(params.model, values)
         loop, ticks = self._loop_parameters(params, self.seconds(values, policy), values)

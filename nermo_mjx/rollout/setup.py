@@ -17,7 +17,7 @@ from nermo_mjx.control.loading import check_form, load_controller
 from nermo_mjx.control.parameters import with_geometry
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
-from nermo_mjx.control.published import published_values
+from nermo_mjx.control.published import body_values, published_values
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import names_geometry
@@ -56,7 +56,7 @@ class Setup:
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
             `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`.
-        profile: `exact` or `as_published`.
+        profile: `exact`, `as_published`, or `as_built`, with the body of the built robot.
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
         waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
@@ -194,7 +194,12 @@ class Setup:
         if not isinstance(controller, Controller):
             return world
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
-        return replace_quantities(world, values)
+        return replace_quantities(world, values | self.body)
+
+    @property
+    def body(self) -> dict[str, float]:
+        """Parameters of the body that the profile sets, which is to be simulated as if they were named."""
+        return body_values(self.profile) if isinstance(self._unbalanced, Controller) else {}
 
     @functools.cached_property
     def _quantities(self) -> dict[str, Quantity]:

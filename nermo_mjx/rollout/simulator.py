@@ -133,6 +133,7 @@ class Simulator:
 
     def prepare(self, values: Mapping[str, Any], run: Run | None = None, policy: Any = None) -> Batch:
         """The batch that `run` passes to the engine; the arguments are the same."""
+        values = {**self.setup.body, **values}
         # Of the same structure: parameters have a geometry if one is named.
         single = self.setup.world({name: 0.0 for name in values if names_geometry([name])})
         params, worlds = _batched(self.parameters(values, policy), single, values)
