@@ -49,7 +49,7 @@ class Settings:
 
     def __post_init__(self) -> None:
         if isinstance(self.profiles, str) or not self.profiles:
-            raise ParameterError(f"profiles is {self.profiles!r}: allowed is a list of {' and '.join(PROFILES)}.")
+            raise ParameterError(f"profiles is {self.profiles!r}: allowed is a list of {' and '.join(SIMULATED)}.")
         named = {choice("profile", profile, PROFILES) for profile in self.profiles}
         if not _whole(self.repeats) or self.repeats < 1:
             raise ParameterError(f"repeats is {self.repeats!r}: allowed is a whole number of at least 1.")
