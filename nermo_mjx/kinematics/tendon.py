@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from nermo_mjx.robot.leg_plane import TINY, check_routing, shank
+from nermo_mjx.robot.leg_plane import TINY, check_routing, lead_height, shank
 from nermo_mjx.robot.parameters import IDLER_RADIUS
 from nermo_mjx.shapes import Array
 
@@ -56,10 +56,10 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     check_routing(routing)
     if routing == "type3":
         return jnp.full(jnp.shape(leg.l1), math.pi), jnp.asarray(True)
-    if routing == "type3_idler":  # on the other side of the axis than type 1 of the pulley
-        return math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), jnp.asarray(True)
     if routing == "type2":
         y, z = leg.knee_direction * leg.guide[..., 0], leg.guide[..., 1]
+    elif routing == "type3_idler":
+        y, z = 0.0, lead_height(leg)
     else:
         y, z = 0.0, leg.pulley_height
     sin, cos = jnp.sin(leg.knee_direction * q1), jnp.cos(q1)
@@ -69,6 +69,8 @@ def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
     angle = math.pi + jnp.arctan2(across, towards)
     if routing == "type2":
         return angle, jnp.asarray(True)
+    if routing == "type3_idler":  # on the other side of the axis than type 1 of the pulley, or straight past the idler
+        return jnp.maximum(math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), angle), jnp.asarray(True)
     distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, TINY**2))
     turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
     return angle - turned, distance**2 > (leg.l2 + TINY) ** 2 + leg.pulley_radius**2
