@@ -100,7 +100,7 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
     walking = jax.block_until_ready(ours.program(session.params, session.fields, session.carry, count))
     states, ctrl = walking.physics, _targets(simulator, batch, ticks)
     blank = engine.data_among(worlds)
-    data = jax.jit(jax.vmap(lambda one: blank.replace(**one._asdict())))(states)
+    data = jax.jit(jax.vmap(lambda one: one.into(blank)))(states)
 
     def scan(data: mjx.Data, ctrl: jax.Array) -> mjx.Data:
         def tick(data: mjx.Data, target: jax.Array) -> tuple[mjx.Data, None]:

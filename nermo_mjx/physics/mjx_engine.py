@@ -44,6 +44,10 @@ class MjxState(NamedTuple):
     qacc_warmstart: Dofs
     motor: Float[Array, " n_servos"] | None = None
 
+    def into(self, data: mjx.Data) -> mjx.Data:
+        """Data in this state, of all but the motors, which MuJoCo does not know."""
+        return data.replace(qpos=self.qpos, qvel=self.qvel, act=self.act, qacc_warmstart=self.qacc_warmstart)
+
 
 class Carry(NamedTuple):
     """The scan's carry of one world.
@@ -162,8 +166,7 @@ class MjxEngine:
             motor = state.motor
             if motor is not None:
                 ctrl, motor = self._played(Play.unpacked(fields[SERVO_PLAY]), ctrl, state)
-            given = {name: value for name, value in state._asdict().items() if name != "motor"}
-            after = self.physics_step(model, blank.replace(ctrl=ctrl, **given))
+            after = self.physics_step(model, state.into(blank.replace(ctrl=ctrl)))
             found = after.sensordata, self.is_unsolved(after)
             return MjxState(after.qpos, after.qvel, after.act, after.qacc_warmstart, motor), found
 
