@@ -126,7 +126,7 @@ class CSession:
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
-        """Worlds in a call of `loop.step`: always `LANES`."""
+        """Arguments of the next call of `loop.step`, for `LANES` worlds of whatever batch."""
         return self._blocks[0].arguments
 
     @property
@@ -195,7 +195,7 @@ class _Block:
 
     @property
     def arguments(self) -> tuple[jax.Array, Array, Array, np.ndarray]:
-        """Time at the next call of `loop.step`."""
+        """Arguments of the next call of `loop.step`."""
         return self.loop.once, self.params, self._state, self._sensordata
 
     def advance(self, ticks: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import contextlib
 import hashlib
 import json
@@ -14,23 +15,23 @@ from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.specs.reading import Document, SpecError, dump, read_file, read_mapping, read_text
 
 
-class Described:
+class Described(abc.ABC):
     """Base of the four kinds; each says how a document is read (`of_document`) and written (`resolved`)."""
 
     kind: ClassVar[str]  #: in messages
 
     @classmethod
+    @abc.abstractmethod
     def of_document(cls, doc: Document) -> Self:
         """The checked content of a document; raises `SpecError`."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         """All fields with their defaults written out; they read back as the same.
 
         Args:
             folder: where the file is to stand, resolved: files in it are named from there.
         """
-        raise NotImplementedError
 
     @classmethod
     def from_file(cls, path: str | os.PathLike[str]) -> Self:
