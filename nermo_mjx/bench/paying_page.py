@@ -15,8 +15,8 @@ from nermo_mjx.runs.text import table
 
 PAGE: Final = "gradients_pay.md"
 _CASE: Final = "gradients-pay"
-_COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2]}
-_CALLED: Final = {"exact": "exact gradient", "mixture": "mixture", "cma": "CMA-ES"}
+_COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2], "line_search": SERIES[3]}
+_CALLED: Final = {"exact": "exact gradient", "mixture": "mixture", "line_search": "line search", "cma": "CMA-ES"}
 _WAY: Final = ("parameters", "task", "gait", "cpu_s")
 #: Share of a budget at which a curve is read, which excludes the last evaluation, since that exceeds the budget.
 _GRID: Final = 200

@@ -122,7 +122,7 @@ CASES: Final[dict[str, Benchmark]] = {
             "task": Option(("speed", "transport"), ("speed", "transport")),
             "gait": Option(("trt", "trt1", "lat"), ("trt", "trt1", "lat")),
             "seed": Option((1, 2, 3, 4, 5), whole=True),
-            "method": Option(("exact", "cma", "mixture"), ("exact", "mixture", "cma")),
+            "method": Option(("exact", "line_search", "cma", "mixture"), ("exact", "mixture", "line_search", "cma")),
             "cpu_s": Option((60.0,)),
         },
         once=True,

@@ -8,7 +8,7 @@ BENCH_CASES = (
     "throughput", "gradient", "tuning", "search", "gradients-pay", "startup", "profile", "speedtest", "gpu-plan",
 )  # fmt: skip
 PAYING_TASKS = ("speed", "transport")
-PAYING_METHODS = ("exact", "mixture", "cma")
+PAYING_METHODS = ("exact", "mixture", "line_search", "cma")
 GPU_TARGETS = ("h100", "a100", "l4", "t4")
 GPU_PROGRAMS = ("walk", "forward", "reverse")
 ROBOTS = ("nermo_lite", "nermo_41")

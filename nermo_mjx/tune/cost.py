@@ -54,16 +54,23 @@ def pace_here(tuning: Tuning) -> float:
 
 
 def _cost(tuning: Tuning, seconds: float, found: float) -> MethodCost:
-    method, parameters = tuning.method, len(tuning.names)
+    method, estimator, parameters = tuning.method, tuning.estimator, len(tuning.names)
+    rounds = tuning.iterations + 1
     if method.name == "cma":
-        points = method.population * (tuning.iterations + 1)
+        points = method.population * rounds
         return MethodCost(method.name, points, points * seconds, points * seconds / found)
+    searches = tuning.optimizer.searches
+    tried = tuning.starts * rounds * (1 + tuning.optimizer.line_search().points) if searches else 0
     if method.name == "differences":
-        points = tuning.starts * (tuning.iterations + 1) * (1 + method.neighbours(parameters))
+        points = tried + tuning.starts * rounds * (1 + method.neighbours(parameters))
         return MethodCost(method.name, points, points * seconds, points * seconds / found)
-    batch = tuning.starts * tuning.estimator.worlds
-    points = batch * (tuning.iterations + 1)
-    times = cost(parameters, choose_mode(parameters, tuning.mode)) if tuning.estimator.needs_gradient else 1.0
-    slower = MJX_SLOWER * max(1.0, MJX_WORLDS / batch)
-    wall = points * seconds * times * slower / found if jax.default_backend() == "cpu" else None
-    return MethodCost(method.name, points, points * seconds * times, wall)
+    # A sampled estimator of a line search leaves the point itself out.
+    batch = tuning.starts * (estimator.samples or 1 if searches else estimator.worlds)
+    points, times, slower = batch * rounds, 1.0, MJX_SLOWER * max(1.0, MJX_WORLDS / batch)
+    if estimator.needs_gradient:
+        times = cost(parameters, choose_mode(parameters, tuning.mode))
+    elif searches:
+        slower = 1.0
+    simulated = (points * times + tried) * seconds
+    wall = (points * times * slower + tried) * seconds / found if jax.default_backend() == "cpu" else None
+    return MethodCost(method.name, points + tried, simulated, wall)

@@ -1,5 +1,5 @@
-"""Adam with a controlled rate, or any optax optimizer by name, with its options and schedules by name; tried out
-before anything expensive starts."""
+"""Adam with a controlled rate, a line search, or any optax optimizer by name, with its options and schedules by name;
+tried out before anything expensive starts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Array, Float
 
 from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import describe
 from nermo_mjx.tune.controlled_adam import controlled_adam
+from nermo_mjx.tune.line_search import LineSearch
 
 #: The optimizer with an automatic learning rate, which uses the objective's value.
 CONTROLLED: Final = "controlled_adam"
+#: The one that tries points along the gradient (`nermo_mjx.tune.line_search`).
+LINE: Final = "line_search"
 #: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.tune.bounds`) per step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
@@ -33,8 +37,8 @@ class Optimizer:
     """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: `controlled_adam` (`nermo_mjx.tune.controlled_adam`), or of a function of optax that has a learning rate:
-            `adam`, `sgd`, `lion`, ...
+        name: `controlled_adam` (`nermo_mjx.tune.controlled_adam`), `line_search` (`nermo_mjx.tune.line_search`), or of
+            a function of optax that has a learning rate: `adam`, `sgd`, `lion`, ...
         options: keyword arguments of that function. A schedule is written as
             {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.
         clip: a longer gradient (2-norm over the parameters of one start) is clipped to this norm; None: no clipping.
@@ -49,11 +53,16 @@ class Optimizer:
     clip: float | None = None
 
     def __post_init__(self) -> None:
-        if self.name != CONTROLLED and "learning_rate" not in self.options:
+        if self.name not in (CONTROLLED, LINE) and "learning_rate" not in self.options:
             object.__setattr__(self, "options", {"learning_rate": LEARNING_RATE, **self.options})
         if self.clip is not None and not 0.0 < self.clip < float("inf"):
             raise ParameterError(f"optimizer.clip is {self.clip:g}: allowed is (0, inf).")
-        _try_out(self)
+        if not self.searches:
+            _try_out(self)
+            return
+        if self.clip is not None:
+            raise ParameterError("optimizer.clip is not read by line_search, which uses a gradient's direction alone.")
+        self.line_search()
 
     def __hash__(self) -> int:
         return hash((self.name, *sorted(self.options), self.clip))
@@ -63,12 +72,26 @@ class Optimizer:
         """Whether it uses objective values, so that it can react to a fall."""
         return self.name == CONTROLLED
 
+    @property
+    def searches(self) -> bool:
+        """Whether it is the line search."""
+        return self.name == LINE
+
+    def line_search(self) -> LineSearch:
+        """The line search with these options."""
+        search: LineSearch = _call("optimizer", self.name, LineSearch, self.options)
+        return search
+
+    def init(self, u: Float[Array, " p"]) -> Any:
+        """The state at the beginning from the vector u of one start."""
+        return self.line_search().init(u) if self.searches else self.build().init(u)
+
     def build(self) -> optax.GradientTransformationExtraArgs:
         """The pair of pure functions `init` and `update`, for the vector u of one start; `update` is given `value`."""
         make = optimizers().get(self.name)
         if make is None:
-            raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {', '.join(optimizers())}"
-                                 f"{did_you_mean(self.name, optimizers())}")  # fmt: skip
+            raise ParameterError(f"optimizer.name is {self.name!r}: allowed are {', '.join(NAMES)}"
+                                 f"{did_you_mean(self.name, NAMES)}")  # fmt: skip
         values = {key: _schedule(key, value) if isinstance(value, Mapping) else value
                   for key, value in self.options.items()}  # fmt: skip
         chosen = _call("optimizer", self.name, make, values)
@@ -173,3 +196,7 @@ def _try_out(optimizer: Optimizer) -> None:
 def _line(error: Exception) -> str:
     """An exception in one line."""
     return " ".join(str(error).split()).rstrip(".")[:200]
+
+
+#: Names of all optimizers.
+NAMES: Final = (CONTROLLED, LINE, *(name for name in optimizers() if name != CONTROLLED))

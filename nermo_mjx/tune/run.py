@@ -22,7 +22,8 @@ from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune.directory import TUNING, Directory
 from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.generations import GenerationTuner
-from nermo_mjx.tune.history import empty_log, history_table
+from nermo_mjx.tune.history import Log, empty_log, history_table
+from nermo_mjx.tune.line_tuner import LineTuner
 from nermo_mjx.tune.outcome import start_of
 from nermo_mjx.tune.pictures import Painter, Pictures
 from nermo_mjx.tune.spec import Tuning
@@ -142,7 +143,7 @@ def run_tuning(
         report(TuningProgress(min(resumed, tuning.iterations), tuning.iterations, resumed))
         if goes_on:
             shared = SharedProblem(tuning, problem or simulation_of(tuning), workers or LocalWorkers())
-            tuner = Tuner(tuning, shared) if tuning.method.has_gradient else GenerationTuner(tuning, shared, log)
+            tuner = tuner_of(tuning, shared, log)
         directory.claim(log)
         tuning = directory.tuning
         if goes_on:
@@ -180,12 +181,24 @@ def run_tuning(
         return TuningResult(directory.out, tuning, start, best, history, state, len(log) - resumed, pictures)
 
 
+def tuner_of(tuning: Tuning, problem: Problem, log: Log | None = None) -> Tuner | LineTuner | GenerationTuner:
+    """What steps a tuning, after a history so far."""
+    if not tuning.method.has_gradient:
+        return GenerationTuner(tuning, problem, log)
+    return (LineTuner if tuning.optimizer.searches else Tuner)(tuning, problem)
+
+
 def simulation_of(tuning: Tuning) -> Problem:
     """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
+    # Engines, and what they compile, only where needed.
     if tuning.method.engine == "c":
-        from nermo_mjx.tune.simulated import SimulatedProblem  # engines, and what they compile, only where needed
+        from nermo_mjx.tune.simulated import SimulatedProblem
 
         return SimulatedProblem(tuning)
+    if tuning.optimizer.searches:
+        from nermo_mjx.tune.guided import GuidedProblem
+
+        return GuidedProblem(tuning)
     from nermo_mjx.tune.problem import WalkProblem
 
     return WalkProblem(tuning)

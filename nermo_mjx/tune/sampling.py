@@ -24,6 +24,7 @@ class Estimator:
         common: common random numbers: the same perturbations for all `starts`, for all `iterations`, for `both`, or
             `none`.
         gamma: most bias that a mixture accepts from the first order, in standard errors of the zeroth.
+        normalized: whether each world's gradient counts with length 1, for `smoothed`.
     """
 
     name: str = "exact"
@@ -31,6 +32,7 @@ class Estimator:
     sigma: float = 0.0
     common: str = "none"
     gamma: float = 1.0
+    normalized: bool = False
 
     @property
     def worlds(self) -> int:
@@ -47,7 +49,8 @@ class Estimator:
         if self.name == "exact":
             return self.name
         options = {"samples": self.samples, "sigma": self.sigma, "common": self.common}
-        return {self.name: options | ({"gamma": self.gamma} if self.name == "mixture" else {})}
+        own = {"mixture": {"gamma": self.gamma}, "smoothed": {"normalized": True} if self.normalized else {}}
+        return {self.name: options | own.get(self.name, {})}
 
 
 def perturbations(

@@ -15,7 +15,7 @@ from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, o
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 from nermo_mjx.specs.values import MEASURED, Choice, Finite, Numbers, Positive, Whole, check_value
 from nermo_mjx.tune.objective import AIMS, OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term, objective_metrics
-from nermo_mjx.tune.optimizer import CONTROLLED, LEARNING_RATE, Optimizer, optimizers
+from nermo_mjx.tune.optimizer import CONTROLLED, LEARNING_RATE, NAMES, Optimizer
 from nermo_mjx.tune.sampling import COMMON, Estimator
 
 #: Periodic parameters and their periods.
@@ -103,13 +103,13 @@ class TermFields(Fields):
 
 
 class OptimizerFields(Fields):
-    """Adam with a controlled rate, or an optimizer of optax by name, with its options; optax knows which there are."""
+    """Adam with a controlled rate, a line search, or an optimizer of optax by name, with its options."""
 
     expected: ClassVar = "a name or {name: adam, learning_rate: 0.1}"
-    short: ClassVar = ({"enum": [*optimizers()]},)
+    short: ClassVar = ({"enum": [*NAMES]},)
     __pydantic_extra__: dict[str, float | bool | str | dict[str, Any]]
     model_config = ConfigDict(extra="allow")
-    name: str = chosen("adam", optimizers(), "controlled_adam, or a function of optax")
+    name: str = chosen("adam", NAMES, "controlled_adam, line_search, or a function of optax")
     learning_rate: Positive | dict[str, Any] = Field(
         LEARNING_RATE, description="in coordinates u a step; or a schedule such as {cosine: {init_value: 0.1, "
                                    "decay_steps: 40}}")  # fmt: skip
@@ -136,6 +136,10 @@ class Sampled(Fields):
     common: Annotated[str, Choice(COMMON)] = Field("none", description="for which the perturbations are the same")
 
 
+class Smoothed(Sampled):
+    normalized: bool = Field(False, description="whether each world's gradient counts with length 1")
+
+
 class Mixture(Sampled):
     samples: Annotated[int, Whole(4, 100_000, even=True)] = Field(description="perturbed worlds of each start")
     gamma: Positive = Field(
@@ -151,7 +155,7 @@ class EstimatorFields(OneOf):
     other: ClassVar = "is not an estimator"
     other_name: ClassVar = "is {name!r}"
     exact: Exact | None = optional("the derivative at the point itself")
-    smoothed: Sampled = optional("the mean derivative around the point")
+    smoothed: Smoothed = optional("the mean derivative around the point")
     evolution: Sampled = optional("from differences of the objective, without derivatives")
     mixture: Mixture = optional("both, weighted by their variances")
 

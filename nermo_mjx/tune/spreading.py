@@ -48,7 +48,7 @@ class Evaluator:
 class SharedProblem:
     """A problem whose worlds are shared among workers; an `evaluation.Problem` itself.
 
-    Shares are whole starts, all of one size, which stays while the tuning runs: a worker compiles once, and numbers do
+    Shares are whole starts, as many in each, which stays while the tuning runs: a worker compiles once, and numbers do
     not depend on who computes them. One share is the whole batch, and its numbers are the problem's own. With several,
     MJX rounds the last digits differently, as XLA does in batches of another size.
 
@@ -60,12 +60,13 @@ class SharedProblem:
         self.names, self.simulated_seconds = problem.names, problem.simulated_seconds
         self.gradient_cost = problem.gradient_cost
         self._workers = workers
-        self._share = math.ceil(tuning.starts / workers.parts) * tuning.estimator.worlds
+        self._starts, self._parts = tuning.starts, workers.parts
         workers.begin(Evaluator(tuning, problem))
 
     def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
         """See `evaluation.Problem.evaluate`; raises what the problem raises, or `WorkersLost`."""
-        given, size = np.asarray(points), self._share
+        given = np.asarray(points)
+        size = math.ceil(self._starts / self._parts) * (len(given) // self._starts)
         shares = math.ceil(len(given) / size)
         # The last share is filled up with points from the beginning.
         filled = np.resize(given, (shares * size, given.shape[1])).reshape(shares, size, -1)

@@ -20,7 +20,7 @@ class TuneState:
 
     Attributes:
         u: points in unbounded coordinates (starts, p), see `nermo_mjx.tune.bounds`.
-        optimizer: state of optax, every leaf with a leading axis of starts.
+        optimizer: state of the optimizer, every leaf with a leading axis of starts.
         iteration: iterations done.
         key: data of the random key (2,); an iteration's perturbations follow from it and the iteration's number.
         best_u: the best point of each start so far (starts, p); its beginning, where none walked to the end yet.
@@ -42,7 +42,7 @@ def initial_state(tuning: Tuning) -> TuneState:
     u = to_unconstrained(tuning.bounds, jnp.asarray(tuning.start_points(), float))
     return TuneState(
         u=u,
-        optimizer=jax.vmap(tuning.optimizer.build().init)(u),
+        optimizer=jax.vmap(tuning.optimizer.init)(u),
         iteration=jnp.zeros((), int),
         key=jax.random.key_data(jax.random.key(tuning.seed)),
         best_u=u,

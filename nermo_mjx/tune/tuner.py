@@ -57,7 +57,7 @@ class Tuner:
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate the points of a state and take one step from them."""
         estimator, starts = self.tuning.estimator, len(state.u)
-        points = _placed(estimator, self.bounds, state)
+        points = placed(estimator, self.bounds, state)
         found = self.problem.evaluate(points, estimator.needs_gradient)
         after, est, ok, scale = _advanced(
             estimator, self.tuning.optimizer, self.bounds, state, found.value, found.gradient, found.ok
@@ -79,18 +79,20 @@ class Tuner:
         )
 
 
-def _noise(estimator: Estimator, state: TuneState) -> Float[Array, "starts k p"]:
+def noise(estimator: Estimator, state: TuneState) -> Float[Array, "starts k p"]:
+    """The perturbations e of an iteration."""
     return perturbations(estimator, state.key, state.iteration, *state.u.shape)
 
 
-def _coordinates(estimator: Estimator, state: TuneState) -> Float[Array, "starts worlds p"]:
-    return state.u[:, None] + offsets(estimator, _noise(estimator, state))
+def coordinates(estimator: Estimator, state: TuneState) -> Float[Array, "starts worlds p"]:
+    """All worlds of an iteration in coordinates u; the first of each start is its point."""
+    return state.u[:, None] + offsets(estimator, noise(estimator, state))
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _placed(estimator: Estimator, bounds: Bounds, state: TuneState) -> Float[Array, "n p"]:
+def placed(estimator: Estimator, bounds: Bounds, state: TuneState) -> Float[Array, "n p"]:
     """Parameters of all worlds, start by start; the first of each start is its point."""
-    return from_unconstrained(bounds, _coordinates(estimator, state)).reshape(-1, state.u.shape[1])
+    return from_unconstrained(bounds, coordinates(estimator, state)).reshape(-1, state.u.shape[1])
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
@@ -108,12 +110,12 @@ def _advanced(
     A start without a completed walk has no gradient: it moves halfway back to its best point, and
     its optimizer is not updated; an optimizer that uses values reacts by itself.
     """
-    update, at = optimizer.build().update, _coordinates(estimator, state)
+    update, at = optimizer.build().update, coordinates(estimator, state)
     value, ok = value.reshape(at.shape[:2]), (ok & jnp.isfinite(value)).reshape(at.shape[:2])
     if gradient is not None:
         gradient = gradient.reshape(at.shape) * slope(bounds, at)
         ok = ok & jnp.isfinite(gradient).all(axis=-1)
-    found = estimate(estimator, _noise(estimator, state), value, gradient, ok)
+    found = estimate(estimator, noise(estimator, state), value, gradient, ok)
     better = ok[:, 0] & (value[:, 0] < state.best_value)
     best_u = jnp.where(better[:, None], state.u, state.best_u)
     lost = found.lost
