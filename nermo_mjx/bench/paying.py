@@ -110,13 +110,13 @@ def tuning_of(task: str, gait: str, parameters: int, method: str, seed: int) -> 
     if task == "transport":
         held = {"hold": "speed", "at": HELD[gait], "scale": 0.01, "weight": 2}
         objective = [{"minimize": "cost_of_transport"}, held]
-    how: dict[str, Any] = {
+    methods: dict[str, dict[str, Any]] = {
         "exact": {}, "mixture": {"estimator": {"mixture": {"samples": 4, "sigma": 0.05}}},
         "line_search": {"estimator": {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}},
                         "optimizer": "line_search"},
         "cma": {"method": {"cma": {"sigma": SIGMA, "population": POPULATION}}},
-    }[method]  # fmt: skip
-    return Tuning.from_dict({**_walk(gait), **how, "tune": tuned, "objective": objective, "seed": seed})
+    }  # fmt: skip
+    return Tuning.from_dict({**_walk(gait), **methods[method], "tune": tuned, "objective": objective, "seed": seed})
 
 
 def _walk(gait: str) -> dict[str, Any]:

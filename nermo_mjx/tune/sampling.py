@@ -48,9 +48,9 @@ class Estimator:
         """As written in a tuning file."""
         if self.name == "exact":
             return self.name
-        options = {"samples": self.samples, "sigma": self.sigma, "common": self.common}
-        own = {"mixture": {"gamma": self.gamma}, "smoothed": {"normalized": True} if self.normalized else {}}
-        return {self.name: options | own.get(self.name, {})}
+        options: dict[str, Any] = {"samples": self.samples, "sigma": self.sigma, "common": self.common}
+        own = {"gamma": self.gamma} if self.name == "mixture" else {}
+        return {self.name: options | own | ({"normalized": True} if self.normalized else {})}
 
 
 def perturbations(
