@@ -1,8 +1,8 @@
 """A line search along an averaged gradient: few expensive directions, each tried at many lengths.
 
 A gradient of a walk costs as much as tens of walks on the engine `c`, so each direction is used as far as it leads. The
-estimate's descent direction d, of length 1, and its running sum m <- momentum * m + d (heavy-ball momentum, Polyak
-1964) are both followed to `points` / 2 lengths, spread geometrically about the expected one. The tuning moves to the
+estimate's descent direction d, of length 1 at most, and its running sum m <- momentum * m + d (heavy-ball momentum,
+Polyak 1964) are both followed to `points` / 2 lengths, spread geometrically about the expected one. The tuning moves to the
 best of these points, or stays where none is better. The conditions of Wolfe, by which a line search usually ends, do
 not apply: they need the slope along the line, and that of a walk is rough. The expected length becomes the geometric
 mean of itself and the chosen length, or 0.6 of itself after a search without gain.
@@ -78,11 +78,11 @@ class LineSearch:
 
         Without a gradient, which is then zero, the momentum alone leads on.
         """
-        ahead = -_unit(gradient)
-        momentum = self.momentum * state.momentum + ahead
+        # Directions that disagree, whose mean is short, count less; a derivative that is large at one point, no more.
+        momentum = self.momentum * state.momentum - gradient / jnp.maximum(jnp.linalg.norm(gradient), 1.0)
         # The lengths of both directions lie between one another: in the first iteration the directions are the same.
         reach = jnp.geomspace(_LEAST, _MOST, int(self.points), dtype=u.dtype)
-        ways = jnp.where(jnp.arange(len(reach))[:, None] % 2, _unit(momentum), ahead)
+        ways = jnp.where(jnp.arange(len(reach))[:, None] % 2, _unit(momentum), -_unit(gradient))
         return state._replace(momentum=momentum), u + state.length * reach[:, None] * ways
 
     def taken(self, state: LineState, better: Bool[Array, ""], moved: Float[Array, ""]) -> LineState:
