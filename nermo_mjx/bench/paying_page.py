@@ -18,6 +18,7 @@ _CASE: Final = "gradients-pay"
 _COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2], "line_search": SERIES[3]}
 _CALLED: Final = {"exact": "exact gradient", "mixture": "mixture", "line_search": "line search", "cma": "CMA-ES"}
 _WAY: Final = ("parameters", "task", "gait", "cpu_s")
+_KEY: Final = ("parameters", "task", "gait", "method", "seed")
 #: Share of a budget at which a curve is read, which excludes the last evaluation, since that exceeds the budget.
 _GRID: Final = 200
 
@@ -37,7 +38,7 @@ def text(lines: Sequence[Line]) -> str:
                 "at equal simulated time", "to the first evaluation [CPU s]", "evaluations"]  # fmt: skip
     parts = ["# Where gradients pay: the searches", "", *_INTRODUCTION, ""]
     parts += [table(headings, [row for cell, own in cells.items() for row in _rows(cell, own)]), ""]
-    parts += [sentence for cell, own in cells.items() if (sentence := _verdict(cell, own))]
+    parts += [sentence for cell, own in cells.items() for sentence in _verdicts(cell, own)]
     parts += ["", *_missing(list(cells), cells), ""]
     parts += [f"![{name}](plots/{name}.png)" for name in (_name(cell) for cell, own in cells.items() if _compares(own))]
     return "\n".join(parts).rstrip() + "\n"
@@ -82,38 +83,32 @@ def _rows(cell: Cell, own: Sequence[Line]) -> list[list[str]]:
     return found
 
 
-def _verdict(cell: Cell, own: Sequence[Line]) -> str:
-    """The method that found the better gait, by the median over the seeds that both have; empty if one is missing."""
-    seeds = set.intersection(*({x["seed"] for x in own if x["method"] == name} for name in ("exact", "cma")))
-    if not seeds:
-        return ""
-    ends = {name: np.median([_end(x) for x in own if x["method"] == name and x["seed"] in seeds])
-            for name in ("exact", "cma")}  # fmt: skip
-    higher = cell[1] == "speed"
-    wins = (ends["exact"] > ends["cma"]) == higher
-    unit = " mm/s" if higher else ""
-    return (f"- {cell[0]} parameters, {cell[1]}, {cell[2]}: the gradient **{'wins' if wins else 'loses'}**, "
-            f"{ends['exact']:.4g}{unit} against {ends['cma']:.4g}{unit}, medians of {len(seeds)} seeds.")  # fmt: skip
+def _verdicts(cell: Cell, own: Sequence[Line]) -> Iterator[str]:
+    """Whether each method with gradients found a better gait than CMA-ES: medians over the seeds that both have."""
+    for method in (name for name in _CALLED if name != "cma"):
+        seeds = set.intersection(*({x["seed"] for x in own if x["method"] == name} for name in (method, "cma")))
+        if not seeds:
+            continue
+        ends, rival = (np.median([_end(x) for x in own if x["method"] == name and x["seed"] in seeds])
+                       for name in (method, "cma"))  # fmt: skip
+        higher = cell[1] == "speed"
+        wins, unit = (ends > rival) == higher, " mm/s" if higher else ""
+        many = "1 seed" if len(seeds) == 1 else f"medians of {len(seeds)} seeds"
+        yield (f"- {cell[0]} parameters, {cell[1]}, {cell[2]}: the {_CALLED[method]} "
+               f"**{'wins' if wins else 'loses'}**, {ends:.4g}{unit} against {rival:.4g}{unit}, {many}.")  # fmt: skip
 
 
 def _missing(cells: Sequence[Cell], found: Mapping[Cell, Sequence[Line]]) -> list[str]:
-    """The missing searches of the plan."""
+    """How many searches of the plan are missing, of each number of parameters."""
     there = {(*cell[:3], line["method"], line["seed"]) for cell in cells for line in found[cell]}
-    absent: dict[tuple[Any, ...], int] = {}
     planned = CASES[_CASE].plan({})
-    for each in planned:
-        key = (each["parameters"], each["task"], each["gait"], each["method"])
-        if (*key, each["seed"]) not in there:
-            absent[key] = absent.get(key, 0) + 1
+    absent = [each for each in planned if tuple(each[name] for name in _KEY) not in there]
     if not absent:
         return ["All planned searches are finished."]
-    text = [f"{sum(absent.values())} of the {len(planned)} planned searches are missing:", ""]
-    for size in CASES[_CASE].options["parameters"].default:
-        here = {key[1:]: count for key, count in absent.items() if key[0] == size}
-        whole = sum(each["parameters"] == size for each in planned)
-        parts = [f"{task}, {gait}, {method}: {count}" for (task, gait, method), count in here.items()]
-        if here:
-            text.append(f"- {size} parameters: {'all' if sum(here.values()) == whole else '; '.join(parts)}.")
+    text = [f"{len(absent)} of the {len(planned)} planned searches are missing:", ""]
+    for size in sorted({each["parameters"] for each in absent}):
+        missing, whole = (sum(each["parameters"] == size for each in some) for some in (absent, planned))
+        text.append(f"- {size} parameters: {'all' if missing == whole else f'{missing} of {whole}'}.")
     return text
 
 

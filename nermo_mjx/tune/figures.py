@@ -88,6 +88,7 @@ def gradients_figure(traces: Traces) -> Figure:
     discarded = int(traces.column("discarded").sum())
     note = f"{_what(traces)}; estimator {estimator.name}"
     note += f" of {estimator.samples} samples" if estimator.samples else ""
+    note += ", each of length 1" if estimator.normalized else ""
     note += "; each component counts per whole range of its parameter"
     note += f"; {discarded:,} worlds were left out" if discarded else ""
     count = 1 + (error is not None) + (estimator.name == "mixture")

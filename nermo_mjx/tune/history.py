@@ -105,9 +105,10 @@ def _columns(tuning: Tuning, metrics: tuple[str, ...] | list[str]) -> Iterator[H
     )
     for name in tuning.names:
         yield HistoryColumn(name, "parameter", parameters[name].unit, parameters[name].doc)
+    normalized = ", the mean over worlds whose gradients count with length 1" if estimator.normalized else ""
     for name in tuning.names if tuning.method.has_gradient else ():
         unit = "1" if parameters[name].unit == "1" else f"1/({parameters[name].unit})"
-        yield HistoryColumn(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}")
+        yield HistoryColumn(f"gradient.{name}", "gradient", unit, f"estimated d objective / d {name}{normalized}")
         if estimator.samples:
             yield HistoryColumn(f"gradient_error.{name}", "error", unit, f"standard error of gradient.{name}")
         if estimator.name == "mixture":

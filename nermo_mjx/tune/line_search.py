@@ -2,9 +2,9 @@
 
 A gradient of a walk costs as much as tens of walks on the engine `c`, so each direction is used as far as it leads. The
 estimate's descent direction d, of length 1 at most, and its running sum m <- momentum * m + d (heavy-ball momentum,
-Polyak 1964) are both followed to `points` / 2 lengths, spread geometrically about the expected one. The tuning moves to the
-best of these points, or stays where none is better. The conditions of Wolfe, by which a line search usually ends, do
-not apply: they need the slope along the line, and that of a walk is rough. The expected length becomes the geometric
+Polyak 1964) are both followed to `points` / 2 lengths, spread geometrically about the expected one. The tuning moves to
+the best of these points, or stays where none is better. The conditions of Wolfe, by which a line search usually ends,
+do not apply: they need the slope along the line, and that of a walk is rough. The expected length becomes the geometric
 mean of itself and the chosen length, or 0.6 of itself after a search without gain.
 """
 
