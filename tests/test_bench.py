@@ -71,11 +71,12 @@ def test_a_measurement_that_fails_is_a_sentence(place: str, option: dict[str, An
 
 
 @pytest.mark.process
-def test_a_walk_is_measured_on_the_c_engine() -> None:
+@pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
+def test_a_walk_is_measured(engine: str) -> None:
     """A small batch: the figures that spec and page rely on are there, and are those of one walk and its physics."""
-    result = run_bench(("throughput",), {"engine": ("c",), "worlds": (2,)})
+    result = run_bench(("throughput",), {"engine": (engine,), "worlds": (2,)})
     (line,) = result["cases"]
-    assert (line["case"], line["engine"], line["worlds"]) == ("throughput", "c", 2)
+    assert (line["case"], line["engine"], line["worlds"]) == ("throughput", engine, 2)
     assert line["ratio"] == pytest.approx(line["steps_per_second"] / line["plain_steps_per_second"], rel=0.5)
     assert line["seconds_simulated_per_second"] == pytest.approx(0.002 * line["steps_per_second"])
     assert result["hardware"]["mujoco"] == "3.17.0"

@@ -142,12 +142,17 @@ def test_mjx_and_c_measure_the_same_gait(walks):
 
 
 @pytest.mark.slow
-def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
-    """Masses with the constants MuJoCo derives from them, friction, springs, dampers and servos, world by world."""
+def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator, compilations):
+    """Masses with the constants MuJoCo derives from them, lengths, friction, springs, dampers and servos, by world.
+
+    Other values of all of them compile nothing.
+    """
     values = {
         "frequency": 0.8,
         "contact.friction": np.array([0.3, 1.0, 1.4]),
         "mass.front": np.array([0.2, 0.1647, 0.15]),
+        "geometry.rear_leg.upper": np.array([0.036, 0.0317, 0.029]),
+        "geometry.spine.segment": np.array([0.012, 0.014, 0.016]),
         "stiffness.spine": np.array([12.0, 1.2, 1.0]),
         "damping.spine": np.array([0.3, 0.09, 0.05]),
         "damping.knee": np.array([0.004, 0.005, 0.008]),
@@ -158,6 +163,10 @@ def test_mjx_varies_the_body_within_a_batch_as_c_does(simulator):
     for name in ("speed", "servo_work", "roll_std"):
         np.testing.assert_allclose(mjx[name], c[name], rtol=0.01, err_msg=name)
         assert np.ptp(c[name]) > 0.05 * c[name].mean()
+    compilations.clear()
+    others = simulator("mjx", spine="stride_extension").run({name: 0.99 * value for name, value in values.items()}, run)
+    assert compilations == []
+    assert not np.array_equal(others.metrics["speed"], mjx["speed"])
 
 
 @pytest.mark.slow

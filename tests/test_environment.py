@@ -117,6 +117,28 @@ def test_staggered_worlds_do_not_end_their_episodes_together():
 
 
 @pytest.mark.compiles
+@pytest.mark.parametrize("staggered", [True, False])
+def test_mjx_staggers_the_first_episodes_and_no_later_ones(staggered):
+    """How long they are to last; steps that wait for their ends would compile physics for a minute."""
+    environment = Environment(SETUP, engine="mjx", worlds=12, task=TASK, staggered=staggered)
+    whole = round(TASK.duration / 0.01)
+
+    @jax.jit
+    def lengths():
+        """Ticks of the first episodes, and of those that follow, of the same keys."""
+        first = environment.reset(3).engine
+        return first.params.ticks, jax.vmap(environment._worlds.begin)(first.key).params.ticks
+
+    first, later = map(np.asarray, lengths())
+    np.testing.assert_array_equal(later, whole)
+    if staggered:
+        assert len(set(first)) > 6
+        assert 1 <= first.min() < 8 < 14 < first.max() <= whole
+    else:
+        np.testing.assert_array_equal(first, whole)
+
+
+@pytest.mark.compiles
 def test_rewards_are_the_weighted_terms_and_terms_sum_to_what_an_episode_measures(states):
     episode = states[1:21]
     for name, measured in (("progress", "distance"), ("work", "servo_work")):
