@@ -194,12 +194,13 @@ def small(request):
         first = case.point
         weights = np.cos(1.0 + np.arange(jax.eval_shape(end, first).shape[0]))
 
-        def ahead(point):
-            return jax.vmap(lambda way: jax.jvp(end, (point,), (way,)), out_axes=(None, 0))(jnp.eye(len(first)))
+        def both(point):
+            """State, slopes (n, nq + nv), and those of the weighted state: `jvp` and `grad` of one trace."""
+            state, push = jax.linearize(end, point)
+            return state, jax.vmap(push)(jnp.eye(len(first))), *jax.linear_transpose(push, point)(jnp.asarray(weights))
 
         jit = functools.partial(jax.jit, compiler_options=compiler_options())
-        state, slopes = map(np.asarray, jit(ahead)(first))
-        reverse = np.asarray(jit(jax.grad(lambda point: end(point) @ weights))(first))
+        state, slopes, reverse = map(np.asarray, jit(both)(first))
         widths = SHARE * np.maximum(np.abs(first), 0.01)
         points = np.concatenate([first[None], first + np.diag(widths), first - np.diag(widths)])
         plain = jit(jax.vmap(_in_mjx(case, mjx.step)))

@@ -6,9 +6,7 @@ import dataclasses
 import json
 import math
 import pickle
-from typing import Any
 
-import jax
 import mujoco
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ from nermo_mjx.robot.presets import PRESETS
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.setup import all_parameters
-from nermo_mjx.runtime import compiler_options
 from nermo_mjx.sweep.spec import Sweep
 
 #: The largest change of a gait metric that `fast` may bring: what docs/benchmarks/physics.md says. The identified servo
@@ -103,25 +100,6 @@ def test_a_fall_is_reported_by_both(simulator):
         np.testing.assert_array_equal(measured.diverged, [False, False])
         fell.append(measured.failure_time[1])
     assert fell[0] == pytest.approx(fell[1], abs=0.011)
-
-
-@pytest.mark.slow
-def test_fast_walks_on_mjx_and_has_a_gradient(simulator):
-    """In MJX the walk is C's, and the derivative of its speed is that of a difference of C's walks.
-
-    The first half second of a trot. The difference is over 0.02 rad, which leaves 0.1 % of curvature.
-    """
-    setup, run = {"physics": "fast", "spine": "stride_extension"}, Run(duration=0.5)
-    rollout = Rollout(Setup(**setup), run)
-
-    def distance(amplitude: Any) -> Any:
-        return rollout({"frequency": 0.8, "spine.amplitude": amplitude, "spine.phase": -0.5})["distance"]
-
-    value, slope = jax.jit(lambda at: jax.jvp(distance, (at,), (1.0,)), compiler_options=compiler_options())(0.2)
-    values = {"frequency": 0.8, "spine.amplitude": np.array([0.19, 0.2, 0.21]), "spine.phase": -0.5}
-    low, middle, high = simulator(**setup).run(values, run).metrics["distance"]
-    assert float(value) == pytest.approx(middle, rel=0.01)
-    assert float(slope) == pytest.approx((high - low) / 0.02, rel=0.1)
 
 
 # --- less to compute

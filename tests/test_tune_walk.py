@@ -7,7 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run
 from nermo_mjx.tune import read_history, run_tuning
 from nermo_mjx.tune.problem import Reference, WalkProblem
 from nermo_mjx.tune.spec import Tuning
@@ -30,6 +30,7 @@ SPEC = {
     "mode": "forward",
     "plots": False,
 }
+DURATION = Run(duration=0.1, warmup=0.02)
 
 
 class _Stopped(Exception):
@@ -63,14 +64,23 @@ def test_the_robot_ends_faster_than_it_began(tuned):
     assert speed[-1] > speed[0] + 2e-4
 
 
-def test_the_objective_is_the_speed_that_a_sweep_measures(tuned):
+def test_the_objective_is_the_speed_that_a_sweep_measures(tuned, simulator):
     """The C engine walks the best point at the same speed."""
     result, _ = tuned
-    walked = Simulator(Setup(spine="stride_extension"), "c").run(
-        {"frequency": 0.8, **result.best["parameters"]}, Run(duration=0.1, warmup=0.02)
-    )
+    walked = simulator(spine="stride_extension").run({"frequency": 0.8, **result.best["parameters"]}, DURATION)
     assert result.best["metrics"]["speed"] == pytest.approx(walked.metrics["speed"][0], abs=2e-5)
     assert result.best["objective"] == pytest.approx(-10 * result.best["metrics"]["speed"], rel=1e-6)
+
+
+def test_the_gradient_at_the_start_is_that_of_the_c_engine(tuned, simulator):
+    """Of C's walks 0.02 rad apart, which leaves 0.1 % of curvature."""
+    _, history = tuned
+    ends = 0.01 * np.array([[1.0, -1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
+    values = {name: about["start"] + ends[i] for i, (name, about) in enumerate(SPEC["tune"].items())}
+    walked = simulator(spine="stride_extension").run({"frequency": 0.8, **values}, DURATION).metrics["speed"]
+    slopes = -10 * (walked[::2] - walked[1::2]) / 0.02
+    found = [history[f"gradient.{name}"][0].as_py() for name in SPEC["tune"]]
+    assert found == pytest.approx(slopes, rel=0.1)
 
 
 @pytest.mark.parametrize("after", [1, 3])

@@ -36,8 +36,8 @@ class Walk:
     `ahead` and `reverse` end with what their program holds of `HELD`, lowered for GPUs and TPUs.
     """
 
-    def __init__(self, cone: str) -> None:
-        self.setup = Setup(spine="stride_extension", cone=cone)
+    def __init__(self, **choices: str) -> None:
+        self.setup = Setup(spine="stride_extension", **choices)
         with jax.enable_x64(True):
             self.rollout = Rollout(self.setup, ONE_CYCLE, slowest=0.8)
         self.first = np.array(list(POINT.values()))
@@ -81,9 +81,16 @@ class Walk:
         return float(speed), (high - low) / (2 * SHARE * self.first)
 
 
-@pytest.fixture(scope="module", params=["elliptic", pytest.param("pyramidal", marks=pytest.mark.long)])
+#: The preset with larger steps every time; that of the default is compared with C in test_tune_walk.py, for a moment.
+WALKS = {"fast": {"physics": "fast"}, "elliptic": {}, "pyramidal": {"cone": "pyramidal"}}
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(name, marks=[pytest.mark.long] * (name != "fast")) for name in WALKS],
+)
 def walk(request):
-    return Walk(request.param)
+    return Walk(**WALKS[request.param])
 
 
 @pytest.mark.long  # test_own_controller.py has reverse mode through a walk, test_differentiable_step.py both modes
