@@ -16,8 +16,10 @@ import pytest
 import tiers
 
 from nermo_mjx import runtime
+from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting import files
 from nermo_mjx.rollout import Run, RunResult, Setup, Simulator
+from nermo_mjx.rollout.setup import without_presettings
 
 # Programs of a test run for seconds and compile for longer: XLA does not optimize machine code, takes its older emitter
 # for all programs, not only for those of the package (`runtime.COMPILER_OPTIONS`: a Jacobian of the metrics takes 3.7 s
@@ -33,8 +35,12 @@ os.fsync = lambda _: None  # no test cuts the power, and a process that is kille
 gc.disable()  # until all is imported and collected: a quarter of the time of both
 runtime.start_jax()  # before a test does, with too few threads for large batches on two cores
 
-#: Files that take longest, the longest first; a notebook finds the program of test_tune_walk.py compiled.
-FIRST = ("test_walk_gradient.py", "test_experiments.py", "test_tune_walk.py", "test_ray_workers.py", "test_engines.py")
+#: Files that take 25 s or more of a core, or wait as long; a notebook finds the program of test_tune_walk.py compiled.
+FIRST = (
+    "test_tune_walk.py", "test_experiments.py", "test_ray_workers.py", "test_differentiable_step.py", "test_docs.py",
+    "test_engines.py", "test_notebooks.py", "test_controller.py", "test_tune_run.py", "test_plot_command.py",
+    "test_geometry.py", "test_cli.py", "test_walk_gradient.py",
+)  # fmt: skip
 #: Memory that a process of tests needs [bytes].
 PROCESS_BYTES = 3 * 1024**3
 #: Seconds of each test marked `long` that has passed, setup included; in the process that collects reports.
@@ -100,10 +106,15 @@ MAKERS = (
 )  # fmt: skip
 
 
-@functools.cache
-def shared_simulator(setup: Setup | None = None, engine: str = "auto") -> Simulator:
-    """One for each setup and engine, with the programs it has compiled."""
-    return Simulator(setup, engine)
+_first_of = functools.cache(Simulator)
+
+
+def shared_simulator(setup: Setup | None = None, engine: str = "auto", **more: Any) -> Simulator:
+    """One for each setup and engine, with the programs it has compiled, which are the same for all gaits."""
+    setup = setup or Setup()
+    if more:
+        return Simulator(setup, engine, **more)
+    return _first_of(without_presettings(setup), resolve_engine(engine)).with_setup(setup)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Searches over a fake robot in closed form: what they find, that they repeat, and that a kill costs one batch."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -18,8 +19,10 @@ from nermo_mjx.search import SearchFailed, SearchInterrupted, run_search
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import read_table
 
-pytest.importorskip("ribs")
-pytest.importorskip("pymoo")
+#: Not imported here, which would take two seconds in each process of tests.
+pytestmark = pytest.mark.skipif(
+    not all(map(importlib.util.find_spec, ("ribs", "pymoo"))), reason="needs nermo-mjx[search]"
+)
 
 
 def values(table, *names):
