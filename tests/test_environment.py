@@ -16,6 +16,7 @@ from nermo_mjx.learn import SENTENCES, Environment, Modulation, Outcome, Residua
 from nermo_mjx.learn.acting import Acted, Acting
 from nermo_mjx.learn.observing import Observer, Sensing, Told
 from nermo_mjx.learn.rewards import chosen_terms
+from nermo_mjx.learn.task import Episodes
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import Geometry
 
@@ -102,6 +103,16 @@ def test_an_episode_is_cut_off_when_its_time_is_over_and_the_next_one_begins(sta
 
 
 @pytest.mark.compiles
+def test_episodes_begin_with_a_gait_whose_feet_and_limbs_have_parameters():
+    """As every controller's, they are arrays: what neither file nor draw changes were plain numbers, and refused."""
+    setup = Setup(physics="fast", trajectory="free", spine="stride_extension+harmonics")
+    robot, controller = setup.load(), Acting(setup.make_controller(), Residual())
+    draw = Episodes(setup, robot, controller, Task(set={"foot.rear.z3": 0.01, "limb.duty.rear": 0.05}))
+    parameters, _, qpos = jax.eval_shape(draw, jax.random.key(0))
+    assert parameters.loop.control.control.gait.duty.shape == ()
+    assert qpos.shape == (robot.model.nq,)
+
+
 def test_staggered_worlds_do_not_end_their_episodes_together():
     """The first ends after a share of the duration that differs between worlds, and all later ones last it out."""
     environment = Environment(SETUP, worlds=12, task=TASK, staggered=True)

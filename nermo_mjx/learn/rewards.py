@@ -80,6 +80,8 @@ _TERMS: Final = (
          lambda m: m.now.travelled - m.before.travelled),
     Term("speed", "s", f"time at the commanded speed: exp(-(error / {SPEED_WIDTH:g} m/s)^2)",
          lambda m: m.seconds * _kernel(m.speed - m.command["speed"], SPEED_WIDTH), "speed"),
+    Term("headway", "s", f"time, times tanh(speed / ({SPEED_WIDTH:g} m/s)): being stuck costs more than haste earns",
+         lambda m: m.seconds * jnp.tanh(m.speed / SPEED_WIDTH)),
     Term("yaw_rate", "s", f"time at the commanded yaw rate: exp(-(error / {YAW_RATE_WIDTH:g} rad/s)^2)",
          lambda m: m.seconds * _kernel(m.now.turning - m.command["yaw_rate"], YAW_RATE_WIDTH), "yaw_rate"),
     Term("deviation", "m s", "distance from the path, over time", lambda m: m.seconds * jnp.abs(m.now.readings[3])),

@@ -229,7 +229,7 @@ class Episodes:
         given = replace_quantities(Given(), {name: value for name, value in values.items() if name in GIVEN})
         world = self.setup.world({name: value for name, value in values.items() if name not in GIVEN})
         told = commanded(self.controller.base, self.task.commands, world.control, given.command)
-        control = Acted(told, self.controller.parameters.action)
+        control = jax.tree.map(_real, Acted(told, self.controller.parameters.action))
         window = Window(begin=0.0, end=1e6, distance=1e6)
         world = dataclasses.replace(world, control=control)
         loop = loop_parameters(self.robot, world, window, values)

@@ -1,0 +1,58 @@
+"""The how-to's search for a gait on rough ground, and the training files that begin with its gaits."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from nermo_mjx.learn.spec import Training
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "howto" / "terrain"
+FILES = {
+    "free": ROOT / "sweeps" / "train_terrains.yaml",
+    "stiff": FOLDER / "stiff.yaml",
+    "passive": FOLDER / "passive.yaml",
+}
+
+
+@pytest.fixture(scope="module")
+def howto():
+    spec = importlib.util.spec_from_file_location("search_gait", FOLDER / "search_gait.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look there
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_search_of_the_how_to_finds_a_gait_within_its_bounds_and_the_legs_reach(howto, capsys):
+    """One generation of four gaits on one plank height; it says how often its gait passes."""
+    stage = dataclasses.replace(
+        howto.STAGES[0], places=(howto.Place("planks", (0.004,)),), generations=1, population=4, test=(1, 2)
+    )
+    gait = howto.search("stiff", (stage,))
+    bounds = howto.STANCE | howto.FEET
+    assert {name for name in gait if name not in howto.SPINE} == set(bounds)
+    assert all(low <= gait[name] <= high for name, (_, low, high) in bounds.items())
+    assert any(gait[name] != start for name, (start, _, _) in bounds.items())
+    assert "planks" in capsys.readouterr().out
+    ground = howto.Ground(stage, "stiff")
+    assert ground.inside(gait)
+    assert not ground.inside(gait | {"stance.rear_z": -0.072, "stride": 1.2})
+
+
+def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
+    """So that what differs between them is the spine."""
+    free, *others = (Training.from_file(path) for path in FILES.values())
+    for other in others:
+        assert [each.setup.scene for each in other.scenes] == [each.setup.scene for each in free.scenes]
+        assert (other.algorithm, other.worlds, other.steps, other.evaluation) == (
+            free.algorithm, free.worlds, free.steps, free.evaluation
+        )  # fmt: skip
+        assert other.task.rewards == free.task.rewards
+        assert other.task.randomize == free.task.randomize
+        assert "spine" not in other.setup.spine
