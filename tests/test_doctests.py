@@ -33,6 +33,8 @@ def test_the_examples_of_a_module_run(name: str) -> None:
 
 
 def test_every_public_function_has_an_example() -> None:
-    functions = {name for name in nermo_mjx.__all__ if inspect.isfunction(getattr(nermo_mjx, name))}
-    without = {name for name in functions if ">>> " not in (getattr(nermo_mjx, name).__doc__ or "")}
+    public = {name: getattr(nermo_mjx, name) for name in nermo_mjx.__all__}
+    # The tests' shared simulators stand in for a class here.
+    functions = {name: each for name, each in public.items() if inspect.isfunction(each) and "nermo" in each.__module__}
+    without = {name for name, each in functions.items() if ">>> " not in (each.__doc__ or "")}
     assert without - {"quantity"} == ELSEWHERE  # `parameter_tree` shows both
