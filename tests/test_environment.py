@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import types
 
 import jax
 import jax.numpy as jnp
@@ -250,6 +251,16 @@ def test_a_step_refuses_actions_of_another_shape_and_states_that_are_gone(enviro
     environment.step(old, np.zeros((3, 9)))
     with pytest.raises(ParameterError, match="not the newest one"):
         environment.step(old, np.zeros((3, 9)))
+
+
+def test_headway_saturates_so_that_being_stuck_costs_more_than_haste_earns():
+    """Of a second: nothing at rest, nearly all of it at 0.15 m/s, and a loss of the same size backward."""
+    (term,) = chosen_terms({"headway": 1.0}, ())
+    rest, slow, fast, back = (
+        float(term.value(types.SimpleNamespace(seconds=1.0, speed=speed))) for speed in (0.0, 0.05, 0.15, -0.05)
+    )
+    assert (rest, back) == (0.0, -slow)
+    np.testing.assert_allclose([slow, fast], [0.76159, 0.99505], atol=1e-4)  # tanh(1) and tanh(3), from tables
 
 
 def test_terms_of_one_name_are_refused():

@@ -7,7 +7,7 @@ import pickle
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tune_fake import SPEC, FakeProblem
+from tune_fake import SPEC, FakeProblem, Three
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import SpecError
@@ -26,19 +26,6 @@ AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
 SEARCH = SPEC | {"optimizer": "line_search", "estimator": AVERAGED}
 EXACT = SEARCH | {"estimator": "exact"}
 VALUES = SEARCH | {"estimator": {"evolution": {"samples": 8, "sigma": 0.1}}}
-
-
-class Three:
-    """Three workers in this process."""
-
-    parts = 3
-
-    def begin(self, computer):
-        self.computer = pickle.loads(pickle.dumps(computer))
-        return self.computer.stamp()
-
-    def results(self, tasks, tell):
-        return [(key, self.computer(task)) for key, task in tasks]
 
 
 def run(spec, out, **how):

@@ -2,7 +2,6 @@
 
 import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -15,7 +14,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from sweep_fake import FakeSimulator
-from tune_fake import BEST, SPEC, FakeProblem, FakeWalker
+from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
@@ -156,19 +155,6 @@ def test_the_effort_counts_gradients_at_their_cost(tmp_path, reference):
     assert values_only.best["simulated_seconds"] == 7 * 2 * 17 * 5.0
     at_best = values_only.best["simulated_seconds_to_best"]
     assert at_best == (values_only.best["iteration"] + 1) * 2 * 17 * 5.0
-
-
-class Three:
-    """Three workers in this process, of which the last one is the first to be done."""
-
-    parts = 3
-
-    def begin(self, computer):
-        self.computer = pickle.loads(pickle.dumps(computer))
-        return self.computer.stamp()
-
-    def results(self, tasks, tell):
-        return [(key, self.computer(task)) for key, task in reversed(list(tasks))]
 
 
 @pytest.mark.parametrize("name", ["exact", "mixture"])

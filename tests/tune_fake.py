@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import sys
 import time
 import types
@@ -149,3 +150,16 @@ if __name__ == "__main__":  # a process to be killed: tune_fake.py OUT LOG
     except TuningInterrupted as stopped:
         print(stopped, flush=True)
         os._exit(3)
+
+
+class Three:
+    """Three workers in this process, of which the last one is the first to be done."""
+
+    parts = 3
+
+    def begin(self, computer):
+        self.computer = pickle.loads(pickle.dumps(computer))
+        return self.computer.stamp()
+
+    def results(self, tasks, tell):
+        return [(key, self.computer(task)) for key, task in reversed(list(tasks))]
