@@ -115,6 +115,23 @@ def test_touch_down_and_lift_off_are_moved() -> None:
     assert high[1] == pytest.approx(-0.055 + 0.010 + 0.004, abs=1e-6)
 
 
+def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
+    """At full turn rate the inner feet step on the spot, at half of their stride they go half as far; the outer ones as
+    far as before."""
+    moved = {f"foot.{pair}.y{i}": 2e-4 * i for pair in ("front", "rear") for i in range(1, 9)}
+    params = gait_with(moved | {"turning.exponent": 1.0})
+
+    def reach(turn_rate: float) -> np.ndarray:
+        drive = Drive(jnp.asarray(1.0), jnp.asarray(turn_rate))
+        feet = jax.vmap(lambda phase: STEPPING.start(params, phase, drive)[1])(jnp.asarray(PHASES))
+        return np.ptp(np.asarray(feet)[..., 0], axis=0)
+
+    straight, half, full = reach(0.0), reach(0.5), reach(1.0)
+    np.testing.assert_allclose(half[[0, 2]], 0.5 * straight[[0, 2]], atol=1e-6)
+    np.testing.assert_allclose(full[[0, 2]], 0.0, atol=1e-6)
+    np.testing.assert_array_equal(full[[1, 3]], straight[[1, 3]])
+
+
 @pytest.mark.compiles
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_any_path_is_closed_continuous_and_in_the_workspace(seed: int) -> None:

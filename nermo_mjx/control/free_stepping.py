@@ -6,8 +6,8 @@ for bit.
 A foot's path is a loop through eight points. Touch-down (1) and lift-off (5) are the ends of the half-cycles, each of
 which begins where the previous one ended, so that the path is always closed and continuous. In between, at a
 quarter, the half and three quarters of stance (2-4) and swing (6-8), a spline through the points is added, which
-changes neither the position nor the velocity at both ends. Points outside the leg's workspace are moved inside
-(`within`).
+changes neither the position nor the velocity at both ends. A turn shortens the way of the points back and forth as it
+does the stride. Points outside the leg's workspace are moved inside (`within`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.robot.interface import ServoAngles
 from nermo_mjx.robot.parameters import LIMBS
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.shapes import Array, Planar, Scalars
+from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
 
 #: The name of this trajectory, in addition to `trajectory.FORMS`.
 FREE: Final = "free"
@@ -105,16 +105,16 @@ class FreeStepping(Stepping):
         pair, limb = _both(params.limb.stride)
         return super()._strides(params, drive) * (pair * limb)
 
-    def _moved(self, params: ControlParameters) -> trajectory.Moved:
-        points = _points(params)
+    def _moved(self, params: ControlParameters, share: PerLimb) -> trajectory.Moved:
+        points = _points(params, share)
         return trajectory.Moved(points[..., 0, :], points[..., FOOT_POINTS // 2, :], _added(params.limb.lift))
 
     def _feet(
-        self, params: ControlParameters, points: Float[Array, "4 3 2"], limbs: clock.LimbStates
+        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: clock.LimbStates
     ) -> Float[Array, "4 2"]:
-        own, half = _points(params), FOOT_POINTS // 2
+        own, half = _points(params, share), FOOT_POINTS // 2
         inner = jnp.where(limbs.stance[:, None, None], own[:, 1:half], own[:, half + 1 :])
-        path = super()._feet(params, points, limbs) + jnp.sum(bumps(limbs.progress)[..., None] * inner, axis=-2)
+        path = super()._feet(params, points, share, limbs) + jnp.sum(bumps(limbs.progress)[..., None] * inner, axis=-2)
         return within(*four_reaches(geometry_of(params), self.routing), path)
 
 
@@ -160,11 +160,11 @@ def _added(value: Any) -> Array:
     return pair + limb
 
 
-def _points(params: ControlParameters) -> Float[Array, "*batch 4 8 2"]:
-    """Displacements of the points of each foot's path, (y, z) in the leg's frame [m]."""
+def _points(params: ControlParameters, share: PerLimb) -> Float[Array, "*batch 4 8 2"]:
+    """Displacements of the points of each foot's path at a share of its stride, (y, z) in the leg's frame [m]."""
     foot = params.foot
     front, rear = jnp.asarray(foot.front), jnp.asarray(foot.rear)
     moved = jnp.stack(
         [front + foot.front_left, front + foot.front_right, rear + foot.rear_left, rear + foot.rear_right], axis=-2
     )
-    return jnp.stack([moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1)
+    return jnp.stack([share[..., None] * moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1)

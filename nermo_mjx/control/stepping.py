@@ -13,7 +13,7 @@ from nermo_mjx.control import clock, trajectory, turning
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.pilot import Drive
 from nermo_mjx.robot.nearest import choice
-from nermo_mjx.shapes import Array, Scalar, Scalars
+from nermo_mjx.shapes import Array, PerLimb, Scalar, Scalars
 
 
 @runtime_checkable
@@ -43,11 +43,13 @@ class Steps:
         stance: planned contact of the limbs.
         points: control points (start, mid, end) of each limb's half-cycle, (y, z) in the leg's frame; the next
             half-cycle starts at the end [m].
+        share: stride of each limb's half-cycle, over that of a straight walk.
     """
 
     phase: Scalar
     stance: Bool[Array, " 4"]
     points: Float[Array, "4 3 2"]
+    share: Float[Array, " 4"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,18 +70,19 @@ class Stepping(GaitLike):
 
     def start(self, params: ControlParameters, phase: Scalar, drive: Drive) -> tuple[Steps, Float[Array, "4 2"]]:
         limbs = self.limbs(params, phase)
+        share = turning.stride_shares(params.turning, drive.turn_rate)
         points = trajectory.nominal_points(
-            params.stance, limbs.stance, self._strides(params, drive), self._moved(params)
+            params.stance, limbs.stance, self._strides(params, drive), self._moved(params, share)
         )
-        return Steps(phase, limbs.stance, points), self._feet(params, points, limbs)
+        return Steps(phase, limbs.stance, points, share), self._feet(params, points, share, limbs)
 
     def update(
         self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
     ) -> tuple[Steps, Float[Array, "4 2"]]:
         phase = clock.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
         limbs = self.limbs(params, phase)
-        points = self._points(params, state, limbs, before, now, dt)
-        return Steps(phase, limbs.stance, points), self._feet(params, points, limbs)
+        points, share = self._half_cycles(params, state, limbs, before, now, dt)
+        return Steps(phase, limbs.stance, points, share), self._feet(params, points, share, limbs)
 
     def walked(self, params: ControlParameters, state: Steps, drive: Drive) -> tuple[Scalar, Scalar]:
         speed, yaw_rate = turning.walked(params, state.points, state.stance, drive.turn_rate)
@@ -97,19 +100,19 @@ class Stepping(GaitLike):
         stride = turning.stride_length(params.gait, params.stance, drive.speed)
         return stride * turning.stride_shares(params.turning, drive.turn_rate)
 
-    def _moved(self, params: ControlParameters) -> trajectory.Moved | None:
-        """Displacement of the control points; None without one."""
+    def _moved(self, params: ControlParameters, share: PerLimb) -> trajectory.Moved | None:
+        """Displacement of the control points at shares of a straight walk's strides; None without one."""
         return None
 
     def _feet(
-        self, params: ControlParameters, points: Float[Array, "4 3 2"], limbs: clock.LimbStates
+        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: clock.LimbStates
     ) -> Float[Array, "4 2"]:
         return trajectory.position(points, limbs.progress, self.form)
 
-    def _points(
+    def _half_cycles(
         self, params: ControlParameters, state: Steps, limbs: clock.LimbStates, before: Drive, now: Drive, dt: float
-    ) -> Float[Array, "4 3 2"]:
-        """Control points of the legs' current half-cycles.
+    ) -> tuple[Float[Array, "4 3 2"], PerLimb]:
+        """Control points of the legs' current half-cycles, and their shares of a straight walk's strides.
 
         A leg switches between two ticks. Its new half-cycle starts where the old one ends, not at the foot's position
         one tick before, and has the stride that was commanded when it switched. So the commanded feet are continuous in
@@ -120,16 +123,21 @@ class Stepping(GaitLike):
         # Time since the leg's last switch, and length of a tick, as shares of the gait cycle.
         since = limbs.progress * length
         in_tick = jnp.maximum(params.gait.frequency * dt / params.tracking.clock_ratio, 1e-9)
-        strides_before, strides_now = self._strides(params, before), self._strides(params, now)
-        moved = self._moved(params)
+        strides = [self._strides(params, drive) for drive in (before, now)]
+        shares = [turning.stride_shares(params.turning, drive.turn_rate) for drive in (before, now)]
 
-        def stride(ago: Array) -> Array:
-            return strides_now + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (strides_before - strides_now)
+        def commanded(values: list[Array], ago: Array) -> Array:
+            earlier, later = values
+            return later + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (earlier - later)
 
+        share = commanded(shares, since)
         switched = clock.switches(limbs.stance, state.stance)
         # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
         skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
-        passed = trajectory.end_points(params.stance, ~limbs.stance, stride(since + other), moved)
+        moved = self._moved(params, commanded(shares, since + other))
+        passed = trajectory.end_points(params.stance, ~limbs.stance, commanded(strides, since + other), moved)
         start = jnp.where(skipped[:, None], passed, state.points[:, 2])
-        planned = trajectory.plan(params.stance, start, limbs.stance, stride(since), moved)
-        return jnp.where((switched | skipped)[:, None, None], planned, state.points)
+        moved = self._moved(params, share)
+        planned = trajectory.plan(params.stance, start, limbs.stance, commanded(strides, since), moved)
+        begins = switched | skipped
+        return jnp.where(begins[:, None, None], planned, state.points), jnp.where(begins, share, state.share)
