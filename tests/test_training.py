@@ -22,6 +22,7 @@ from learn_toy import PointMass
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
+from nermo_mjx.learn.evaluation import evaluate
 from nermo_mjx.learn.mixture import Mixture
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.specs.reading import SpecError
@@ -122,6 +123,7 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
             "'scenes.1.set' has 'terrain.height', which the scene 'slalom' has not",
         ),
         ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "pilot": "open_loop"}]}, "'rough', where a policy observes"),
+        ({"scenes": [{"scene": "ramp"}, {"scene": "rough", "corridor": 0.0}]}, "'scenes.1.corridor' is 0"),
         ({"worlds": 1, "scenes": [{"scene": "ramp"}, {"scene": "rough"}]}, "2 scenes need at least one world each"),
     ],
 )
@@ -135,8 +137,8 @@ def test_a_resolved_file_is_the_same_training():
     """With all defaults written out, in every form."""
     given = {
         "task": {"action": {"modulation": {"ranges": {"frequency": [0.5, 1.2]}}}, "set": {"command.speed": 0.1},
-                 "rewards": {"speed": 1.0}, "distance": 1.0}, "algorithm": {"short_horizon": {"hidden": [8]}},
-        "set": {"contact.friction": 1.2},
+                 "rewards": {"speed": 1.0}, "distance": 1.0, "corridor": 0.3},
+        "algorithm": {"short_horizon": {"hidden": [8]}}, "set": {"contact.friction": 1.2},
     }  # fmt: skip
     for training in (Training.from_dict(given), *map(Training.from_file, SHIPPED)):
         again = Training.from_text(training.to_yaml())
@@ -155,6 +157,30 @@ def test_a_policy_walks_in_a_simulator_as_in_its_environment(policy):
     np.testing.assert_allclose(walked["distance"], state.episode["distance"], atol=2e-6)
     np.testing.assert_allclose(walked["servo_work"], state.episode["servo_work"], rtol=1e-4)
     assert walked["servo_work"][0] > 0.2
+
+
+@pytest.fixture(scope="module")
+def evaluated(policy):
+    """The evaluation of a policy on two scenes with corridors of their own, and the same without corridors."""
+    scenes = [{"scene": "flat"}, {"scene": "planks"}]
+    fields = {
+        "worlds": 2, "run": {"duration": 1.0, "warmup": 0.1}, "task": {"decimation": 2},
+        "randomize": {"start.yaw": [-0.3, 0.3]}, "evaluate": {"bodies": 8, "distance": 0.0},
+    }  # fmt: skip
+    narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
+    trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
+    return [evaluate(training, policy[0], engine="c").to_pandas() for training in trainings]
+
+
+def test_a_walk_beside_its_path_is_no_success(evaluated):
+    """The corridor of a scene counts there and nowhere else; the walks themselves are the same."""
+    wide, narrow = evaluated
+    np.testing.assert_array_equal(wide.distance, narrow.distance)
+    flat = narrow.scene == "flat"
+    inside = narrow.cross_track_peak <= 0.01
+    assert inside[flat].any()
+    assert (~inside[flat] & wide.success[flat]).any()
+    np.testing.assert_array_equal(narrow.success, wide.success & (inside | ~flat))
 
 
 def test_a_policys_file_is_the_policy(policy, tmp_path):

@@ -22,7 +22,10 @@ UNSEEN: Final = 0x5EED
 #: What is evaluated: the policy, and the controller that it acts on.
 POLICY, ALONE = "policy", "alone"
 #: Metrics of the table.
-METRICS: Final = ("speed", "distance", "lateral_drift", "cost_of_transport", "servo_work", "slip", "fell", "diverged")
+METRICS: Final = (
+    "speed", "distance", "lateral_drift", "cross_track_peak", "cost_of_transport", "servo_work", "slip", "fell",
+    "diverged",
+)  # fmt: skip
 
 
 def evaluate(
@@ -32,7 +35,8 @@ def evaluate(
 
     Returns:
         One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
-        it lasted, and covered at least the distance required by the training's evaluation.
+        it lasted, covered at least the distance required by the training's evaluation, and stayed in its scene's
+        corridor.
     """
     cases = [(setup, task, who) for setup, task in training.evaluated() for who in (POLICY, ALONE)]
     parts: list[_Part] = []
@@ -42,7 +46,7 @@ def evaluate(
         values = _known(simulator.setup, {**task.set, **drawn})
         share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
         result = simulator.run(values, training.run, progress=share)
-        parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result))
+        parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, task.corridor))
     return _table(training, parts)
 
 
@@ -53,6 +57,13 @@ class _Part(NamedTuple):
     who: str
     drawn: Mapping[str, np.ndarray]
     result: RunResult
+    corridor: float | None
+
+    def succeeded(self, distance: float) -> np.ndarray:
+        """Whether each walk lasted, went far enough [m], and stayed in the corridor."""
+        metrics = self.result.metrics
+        well = (np.asarray(self.result.status) == "ok") & (np.asarray(metrics["distance"]) >= distance)
+        return well if self.corridor is None else well & (np.asarray(metrics["cross_track_peak"]) <= self.corridor)
 
 
 def bodies(training: Training, task: Task) -> dict[str, np.ndarray]:
@@ -116,8 +127,7 @@ def _table(training: Training, parts: list[_Part]) -> pa.Table:
         column = np.concatenate([np.asarray(part.result.metrics[name]) for part in parts])
         table.add(name, column, "metric", metrics[name].unit, metrics[name].doc)
     status = np.concatenate([np.asarray(part.result.status) for part in parts])
-    distance = np.concatenate([np.asarray(part.result.metrics["distance"]) for part in parts])
     table.add("status", status, "status", "1", "ok, or how the walk ended")
-    enough = (status == "ok") & (distance >= training.evaluation.distance)
-    table.add("success", enough, "status", "1", "whether it lasted and went far enough")
+    success = np.concatenate([part.succeeded(training.evaluation.distance) for part in parts])
+    table.add("success", success, "status", "1", "whether it lasted, went far enough, and stayed in the corridor")
     return table.table({"training": training.digest(), "engine": parts[0].result.engine})

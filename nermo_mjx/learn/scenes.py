@@ -63,7 +63,11 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
             doc.fail(at, f"is refused: {error}")
         drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
         drawn |= {name: (low, high) for name, (low, high) in each.randomize.items()}
-        own = dataclasses.replace(task, set={**task.set, **values}, randomize=drawn)
+        own = dataclasses.replace(
+            task, set={**task.set, **values}, randomize=drawn, corridor=each.corridor or task.corridor
+        )
+        if each.corridor is not None:
+            written["corridor"] = each.corridor
         written |= {name: dict(section) for name in ("set", "randomize") if (section := getattr(each, name))}
         found.append(SceneTask(there, own, written))
     return tuple(found)

@@ -1,4 +1,5 @@
-"""A gait for rough ground: CMA-ES over the paths of the feet, first on planks of several heights, then on five scenes.
+"""A gait for rough ground: CMA-ES over the paths of the feet, on planks of several heights, then on more scenes, then
+with the steering on all seven.
 
 All gaits of a generation start alike, on the same ground, and each generation anew: no gait wins by an easy draw.
 The result is the centre of the last distribution, which many gaits have shaped, not the best single gait.
@@ -34,21 +35,33 @@ FEET = {
     "limb.duty.front": (0.0, -0.2, 0.2),
     "limb.duty.rear": (0.0, -0.2, 0.2),
 } | {f"foot.{limb}.{axis}{i}": (0.0, -0.02, 0.02) for limb in ("front", "rear") for axis in "yz" for i in range(1, 9)}
+STEERING = {"turning.exponent": (2.0, 1.0, 5.0), "pilot.look_ahead": (0.4, 0.1, 1.0), "pilot.grip": (0.5, 0.1, 1.5)}
+BENDING = {"turning.spine": (0.3, 0.0, 1.0)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Place:
-    """A scene, the heights [m] that each gait walks over there, and its pilot."""
+    """A scene, the heights [m] that each gait walks over, its pilot, and how far from its path it may come [m]."""
 
     scene: str
-    heights: tuple[float, ...] = ()
+    heights: tuple[float | None, ...] = (None,)
     pilot: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    corridor: float = 0.3
 
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
-    """A search: how far is far enough, what a fall costs [m], and every how many generations it is tested how often."""
+    """A search.
+
+    Attributes:
+        places: where each gait walks.
+        steers: whether the steering is searched for, too, and counts.
+        generations, population, sigma, seed: of CMA-ES; sigma as a share of the bounds.
+        far: what is far enough in 8 s [m].
+        fall: what a fall costs, and a way twice as wide as allowed [m].
+        test: every how many generations the centre is tested, and how often.
+    """
 
     places: tuple[Place, ...]
     generations: int
@@ -58,17 +71,20 @@ class Stage:
     far: float
     fall: float
     test: tuple[int, int]
+    steers: bool = False
 
 
 POLES = ((0, 0), (0, -0.1), (0.06, -0.35), (-0.06, -0.75), (0.06, -1.15), (-0.06, -1.55), (0.06, -1.95), (-0.06, -2.35))
 HIGH = (0.008, 0.011)
+SPIRAL = Place("spiral_stairs", HIGH, {"pilot": "arc"}, {"pilot.radius": 0.5, "pilot.direction": 1.0}, corridor=0.15)
+SLALOM = Place("slalom", (None,), {"pilot": "waypoints", "waypoints": POLES}, corridor=0.1)
+FIVE = (Place("planks", HIGH), Place("stairs", HIGH), SPIRAL, SLALOM, Place("logs", (0.011,)))
+SEVEN = (*FIVE, SLALOM, Place("ramp"), Place("rough", HIGH))
 STAGES = (
     Stage((Place("planks", (0.004, 0.006, 0.008, 0.010, 0.011, 0.012)),), generations=30, population=20, sigma=0.12,
           seed=1, far=1.2, fall=0.15, test=(5, 24)),
-    Stage((Place("planks", HIGH), Place("stairs", HIGH),
-           Place("spiral_stairs", HIGH, {"pilot": "arc"}, {"pilot.radius": 0.5, "pilot.direction": 1.0}),
-           Place("slalom", (), {"pilot": "waypoints", "waypoints": POLES}), Place("logs", (0.011,))),
-          generations=24, population=16, sigma=0.06, seed=2, far=0.9, fall=0.3, test=(10, 16)),
+    Stage(FIVE, generations=24, population=16, sigma=0.06, seed=2, far=0.9, fall=0.3, test=(10, 16)),
+    Stage(SEVEN, generations=40, population=20, sigma=0.08, seed=3, far=0.8, fall=0.4, test=(10, 16), steers=True),
 )  # fmt: skip
 
 
@@ -79,6 +95,7 @@ class Ground:
         mode = "stride_extension+harmonics" if spine == "free" else "none"
         self.slack = {"build.spine_slack": 0.004} if spine == "passive" else {}
         self.random = np.random.default_rng(stage.seed)
+        self.steers = stage.steers
         self.simulators = {
             place: Simulator(Setup(scene=place.scene, gait="trt", trajectory="free", spine=mode, physics="fast",
                                    **place.pilot), engine="c")
@@ -94,11 +111,11 @@ class Ground:
         return True
 
     def walk(self, place: Place, gaits: list[Gait], heights: tuple[Any, ...], seconds: float) -> Any:
-        """Distance [m], and whether the walk lasted, of each gait on each height."""
+        """Distance [m], distance from the path over what is allowed, and whether it lasted, of each gait and height."""
         n, draw = len(heights), self.random.uniform
         starts = {"start.phase": draw(0.0, 1.0, n), "start.yaw": draw(-0.1, 0.1, n),
                   "contact.friction": draw(0.8, 1.6, n)}  # fmt: skip
-        if place.heights:
+        if None not in heights:
             starts["terrain.height"] = np.array(heights)
             if not place.pilot:
                 starts["terrain.shift"] = draw(-0.1, 0.1, n)
@@ -106,23 +123,29 @@ class Ground:
         given |= {name: np.tile(column, len(gaits)) for name, column in starts.items()}
         run = Run(duration=seconds, warmup=0.5)
         result = self.simulators[place].run(given | dict(place.values) | self.slack, run)
-        lasted = (np.asarray(result.status) == "ok").reshape(len(gaits), n)
-        return np.nan_to_num(np.asarray(result.metrics["distance"])).reshape(len(gaits), n), lasted
+        shape = (len(gaits), n)
+        lasted = (np.asarray(result.status) == "ok").reshape(shape)
+        distance, peak = (np.nan_to_num(np.asarray(result.metrics[name])).reshape(shape)
+                          for name in ("distance", "cross_track_peak"))  # fmt: skip
+        return distance, peak / place.corridor if self.steers else np.zeros(shape), lasted
 
     def tested(self, gait: Gait, times: int) -> str:
-        """Share of walks over half a metre of each place at 10 mm."""
+        """Share of walks over half a metre of each place at 10 mm, near enough to the path."""
         shares = []
         for place in self.simulators:
-            distance, lasted = self.walk(place, [gait], (0.01,) * times, seconds=10.0)
-            shares.append(f"{place.scene} {((distance >= 0.5) & lasted).mean():.0%}")
+            heights = (None if None in place.heights else 0.01,) * times
+            distance, aside, lasted = self.walk(place, [gait], heights, seconds=10.0)
+            shares.append(f"{place.scene} {((distance >= 0.5) & (aside <= 1.0) & lasted).mean():.0%}")
         return ", ".join(shares)
 
 
 def searched(stage: Stage, spine: str, begin: Gait) -> Gait:
     """The gait that a stage leads to from another."""
     ground, space = Ground(stage, spine), STANCE | (SPINE if spine == "free" else {}) | FEET
-    _, low, high = np.array(list(space.values())).T
-    start = (np.array([begin[name] for name in space]) - low) / (high - low)
+    if stage.steers:
+        space |= STEERING | (BENDING if spine == "free" else {})
+    start, low, high = np.array(list(space.values())).T
+    start = (np.array([begin.get(name, at) for name, at in zip(space, start, strict=True)]) - low) / (high - low)
     options = {"popsize": stage.population, "bounds": [0, 1], "seed": stage.seed + 1, "verbose": -9}
     strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), stage.sigma, options)
 
@@ -136,8 +159,9 @@ def searched(stage: Stage, spine: str, begin: Gait) -> Gait:
             points += [point] if ground.inside(gait_of(point)) else []
         gaits, scores = [gait_of(point) for point in points], np.zeros(len(points))
         for place in stage.places:
-            distance, lasted = ground.walk(place, gaits, place.heights or (None,), seconds=8.0)
-            scores += (np.clip(distance, -0.2, stage.far) - stage.fall * ~lasted).mean(axis=1) / len(stage.places)
+            distance, aside, lasted = ground.walk(place, gaits, place.heights, seconds=8.0)
+            cost = stage.fall * (~lasted + np.clip(aside - 1.0, 0.0, 1.0))
+            scores += (np.clip(distance, -0.2, stage.far) - cost).mean(axis=1) / len(stage.places)
         strategy.tell(points, (-scores).tolist())
         every, times = stage.test
         if generation % every == every - 1:
