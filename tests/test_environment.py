@@ -12,6 +12,8 @@ import pytest
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.control import published_controller
+from nermo_mjx.control.parameters import Pilot
+from nermo_mjx.control.path import arc
 from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.learn import SENTENCES, Environment, Modulation, Outcome, Residual, Targets, Task, Term
 from nermo_mjx.learn.acting import Acted, Acting
@@ -197,6 +199,19 @@ def test_readings_come_late_and_with_noise_of_the_given_size():
 
 
 @pytest.mark.compiles
+def test_a_policy_can_be_told_how_its_path_bends():
+    """Times 0.5 m: 1 on a circle of that radius to the left, and nothing without a path."""
+    for side in (1.0, -1.0):
+        circle = arc(Pilot(radius=0.5, direction=side), jnp.array([0.1, -0.2, 0.0]))
+        told = Told(phase=None, command=jnp.zeros(0), path=circle, action=jnp.zeros(0), geometry=Geometry())
+        observer = Observer(("curvature",), (), (), phase=False, path=True, delayed=0, noisy=False, dt=0.01)
+        assert observer.names == ("curvature.path",)
+        np.testing.assert_allclose(observer.told(told, sensors()), [side], rtol=1e-6)
+    nowhere = dataclasses.replace(observer, path=False)
+    assert nowhere.names == ()
+    assert nowhere.told(told._replace(path=None), sensors()).shape == (0,)
+
+
 def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     base = published_controller("stride_extension", "open_loop")
     servo, home = leg_servos(jnp.array([[0.0, -0.045]] * 4)), leg_servos(jnp.array([[0.01, -0.04]] * 4))

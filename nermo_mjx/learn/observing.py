@@ -91,12 +91,13 @@ SENSED: Final[dict[str, Sensed]] = {
     ),
     "tilt": Sensed(_AXES, down, 1.0, "1", "tilt_noise", "direction of gravity, which an IMU with fusion knows"),
 }  # fmt: skip
-#: Other inputs of a policy: the gait's phase as cosine and sine, the command, the path, and its own last
-#: action.
-TOLD: Final = ("phase", "command", "path", "action")
+#: Other inputs of a policy: the gait's phase as cosine and sine, the command, where it is beside the path, the path's
+#: curvature there, and its own last action.
+TOLD: Final = ("phase", "command", "path", "curvature", "action")
 #: Default observation of a policy.
 OBSERVED: Final = (
-    "servo_angle", "servo_load", "knee_angle", "foot_contact", "gyro", "accelerometer", *TOLD,
+    "servo_angle", "servo_load", "knee_angle", "foot_contact", "gyro", "accelerometer", "phase", "command", "path",
+    "action",
 )  # fmt: skip
 #: Points of the ground that the critic sees, left of and ahead of the torso [m].
 SCANNED: Final = tuple((side, ahead) for ahead in (-0.1, 0.0, 0.1, 0.2) for side in (0.04, 0.0, -0.04))
@@ -161,6 +162,7 @@ class Observer:
             "phase": ("cos", "sin") if self.phase else (),
             "command": self.commands,
             "path": ("error", "heading") if self.path else (),
+            "curvature": ("path",) if self.path else (),
             "action": self.actions,
         }
         return tuple(
@@ -208,6 +210,7 @@ class Observer:
             parts["phase"] = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
         if told.path is not None:
             parts["path"] = jnp.stack([told.path.error / 0.1, heading(told.path, sensors, told.geometry)])
+            parts["curvature"] = jnp.reshape(told.path.curvature * 0.5, 1)
         chosen = [parts[name] for name in TOLD if name in self.groups and name in parts]
         return jnp.concatenate(chosen) if chosen else jnp.zeros(0)
 
