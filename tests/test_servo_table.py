@@ -13,8 +13,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 
 from nermo_mjx import SERVOS, Run, ServoTable, Setup, Simulator, load_robot, servo_table
+from nermo_mjx.cli import main
+from nermo_mjx.hardware import play, recorded_table
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.geometry import Geometry
@@ -213,3 +216,33 @@ def test_the_command_writes_the_table(tmp_path: Path) -> None:
     assert report["rows"] == len(table.time) == 160
     assert [servo["servo"] for servo in report["servos"]] == list(table.names)
     np.testing.assert_allclose(pd.read_csv(out, comment="#").to_numpy()[:, 1:], table.angles, atol=5.1e-4)
+
+
+def test_a_recorded_walk_gives_what_was_commanded(tmp_path: Path) -> None:
+    """By a controller that answers to its sensors: at each tick the angle of the recording, in between on a line."""
+    setup = Setup(spine="stride_extension", pilot="straight")
+    recording = Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=0.5, warmup=0.0), record=True).recording()
+    ticks = recorded_table(recording, setup.load(), rate=100.0)
+    np.testing.assert_allclose(ticks.angles, np.degrees(recording.ctrl), atol=1e-4)
+    assert ticks.names == SERVOS[:10]
+    assert ticks.servo_speed == pytest.approx(np.degrees(setup.defaults()["servo.speed"]), rel=1e-6)
+    between = recorded_table(recording, setup.load(), rate=200.0)
+    middle = 0.5 * (ticks.angles[:-1] + ticks.angles[1:])
+    np.testing.assert_allclose(between.angles[1::2], middle, atol=1e-4)
+    sent, clock = [], iter(np.arange(10_000) * 0.001)
+    play(ticks, lambda angles, given: sent.append(angles), clock=lambda: next(clock), wait=lambda seconds: None)
+    assert len(sent) == len(ticks.time)  # once, and not in a loop
+
+    path, out = tmp_path / "walk.npz", tmp_path / "walk.csv"
+    recording.save(path)
+    ran = CliRunner().invoke(main, ["servos", "--recording", str(path), "--out", str(out), "--json"])
+    assert ran.exit_code == 0, ran.output
+    assert json.loads(ran.stdout)["cycles"] is None
+    table = pd.read_csv(out, comment="#")
+    np.testing.assert_allclose(table["spine [deg]"], recorded_table(recording, setup.load()).angles[:, 8], atol=6e-4)
+    assert "not periodic, to be played once" in out.read_text()
+    refused = CliRunner().invoke(main, ["servos", "--recording", str(path), "--gait", "lat", "--out", str(out)])
+    assert refused.exit_code == 2
+    assert "--gait has no effect with --recording" in refused.output
+    with pytest.raises(ParameterError, match="has one row then"):
+        recorded_table(recording, setup.load(), rate=1.0)

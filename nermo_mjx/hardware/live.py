@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import importlib
 import json
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -70,7 +71,7 @@ def play(
     """Send the rows of a table at their times, repeatedly, in real time.
 
     Args:
-        table: of whole gait cycles; after the last row comes the first.
+        table: if it is of whole gait cycles, after the last row comes the first; that of a recorded walk ends then.
         send: function that sends a row, see `connected`.
         seconds: duration; None to send until a `KeyboardInterrupt`, which ends it normally.
         clock, wait: functions for the time and for waiting [s].
@@ -79,6 +80,8 @@ def play(
         SendError: the connection is lost.
     """
     given, rows = table.given, len(table.time)
+    if not table.periodic:
+        seconds = min(rows / table.rate, math.inf if seconds is None else seconds)
     begun, row, messages, latest = clock(), 0, 0, 0.0
     with contextlib.suppress(KeyboardInterrupt):
         while seconds is None or row / table.rate < seconds - 1e-9:

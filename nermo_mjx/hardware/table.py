@@ -1,6 +1,7 @@
 """The servo angles of a gait as a table over time, open loop, from the controller alone: no physics runs.
 
-The rows fill whole gait cycles exactly and evenly, so that the table can be played in a loop.
+The rows fill whole gait cycles exactly and evenly, so that the table can be played in a loop. `recorded` has the table
+of controllers that answer to sensors.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from nermo_mjx.control.head import GAZE
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW
 from nermo_mjx.hardware.channels import Channel, Channels, default_channels, read_channels
-from nermo_mjx.robot import ParameterError, Sensors
+from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.parameters import WorldParameters
 
@@ -43,7 +44,7 @@ _PATIENCE: Final = 200
 
 @dataclasses.dataclass(frozen=True)
 class ServoTable:
-    """Servo angles of whole gait cycles.
+    """Servo angles of whole gait cycles, or of a recorded walk.
 
     Attributes:
         names: servos, in the order of their channels.
@@ -51,8 +52,8 @@ class ServoTable:
         angles: (rows, servos), before rounding [deg].
         rate: rows per second [Hz]; adjusted slightly from the requested one, so that the cycles are whole numbers of
         rows.
-        cycles: gait cycles in the table.
-        frequency: of the gait [Hz].
+        cycles: gait cycles in the table; None for a recorded walk.
+        frequency: of the gait [Hz]; None for a recorded walk.
         channels: of the servos.
         speed: highest speed of each servo, (servos,) [deg/s].
         servo_speed: `servo.speed` of the model at its supply voltage [deg/s]; commands are not limited to it.
@@ -62,8 +63,8 @@ class ServoTable:
     time: Float[np.ndarray, " rows"]
     angles: Float[np.ndarray, "rows servos"]
     rate: float
-    cycles: int
-    frequency: float
+    cycles: int | None
+    frequency: float | None
     channels: Channels
     speed: Float[np.ndarray, " servos"]
     servo_speed: float
@@ -75,8 +76,15 @@ class ServoTable:
 
     @property
     def how_many(self) -> str:
-        """The number of gait cycles in words."""
+        """The number of gait cycles in words, or the length of the recorded walk."""
+        if self.cycles is None:
+            return f"{self.time[-1]:.6g} s of a recorded walk"
         return f"{self.cycles} gait cycle{'s' if self.cycles > 1 else ''}"
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the table can be played in a loop."""
+        return self.cycles is not None
 
     @property
     def too_fast(self) -> str:
@@ -92,10 +100,12 @@ class ServoTable:
         Args:
             about: description of the gait, for the first comment.
         """
+        then = "after the last row, continue with the first"
+        long = f" of {1 / self.frequency:.6g} s" if self.frequency else ""
         lines = [
             *([about] if about else []),
-            f"{self.how_many} of {1 / self.frequency:.6g} s, {len(self.time)} rows, {self.rate:.6g} rows/s; "
-            "after the last row, continue with the first.",
+            f"{self.how_many}{long}, {len(self.time)} rows, {self.rate:.6g} rows/s; "
+            f"{then if self.periodic else 'not periodic, to be played once'}.",
             "columns are in the order of the channels: "
             + ", ".join(f"{channel.number} {channel.servo}" for channel in self.channels),
             *([self.too_fast] if self.too_fast else []),
@@ -150,10 +160,15 @@ def servo_table(
     setup = dataclasses.replace(setup, pilot="open_loop", waypoints=None, command=None)
     world = _parameters(setup, values or {})
     params, phase = world.control, float(np.asarray(world.start.phase))
-    servos = setup.load().servos
-    connected = _connected(channels, servos, setup)
+    robot = setup.load()
+    servos = robot.servos
+    connected = channels_of(channels, robot)
     rate = next(each for each in (rate, connected.rate, DEFAULT_RATE) if each is not None)
-    _check(rate, cycles)
+    check_rate(rate)
+    if isinstance(cycles, bool) or int(cycles) != cycles or cycles < 1:
+        raise ParameterError(
+            f"cycles is {cycles!r}: allowed is a whole number from 1 on, so that the table is periodic."
+        )
     frequency = float(np.asarray(params.gait.frequency))
     rows = max(1, round(rate * cycles / frequency))
     if rows > MOST_ROWS:
@@ -162,9 +177,9 @@ def servo_table(
     if rows < 4 * cycles:
         raise ParameterError(f"rate is {rate:g} Hz: a gait cycle of {1 / frequency:g} s needs at least four rows.")
     angles = _steady(setup, params, phase, rows, cycles, rate)
-    columns = np.stack([_column(channel, servos, np.degrees(angles)) for channel in connected], axis=-1)
+    columns = sent_angles(connected, servos, np.degrees(angles))
     time = np.arange(rows) / rate
-    _check_limits(connected, columns, time)
+    check_limits(connected, columns, time)
     steps = np.abs(np.diff(np.concatenate([columns, columns[:1]]), axis=0))
     fastest = math.degrees(float(world.model.servo.top_speed))
     return ServoTable(tuple(channel.servo for channel in connected), time, columns, rate, cycles, frequency, connected,
@@ -180,13 +195,10 @@ def _parameters(setup: Setup, values: Mapping[str, float]) -> WorldParameters:
     return params
 
 
-def _check(rate: float, cycles: int) -> None:
+def check_rate(rate: float) -> None:
+    """Raise `ParameterError` if no table can have this many rows per second."""
     if not 0.0 < rate <= HIGHEST_RATE:
         raise ParameterError(f"rate is {rate:g} Hz: allowed is (0, {HIGHEST_RATE:g}].")
-    if isinstance(cycles, bool) or int(cycles) != cycles or cycles < 1:
-        raise ParameterError(
-            f"cycles is {cycles!r}: allowed is a whole number from 1 on, so that the table is periodic."
-        )
 
 
 def _steady(
@@ -246,32 +258,40 @@ def _still(n_servos: int) -> Sensors:
     return Sensors(**{f.name: jnp.zeros(shapes.get(f.name, 3)) for f in dataclasses.fields(Sensors)})
 
 
+def sent_angles(
+    channels: Channels, servos: tuple[str, ...], angles: Float[np.ndarray, "rows servos"]
+) -> Float[np.ndarray, "rows channels"]:
+    """The angles sent to the servos, from the controller's angles of the robot's servos [deg]."""
+    return np.stack([_column(channel, servos, angles) for channel in channels], axis=-1)
+
+
 def _column(
     channel: Channel, servos: tuple[str, ...], angles: Float[np.ndarray, "rows servos"]
 ) -> Float[np.ndarray, " rows"]:
-    """The angle sent to a servo, from the controller's angles of the robot's servos [deg]."""
     if channel.servo not in servos:
         assert channel.missing is not None
         return np.full(len(angles), channel.missing)
     return channel.zero + channel.direction * angles[:, servos.index(channel.servo)]
 
 
-def _connected(channels: Any, servos: tuple[str, ...], setup: Setup) -> Channels:
+def channels_of(channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None, robot: Robot) -> Channels:
+    """The channels of a robot's servos as they are given; raises `ParameterError` for a servo that it has not."""
     if channels is None:
-        return default_channels(servos, setup.routing)
+        return default_channels(robot.servos, robot.config.routing)
     connected = channels if isinstance(channels, Channels) else read_channels(channels)
     for channel in connected:
-        if channel.servo not in servos and channel.missing is None:
+        if channel.servo not in robot.servos and channel.missing is None:
             whose, remedy = (
-                (f"the robot with tail {setup.tail!r}", "take the articulated tail") if channel.servo == "tail"
-                else (f"the robot {setup.robot!r}", "take 'nermo_41'")
+                (f"the robot with tail {robot.config.tail!r}", "take the articulated tail") if channel.servo == "tail"
+                else (f"the robot {robot.config.robot!r}", "take 'nermo_41'")
             )  # fmt: skip
             raise ParameterError(f"{channel.servo} is no servo of {whose}: {remedy}, leave the servo out, or give it "
                                  "what is 'missing'.")  # fmt: skip
     return connected
 
 
-def _check_limits(channels: Channels, angles: np.ndarray, time: np.ndarray) -> None:
+def check_limits(channels: Channels, angles: np.ndarray, time: np.ndarray) -> None:
+    """Raise `ParameterError` if an angle [deg] is beyond its servo's limit at a time [s]."""
     for channel, column in zip(channels, angles.T, strict=True):
         for beyond, word, limit in (
             (column < channel.low - 1e-6, "below", channel.low),
