@@ -22,8 +22,10 @@ from learn_toy import PointMass
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
+from nermo_mjx.learn.choosing import Choice
 from nermo_mjx.learn.evaluation import evaluate
 from nermo_mjx.learn.mixture import Mixture
+from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.specs.reading import SpecError
 
@@ -183,6 +185,56 @@ def test_a_walk_beside_its_path_is_no_success(evaluated):
     np.testing.assert_array_equal(narrow.success, wide.success & (inside | ~flat))
 
 
+@pytest.fixture
+def choosing(policy, tmp_path):
+    """The choice of a directory, policies after some steps, and how often each has walked."""
+    shares, walked = {0: 0.5, 10: 0.8, 20: 0.8, 30: 0.6, 40: 0.9}, []
+    after = {steps: dataclasses.replace(policy[0], about={"trained": {"steps": steps}}) for steps in shares}
+
+    def walks(policy):
+        walked.append(policy.about["trained"]["steps"])
+        return {"planks": shares[walked[-1]], "ramp": 1.0}
+
+    with RunDirectory(tmp_path, "training") as held:
+        yield (
+            lambda warned=None: Choice(held, Training.from_dict({}), ([] if warned is None else warned).append, walks),
+            after,
+            walked,
+        )
+
+
+def chosen(found):
+    return found.about["trained"]["steps"]
+
+
+def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
+    """Of equals the earliest; each walks once, also when the training is resumed."""
+    begin, after, walked = choosing
+    assert [chosen(begin().of(after[steps])) for steps in (0, 10, 20, 30)] == [0, 10, 10, 10]
+    assert (tmp_path / "policy.npz").read_bytes() == after[10].content()
+    assert begin().of(after[30]).content() == after[10].content()
+    assert walked == [0, 10, 20, 30]
+    table = pq.read_table(tmp_path / "validation.parquet").to_pydict()
+    assert table == {"steps": walked, "planks": [0.5, 0.8, 0.8, 0.6], "ramp": [1.0] * 4}
+    assert chosen(begin().of(after[40])) == 40
+
+
+def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
+    """Between the policy's file and the table: the same policy walks once more. Without its file, it begins anew."""
+    begin, after, walked = choosing
+    for steps in (0, 10, 30):
+        before = (tmp_path / "validation.parquet").read_bytes() if steps else b""
+        begin().of(after[steps])
+    begin().of(after[40])
+    (tmp_path / "validation.parquet").write_bytes(before)
+    assert chosen(begin().of(after[40])) == 40
+    assert walked == [0, 10, 30, 40, 40]
+    (tmp_path / "policy.npz").unlink()
+    warned = []
+    assert chosen(begin(warned).of(after[20])) == 20
+    assert "the choice begins anew" in warned[0]
+
+
 def test_a_policys_file_is_the_policy(policy, tmp_path):
     """Its numbers, its parameters' names, and the same bytes again; nothing in it is code."""
     policy, path = policy[0], tmp_path / "policy.npz"
@@ -275,6 +327,7 @@ algorithm: {ppo: {horizon: 4, hidden: [8]}}
 worlds: 8
 steps: 256
 checkpoint: 64
+validation: 2
 evaluate: {bodies: 2}
 plots: false
 """
@@ -291,7 +344,7 @@ def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
 
     subprocess.run(command("whole"), check=True)
     killed = subprocess.Popen(command("killed"))
-    while not (tmp_path / "killed" / "policy.npz").exists():
+    while not (tmp_path / "killed" / "history.parquet").exists():
         assert killed.poll() is None, "it ended before it could be killed"
         time.sleep(0.002)
     killed.kill()
@@ -302,3 +355,6 @@ def test_a_training_of_the_robot_survives_a_kill_of_the_command(tmp_path):
     np.testing.assert_equal(lasting(tmp_path / "killed").to_pydict(), lasting(tmp_path / "whole").to_pydict())
     whole, again = (load_policy(tmp_path / out / "policy.npz") for out in ("whole", "killed"))
     assert whole.content() == again.content()
+    tables = [pq.read_table(tmp_path / out / "validation.parquet").to_pydict() for out in ("whole", "killed")]
+    assert tables[0] == tables[1]
+    assert tables[0]["steps"] == [0, 64, 128, 192, 256]

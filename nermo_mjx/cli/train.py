@@ -117,6 +117,8 @@ def _print(result: TrainingResult, exported: Path | None) -> None:
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
                f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)")  # fmt: skip
+    if result.training.validation:
+        click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
     places = {"policy": result.policy, "onnx": exported, "history": result.out / "history.parquet"}
     for name, path in places.items():
         if path is not None:

@@ -4,7 +4,8 @@ DIR/training.yaml      the resolved training
 DIR/metrics.py         custom metrics, if the evaluation has some: a copy
 DIR/run.json           which code made it; versions, machine and command of each session that worked on it
 DIR/checkpoints/       Orbax checkpoints, the latest few: the full learning state, and the history up to it
-DIR/policy.npz         the policy of the latest checkpoint: a controller
+DIR/policy.npz         the policy of the latest checkpoint, or of the best one (`validation`): a controller
+DIR/validation.parquet the success of the policy of each checkpoint, where the best one is chosen
 DIR/history.parquet    one row per iteration
 DIR/evaluation.parquet one row per walk on a body and start that the policy has not seen, and the same without it
 DIR/summary.json       success, return and speed

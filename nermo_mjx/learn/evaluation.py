@@ -29,25 +29,47 @@ METRICS: Final = (
 
 
 def evaluate(
-    training: Training, policy: Policy, engine: str = "auto", progress: Callable[[float], None] | None = None
+    training: Training,
+    policy: Policy,
+    engine: str = "auto",
+    progress: Callable[[float], None] | None = None,
+    *,
+    draws: Draws | None = None,
+    walkers: tuple[str, ...] = (POLICY, ALONE),
 ) -> pa.Table:
     """Simulate every evaluation scene, with the policy and with the controller alone, from the same starts and bodies.
+
+    Args:
+        training: how it is evaluated.
+        policy: to be evaluated.
+        engine: of the walks.
+        progress: called with the share done.
+        draws: of bodies and starts; by default those of the training's evaluation.
+        walkers: of `POLICY` and `ALONE`.
 
     Returns:
         One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
         it lasted, covered at least the distance required by the training's evaluation, and stayed in its scene's
         corridor.
     """
-    cases = [(setup, task, who) for setup, task in training.evaluated() for who in (POLICY, ALONE)]
+    draws = draws or Draws(training.evaluation.bodies, UNSEEN)
+    cases = [(setup, task, who) for setup, task in training.evaluated() for who in walkers]
     parts: list[_Part] = []
     for i, (setup, task, who) in enumerate(cases):
         simulator = Simulator(_setup(setup, policy if who == POLICY else None), engine=engine)
-        drawn = bodies(training, task)
+        drawn = bodies(training, task, draws)
         values = _known(simulator.setup, {**task.set, **drawn})
         share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
         result = simulator.run(values, training.run, progress=share)
         parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, task.corridor))
-    return _table(training, parts)
+    return _table(training, draws.number, parts)
+
+
+class Draws(NamedTuple):
+    """How many bodies and starts are drawn, and a number added to the training's seed."""
+
+    number: int
+    key: int
 
 
 class _Part(NamedTuple):
@@ -66,10 +88,10 @@ class _Part(NamedTuple):
         return well if self.corridor is None else well & (np.asarray(metrics["cross_track_peak"]) <= self.corridor)
 
 
-def bodies(training: Training, task: Task) -> dict[str, np.ndarray]:
+def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray]:
     """Parameters of the unseen bodies and starts (n,): from the ranges and the ensemble of the training."""
-    count = training.evaluation.bodies
-    random = np.random.default_rng([training.seed, UNSEEN])
+    count = draws.number
+    random = np.random.default_rng([training.seed, draws.key])
     drawn = {name: random.uniform(low, high, count) for name, (low, high) in task.randomize.items()}
     if task.bodies:
         ensemble = identified.bodies()
@@ -86,7 +108,7 @@ def summary_of(table: pa.Table) -> dict[str, Any]:
     }
     found: dict[str, Any] = {}
     for scene in dict.fromkeys(columns["scene"].tolist()):
-        for who in (POLICY, ALONE):
+        for who in dict.fromkeys(columns["controller"].tolist()):
             rows = (columns["scene"] == scene) & (columns["controller"] == who)
             about = {"success": float(columns["success"][rows].mean())}
             about |= {name: float(np.nanmedian(columns[name][rows].astype(float)))
@@ -109,8 +131,8 @@ def _known(setup: Setup, values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name in known or name not in GIVEN}
 
 
-def _table(training: Training, parts: list[_Part]) -> pa.Table:
-    table, n, metrics = Columns(), training.evaluation.bodies, training.metrics
+def _table(training: Training, n: int, parts: list[_Part]) -> pa.Table:
+    table, metrics = Columns(), training.metrics
     known = {name: about for setup, _ in training.evaluated() for name, about in task_parameters(setup).items()}
 
     def repeated(values: list[str]) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.learn.choosing import Choice
 from nermo_mjx.learn.directory import EVALUATION, POLICY, SPEC, SUMMARY, Directory
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.evaluation import evaluate, summary_of
@@ -60,8 +61,8 @@ class TrainingResult:
         out: its directory.
         training: what was trained.
         policy: file of the policy; None in an environment that is not of a robot.
-        summary: content of summary.json: `steps`, `return` and `success`, and of each scene of the evaluation the
-            numbers of the policy and of the controller alone.
+        summary: content of summary.json: `steps`, those after which the policy was chosen, `return` and `success`, and
+            of each scene of the evaluation the numbers of the policy and of the controller alone.
         learned: the learning state after the last iteration.
         history: what happened in each iteration.
         iterations_run: by this call.
@@ -126,14 +127,14 @@ def run_training(
         code = directory.take_code(curves, accept=accept_new_code) if begun < training.iterations else ""
         directory.claim()
         trackers = stack.enter_context(tracked(log, directory.out)) if log else []
-        learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), trackers, code)
+        choice = Choice(directory.held, training, warn or (lambda _: None)) if training.validation else None
+        learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), trackers, code, choice)
         if begun < training.iterations:
             directory.held.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
-        policy = learning.policy(learned)
-        directory.publish(curves, learning.units, policy if policy is None else policy.content())
+        policy = learning.publish(learned, curves)
         table = None if policy is None else _evaluated(directory, policy, evaluating)
-        summary = _summary(training, learned, curves, table)
+        summary = _summary(training, learned, curves, policy, table)
         directory.held.write(SUMMARY, to_json(summary))
         figures = figures_of(training, curves, table)
         plots = write_figures(figures, directory.out / "plots") if training.plots else []
@@ -167,6 +168,7 @@ class _Learning:
     report: Callable[[TrainingProgress], None]
     trackers: Sequence[Tracker]
     code: str
+    choice: Choice | None
 
     def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
         """Section by section, to the end."""
@@ -174,6 +176,7 @@ class _Learning:
         metered = _Metered(self.environment)
         iterate = training.algorithm.iteration(metered)
         self.report(TrainingProgress(int(learned.steps), training.steps))
+        self._chosen(learned)
         while len(curves) < training.iterations:
             state, scores = metered.reset(learned.random(RESET)), Scores.none(training.worlds)
             # Sections are counted from the beginning of the training.
@@ -190,11 +193,22 @@ class _Learning:
                 self._tell(numbers)
             with self.interruption.shielded():
                 self.directory.keep(learned, curves)
-                policy = self.policy(learned)
-                self.directory.publish(curves, self.units, policy if policy is None else policy.content())
+            self.publish(learned, curves)
         return learned, curves
 
-    def policy(self, learned: Learned) -> Policy | None:
+    def publish(self, learned: Learned, curves: Curves) -> Policy | None:
+        """Make the history's and the policy's file; the policy in it."""
+        policy = self._chosen(learned)
+        with self.interruption.shielded():
+            self.directory.publish(curves, self.units, policy if policy is None else policy.content())
+        return policy
+
+    def _chosen(self, learned: Learned) -> Policy | None:
+        """The best policy so far where the training asks for it, otherwise that of what was learned."""
+        policy = self._policy(learned)
+        return policy if policy is None or self.choice is None else self.choice.of(policy)
+
+    def _policy(self, learned: Learned) -> Policy | None:
         """What was learned, as a controller; None in an environment that is not of a robot."""
         if self._robot is None:
             return None
@@ -250,7 +264,9 @@ def _evaluated(directory: Directory, policy: Policy, progress: Callable[[float],
     return table
 
 
-def _summary(training: Training, learned: Learned, curves: Curves, table: pa.Table | None) -> dict[str, Any]:
+def _summary(
+    training: Training, learned: Learned, curves: Curves, policy: Policy | None, table: pa.Table | None
+) -> dict[str, Any]:
     """The content of summary.json; without an evaluation, success is the share of episodes that lasted."""
     scenes = {} if table is None else summary_of(table)
     found = [about["policy"]["success"] for about in scenes.values()]
@@ -258,6 +274,7 @@ def _summary(training: Training, learned: Learned, curves: Curves, table: pa.Tab
               for name in ("environment_cpu", "learner_cpu", "wall_seconds")}  # fmt: skip
     return {
         "steps": int(learned.steps),
+        "policy_steps": int(learned.steps) if policy is None else int(policy.about["trained"]["steps"]),
         "success": min(found) if found else curves.last("lasted"),
         "return": curves.last("return"),
         "episodes": int(curves.column("episodes").sum()),

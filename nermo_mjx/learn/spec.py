@@ -65,6 +65,11 @@ class TrainingFile(WalkFields):
         200_000, description="control steps between two checkpoints, after each of which new episodes begin"
     )
     seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of all that is drawn")
+    validation: Annotated[int, Whole(0, 100_000)] = Field(
+        0,
+        description="walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; "
+        "0: the last one does",
+    )
     evaluate: EvaluationFields = Field(
         EvaluationFields.model_validate({}), description="on what the policy is evaluated at the end"
     )
@@ -93,6 +98,8 @@ class Training(WalkSpec, Described):
         steps: control steps of all worlds together, rounded up to whole iterations.
         checkpoint: control steps between two checkpoints.
         seed: of all that is drawn.
+        validation: walks on each scene of the evaluation by which the best of all checkpoints becomes the policy;
+            with 0 the last one does.
         evaluation: on what the policy is evaluated at the end.
         plots: whether figures are made at the end.
     """
@@ -105,6 +112,7 @@ class Training(WalkSpec, Described):
     steps: int = 2_000_000
     checkpoint: int = 200_000
     seed: int = 0
+    validation: int = 0
     evaluation: Evaluation = dataclasses.field(default_factory=Evaluation)
     plots: bool = True
 
@@ -181,6 +189,7 @@ class Training(WalkSpec, Described):
             del data["scene"]
         data["algorithm"] = algorithm_fields(self.algorithm)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
+        data |= {"validation": self.validation} if self.validation else {}
         evaluation: dict[str, Any] = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
         evaluation |= {"scenes": list(self.evaluation.scenes)} if self.evaluation.scenes else {}
         evaluation |= {"set": dict(self.evaluation.set)} if self.evaluation.set else {}
@@ -236,7 +245,7 @@ def _read(doc: Document) -> Training:
         _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
     evaluation = Evaluation(file.evaluate.bodies, tuple(file.evaluate.scenes or ()), file.evaluate.distance,
                             file.evaluate.set)  # fmt: skip
-    names = ("worlds", "steps", "checkpoint", "seed", "plots")
+    names = ("worlds", "steps", "checkpoint", "seed", "validation", "plots")
     training = Training(**walk, task=task, scenes=scenes, algorithm=algorithm, evaluation=evaluation,
                         **{name: getattr(file, name) for name in names})  # fmt: skip
     _said(doc, (), training.check_division)

@@ -1,0 +1,96 @@
+"""Which of a training's policies is kept: the best of the checkpoints, by walks that no training or evaluation draws.
+
+The untrained policy, which leaves the controller as it is, is the first candidate: a training whose corrections do harm
+does not end with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from nermo_mjx.learn.directory import POLICY as POLICY_FILE
+from nermo_mjx.learn.evaluation import POLICY, Draws, evaluate, summary_of
+from nermo_mjx.learn.policy import Policy, load_policy
+from nermo_mjx.learn.spec import Training
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runs import RunDirectory
+from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
+
+#: The table of what was tried: one row per checkpoint.
+VALIDATION: Final = "validation.parquet"
+#: Added to a training's seed; another number than that of the evaluation.
+_KEY: Final = 0xB0D1E5
+
+
+class _Tried(NamedTuple):
+    """A policy's steps of training, its share of successes on each scene, and their mean."""
+
+    steps: int
+    scenes: Mapping[str, float]
+
+    @property
+    def success(self) -> float:
+        return float(np.mean(list(self.scenes.values())))
+
+
+class Choice:
+    """The best policy of a training's directory so far, which is what its policy file holds.
+
+    The file is written before the table that names it, so a killed training tries its last policy again and comes to
+    the same choice.
+    """
+
+    def __init__(
+        self, held: RunDirectory, training: Training, warn: Callable[[str], None],
+        walks: Callable[[Policy], Mapping[str, float]] | None = None,
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            held: the directory.
+            training: `validation` walks on each scene of its evaluation.
+            warn: called with a message if the chosen policy is gone.
+            walks: the share of a policy's successes on each scene; by default it walks.
+        """
+        self._held, self._warn = held, warn
+        self._walks = walks or (lambda policy: successes(training, policy))
+        table = parquet_table(content_of(held.out / VALIDATION) or b"")
+        rows = [] if table is None else table.to_pylist()
+        self._tried = [_Tried(row.pop("steps"), row) for row in rows]
+
+    def of(self, policy: Policy) -> Policy:
+        """The best of all policies tried, this one included; of equals the earliest."""
+        steps = int(policy.about["trained"]["steps"])
+        if self._tried and self._best.steps != steps and self._kept() is None:
+            self._warn(f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew.")
+            self._tried = []
+        if steps not in [each.steps for each in self._tried]:
+            found = _Tried(steps, dict(self._walks(policy)))
+            if not self._tried or found.success > self._best.success:
+                self._held.write(POLICY_FILE, policy.content())
+            self._tried.append(found)
+            rows = [{"steps": each.steps, **each.scenes} for each in self._tried]
+            self._held.write(VALIDATION, parquet_bytes(pa.Table.from_pylist(rows)))
+        return policy if self._best.steps == steps else self._kept() or policy
+
+    @property
+    def _best(self) -> _Tried:
+        return max(self._tried, key=lambda each: (each.success, -each.steps))
+
+    def _kept(self) -> Policy | None:
+        """The policy in the file, if it is the best one's."""
+        try:
+            policy = load_policy(Path(self._held.out) / POLICY_FILE)
+        except ParameterError:
+            return None
+        return policy if policy.about.get("trained", {}).get("steps") == self._best.steps else None
+
+
+def successes(training: Training, policy: Policy) -> dict[str, float]:
+    """The share of a policy's walks that succeed, on each scene of the training's evaluation."""
+    table = evaluate(training, policy, draws=Draws(training.validation, _KEY), walkers=(POLICY,))
+    return {scene: about[POLICY]["success"] for scene, about in summary_of(table).items()}
