@@ -24,7 +24,7 @@ from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
 from nermo_mjx.learn.choosing import Choice
 from nermo_mjx.learn.evaluation import evaluate
-from nermo_mjx.learn.mixture import Mixture
+from nermo_mjx.learn.mixture import Mixture, divided
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.specs.reading import SpecError
@@ -254,6 +254,24 @@ def test_a_policys_file_is_the_policy(policy, tmp_path):
 
 
 @pytest.mark.long
+def test_worlds_are_divided_in_shares():
+    """All of them, as evenly as NumPy divides an array, or in proportion; no scene is left without."""
+    random = np.random.default_rng(0)
+    for _ in range(200):
+        parts = int(random.integers(2, 9))
+        worlds = int(random.integers(parts, 300))
+        assert divided(worlds, [1.0] * parts) == [len(each) for each in np.array_split(np.arange(worlds), parts)]
+        shares = random.uniform(0.05, 10.0, parts)
+        found = np.array(divided(worlds, shares.tolist()))
+        assert found.sum() == worlds
+        assert found.min() >= 1
+        exact = worlds * shares / shares.sum()
+        assert (np.abs(found - exact) < 1.0).all() or exact.min() < 1.0
+    training = Training.from_dict({"worlds": 40, "scenes": [{"scene": "ramp"}, {"scene": "rough", "share": 3}]})
+    assert [part.worlds for part in training.environment("c").parts] == [10, 30]
+    assert Training.from_text(training.to_yaml()) == training
+
+
 def test_a_mixture_is_its_parts_side_by_side():
     """What each would do alone; the critic is told which is which, and zeros of what a part does not know."""
     tasks = [Task(duration=0.03, randomize={"contact.friction": (1.0, 1.2)}), Task(duration=0.03, randomize={})]

@@ -39,6 +39,7 @@ class Mixture:
         *,
         engine: str = "c",
         worlds: int = 256,
+        shares: Sequence[float] | None = None,
         staggered: bool = False,
         threads: int | None = None,
     ) -> None:
@@ -46,7 +47,8 @@ class Mixture:
         Args:
             parts: what is chosen by name, and the task, of each environment.
             engine: `c`, `mjx`, or `auto`.
-            worlds: of all parts together, divided evenly.
+            worlds: of all parts together.
+            shares: in which they are divided among the parts, relative to each other; None for evenly.
             staggered: see `Environment`.
             threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
 
@@ -55,7 +57,7 @@ class Mixture:
                 what `Environment` refuses.
         """
         check_worlds(worlds, len(parts))
-        counts = [len(each) for each in np.array_split(np.arange(worlds), len(parts))]
+        counts = divided(worlds, [1.0] * len(parts) if shares is None else shares)
         # The parts run concurrently on the processors: a single part may have too few worlds for all of them.
         self.parts = tuple(
             Environment(setup, engine=engine, worlds=count, task=task, staggered=staggered, threads=1)
@@ -127,6 +129,21 @@ class Mixture:
             return told
         zeros = jnp.zeros((len(own), self.privileged_size), jnp.float32)
         return zeros.at[:, self._columns[i]].set(own).at[:, which].set(1.0)
+
+
+def divided(worlds: int, shares: Sequence[float]) -> list[int]:
+    """Worlds of each part: in these shares, but at least one; what is left over goes to the largest remainders.
+
+    >>> divided(10, [1.0, 1.0, 2.0])
+    [3, 2, 5]
+    """
+    exact = worlds * np.asarray(shares, float) / np.sum(shares)
+    counts = np.maximum(np.floor(exact + 1e-9).astype(int), 1)
+    while counts.sum() != worlds:
+        missing = exact - counts
+        at = int(np.argmax(missing)) if counts.sum() < worlds else int(np.argmin(np.where(counts > 1, missing, np.inf)))
+        counts[at] += 1 if counts.sum() < worlds else -1
+    return counts.tolist()
 
 
 def check_worlds(worlds: int, parts: int) -> None:

@@ -22,11 +22,13 @@ class SceneTask:
         setup: what is chosen by name there.
         task: what the policy does there.
         written: as written in a training file.
+        share: of the worlds, relative to those of the other scenes.
     """
 
     setup: Setup
     task: Task
     written: Mapping[str, Any]
+    share: float = 1.0
 
 
 def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task) -> tuple[SceneTask, ...]:
@@ -69,5 +71,6 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
         if each.corridor is not None:
             written["corridor"] = each.corridor
         written |= {name: dict(section) for name in ("set", "randomize") if (section := getattr(each, name))}
-        found.append(SceneTask(there, own, written))
+        written |= {"share": each.share} if each.share != 1.0 else {}
+        found.append(SceneTask(there, own, written, each.share))
     return tuple(found)

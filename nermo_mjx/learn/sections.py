@@ -146,6 +146,7 @@ class SceneFields(Fields):
     scene: SceneField = Field(description="where it walks, as the file's own 'scene'")
     pilot: Pilot = optional("what steers the robot there, by default the file's own")
     corridor: Positive = optional("distance from the path at which an episode fails there [m]")
+    share: Positive = Field(1.0, description="of the worlds, relative to those of the other scenes")
     set: dict[str, Finite] = Field({}, description="parameters with one value there")
     randomize: dict[str, _Unit] = Field({}, description="what each episode draws there, in addition to the file's own")
 

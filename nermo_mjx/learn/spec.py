@@ -151,7 +151,8 @@ class Training(WalkSpec, Described):
         if not self.scenes:
             return Environment(self.setup, engine=engine, worlds=self.worlds, task=self.task, staggered=True)
         parts = [(each.setup, each.task) for each in self.scenes]
-        return Mixture(parts, engine=engine, worlds=self.worlds, staggered=True)
+        shares = [each.share for each in self.scenes]
+        return Mixture(parts, engine=engine, worlds=self.worlds, shares=shares, staggered=True)
 
     def evaluated(self) -> list[tuple[Setup, Task]]:
         """Setup and task of each scene of the evaluation; what is set there is not drawn."""

@@ -85,7 +85,7 @@ STAGES = (
           seed=1, far=1.2, fall=0.15, test=(5, 24)),
     Stage(FIVE, generations=24, population=16, sigma=0.06, seed=2, far=0.9, fall=0.3, test=(10, 16)),
     Stage(SEVEN, generations=40, population=20, sigma=0.08, seed=3, far=0.8, fall=0.4, test=(10, 16), steers=True),
-    Stage((*SEVEN, Place("rough", HIGH), SPIRAL), generations=20, population=24, sigma=0.03, seed=4, far=0.8, fall=0.6,
+    Stage((*SEVEN, Place("rough", HIGH), SPIRAL), generations=20, population=24, sigma=0.03, seed=4, far=0.55, fall=0.6,
           test=(10, 24), steers=True),
 )  # fmt: skip
 
