@@ -198,7 +198,6 @@ def test_readings_come_late_and_with_noise_of_the_given_size():
     np.testing.assert_array_equal(many[:, 3], 7.0)
 
 
-@pytest.mark.compiles
 def test_a_policy_can_be_told_how_its_path_bends():
     """Times 0.5 m: 1 on a circle of that radius to the left, and nothing without a path."""
     for side in (1.0, -1.0):
@@ -212,6 +211,7 @@ def test_a_policy_can_be_told_how_its_path_bends():
     assert nowhere.told(told._replace(path=None), sensors()).shape == (0,)
 
 
+@pytest.mark.compiles
 def test_actions_move_servo_targets_or_parameters_by_their_ranges():
     base = published_controller("stride_extension", "open_loop")
     servo, home = leg_servos(jnp.array([[0.0, -0.045]] * 4)), leg_servos(jnp.array([[0.01, -0.04]] * 4))

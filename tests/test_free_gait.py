@@ -115,6 +115,7 @@ def test_touch_down_and_lift_off_are_moved() -> None:
     assert high[1] == pytest.approx(-0.055 + 0.010 + 0.004, abs=1e-6)
 
 
+@pytest.mark.compiles
 def test_a_turn_shortens_the_whole_stride_of_a_free_path() -> None:
     """At full turn rate the inner feet step on the spot, at half of their stride they go half as far; the outer ones as
     far as before."""

@@ -11,6 +11,7 @@ import pytest
 
 from nermo_mjx.learn.spec import Training
 
+pytestmark = pytest.mark.compiles
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "howto" / "terrain"
 FILES = {

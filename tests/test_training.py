@@ -253,7 +253,6 @@ def test_a_policys_file_is_the_policy(policy, tmp_path):
         Setup(controller=str(tmp_path / "none.npz"))
 
 
-@pytest.mark.long
 def test_worlds_are_divided_in_shares():
     """All of them, as evenly as NumPy divides an array, or in proportion; no scene is left without."""
     random = np.random.default_rng(0)
@@ -272,6 +271,7 @@ def test_worlds_are_divided_in_shares():
     assert Training.from_text(training.to_yaml()) == training
 
 
+@pytest.mark.long
 def test_a_mixture_is_its_parts_side_by_side():
     """What each would do alone; the critic is told which is which, and zeros of what a part does not know."""
     tasks = [Task(duration=0.03, randomize={"contact.friction": (1.0, 1.2)}), Task(duration=0.03, randomize={})]
