@@ -14,6 +14,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
@@ -23,7 +24,7 @@ from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
 from nermo_mjx.learn.choosing import Choice
-from nermo_mjx.learn.evaluation import evaluate
+from nermo_mjx.learn.evaluation import evaluate, summary_of
 from nermo_mjx.learn.mixture import Mixture, divided
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
@@ -222,17 +223,26 @@ def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
 def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):
     """Between the policy's file and the table: the same policy walks once more. Without its file, it begins anew."""
     begin, after, walked = choosing
+    table, warned = tmp_path / "validation.parquet", []
     for steps in (0, 10, 30):
-        before = (tmp_path / "validation.parquet").read_bytes() if steps else b""
-        begin().of(after[steps])
-    begin().of(after[40])
-    (tmp_path / "validation.parquet").write_bytes(before)
-    assert chosen(begin().of(after[40])) == 40
+        begin(warned).of(after[steps])
+    before = table.read_bytes()
+    begin(warned).of(after[40])
+    whole = table.read_bytes()
+    table.write_bytes(before)
+    assert chosen(begin(warned).of(after[40])) == 40
     assert walked == [0, 10, 30, 40, 40]
+    assert table.read_bytes() == whole
+    assert not warned
     (tmp_path / "policy.npz").unlink()
-    warned = []
     assert chosen(begin(warned).of(after[20])) == 20
     assert "the choice begins anew" in warned[0]
+
+
+def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
+    """As a directory from before has it."""
+    before = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
+    assert summary_of(before)["flat"]["alone"]["distance"] > 0.0
 
 
 def test_a_policys_file_is_the_policy(policy, tmp_path):

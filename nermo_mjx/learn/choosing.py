@@ -65,7 +65,7 @@ class Choice:
     def of(self, policy: Policy) -> Policy:
         """The best of all policies tried, this one included; of equals the earliest."""
         steps = int(policy.about["trained"]["steps"])
-        if self._tried and self._best.steps != steps and self._kept() is None:
+        if self._tried and self._steps_of(self._kept()) not in (self._best.steps, steps):
             self._warn(f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew.")
             self._tried = []
         if steps not in [each.steps for each in self._tried]:
@@ -77,17 +77,20 @@ class Choice:
             self._held.write(VALIDATION, parquet_bytes(pa.Table.from_pylist(rows)))
         return policy if self._best.steps == steps else self._kept() or policy
 
+    @staticmethod
+    def _steps_of(policy: Policy | None) -> int | None:
+        return None if policy is None else policy.about.get("trained", {}).get("steps")
+
     @property
     def _best(self) -> _Tried:
         return max(self._tried, key=lambda each: (each.success, -each.steps))
 
     def _kept(self) -> Policy | None:
-        """The policy in the file, if it is the best one's."""
+        """The policy in the file; None if there is none that can be read."""
         try:
-            policy = load_policy(Path(self._held.out) / POLICY_FILE)
+            return load_policy(Path(self._held.out) / POLICY_FILE)
         except ParameterError:
             return None
-        return policy if policy.about.get("trained", {}).get("steps") == self._best.steps else None
 
 
 def successes(training: Training, policy: Policy) -> dict[str, float]:

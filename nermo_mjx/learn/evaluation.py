@@ -103,16 +103,15 @@ def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray
 
 def summary_of(table: pa.Table) -> dict[str, Any]:
     """Share of successes and medians over all walks, for each scene and each of the two: scene -> who -> numbers."""
-    columns = {
-        name: np.asarray(table.column(name).to_pylist()) for name in ("scene", "controller", "success", *METRICS)
-    }
+    names = ("scene", "controller", "success", "speed", "distance", "cost_of_transport")
+    columns = {name: np.asarray(table.column(name).to_pylist()) for name in names}
     found: dict[str, Any] = {}
     for scene in dict.fromkeys(columns["scene"].tolist()):
         for who in dict.fromkeys(columns["controller"].tolist()):
             rows = (columns["scene"] == scene) & (columns["controller"] == who)
             about = {"success": float(columns["success"][rows].mean())}
             about |= {name: float(np.nanmedian(columns[name][rows].astype(float)))
-                      for name in ("speed", "distance", "cost_of_transport")}  # fmt: skip
+                      for name in names[3:]}  # fmt: skip
             found.setdefault(scene, {})[who] = about
     return found
 
