@@ -24,7 +24,7 @@ from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
 from nermo_mjx.learn.choosing import Choice
-from nermo_mjx.learn.evaluation import evaluate, summary_of
+from nermo_mjx.learn.evaluation import Evaluator, summary_of
 from nermo_mjx.learn.mixture import Mixture, divided
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
@@ -172,7 +172,7 @@ def evaluated(policy):
     }  # fmt: skip
     narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
     trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
-    return [evaluate(training, policy[0], engine="c").to_pandas() for training in trainings]
+    return [Evaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
 
 
 def test_a_walk_beside_its_path_is_no_success(evaluated):
@@ -198,7 +198,7 @@ def choosing(policy, tmp_path):
 
     with RunDirectory(tmp_path, "training") as held:
         yield (
-            lambda warned=None: Choice(held, Training.from_dict({}), ([] if warned is None else warned).append, walks),
+            lambda warned=None: Choice(held, walks, ([] if warned is None else warned).append),
             after,
             walked,
         )
@@ -243,6 +243,21 @@ def test_an_evaluation_without_todays_metrics_is_still_summed_up(evaluated):
     """As a directory from before has it."""
     before = pa.Table.from_pandas(evaluated[0].drop(columns=["cross_track_peak", "slip"]))
     assert summary_of(before)["flat"]["alone"]["distance"] > 0.0
+
+
+def test_another_policys_weights_compile_nothing(policy, compilations):
+    """They are parameters of a program: one policy of a training after the other walks, or several in one batch."""
+    policy, run = policy[0], Run(duration=0.1, warmup=0.0)
+    layers = tuple((-weights, bias) for weights, bias in policy.actor.layers)
+    other = dataclasses.replace(policy, actor=dataclasses.replace(policy.actor, layers=layers))
+    simulator = Simulator(engine="c", controller=policy)
+    one = simulator({}, run)["servo_work"]
+    compilations.clear()
+    two = simulator({}, run, policy=other.parameters)["servo_work"]
+    assert compilations == []
+    assert abs(two - one) > 1e-3 * one
+    both = jax.tree.map(lambda *leaves: np.stack(leaves), policy.parameters, other.parameters)
+    np.testing.assert_array_equal(simulator({}, run, policy=both)["servo_work"], np.concatenate([one, two]))
 
 
 def test_a_policys_file_is_the_policy(policy, tmp_path):

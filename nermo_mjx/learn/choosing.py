@@ -14,9 +14,8 @@ import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.learn.directory import POLICY as POLICY_FILE
-from nermo_mjx.learn.evaluation import POLICY, Draws, evaluate, summary_of
+from nermo_mjx.learn.evaluation import POLICY, Draws, Evaluator, summary_of
 from nermo_mjx.learn.policy import Policy, load_policy
-from nermo_mjx.learn.spec import Training
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
@@ -46,18 +45,15 @@ class Choice:
     """
 
     def __init__(
-        self, held: RunDirectory, training: Training, warn: Callable[[str], None],
-        walks: Callable[[Policy], Mapping[str, float]] | None = None,
-    ) -> None:  # fmt: skip
+        self, held: RunDirectory, walks: Callable[[Policy], Mapping[str, float]], warn: Callable[[str], None]
+    ) -> None:
         """
         Args:
             held: the directory.
-            training: `validation` walks on each scene of its evaluation.
+            walks: the share of a policy's successes on each scene.
             warn: called with a message if the chosen policy is gone.
-            walks: the share of a policy's successes on each scene; by default it walks.
         """
-        self._held, self._warn = held, warn
-        self._walks = walks or (lambda policy: successes(training, policy))
+        self._held, self._walks, self._warn = held, walks, warn
         table = parquet_table(content_of(held.out / VALIDATION) or b"")
         rows = [] if table is None else table.to_pylist()
         self._tried = [_Tried(row.pop("steps"), row) for row in rows]
@@ -93,7 +89,7 @@ class Choice:
             return None
 
 
-def successes(training: Training, policy: Policy) -> dict[str, float]:
-    """The share of a policy's walks that succeed, on each scene of the training's evaluation."""
-    table = evaluate(training, policy, draws=Draws(training.validation, _KEY), walkers=(POLICY,))
+def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
+    """The share of a policy's walks that succeed: `validation` of them on each scene of the training's evaluation."""
+    table = evaluator(policy, draws=Draws(evaluator.training.validation, _KEY), walkers=(POLICY,))
     return {scene: about[POLICY]["success"] for scene, about in summary_of(table).items()}

@@ -13,6 +13,7 @@ from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.task import Episodes, Outcome, Task
 from nermo_mjx.learn.worlds import CWorlds, MjxWorlds, State, Worlds
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.physics.c_engine import Threads
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.loop import check_controller
 from nermo_mjx.rollout.setup import Setup
@@ -45,7 +46,7 @@ class Environment:
         task: Task | None = None,
         seed: int = 0,
         staggered: bool = False,
-        threads: int | None = None,
+        threads: Threads = None,
     ) -> None:
         """
         Args:
@@ -56,7 +57,8 @@ class Environment:
             seed: for `reset()` without a key.
             staggered: after `reset`, the time of each world's first episode is over after a random share of the
                 task's duration, so that episodes do not end together in all worlds.
-            threads: processors that `c` uses; None for `$NERMO_MJX_THREADS`, or all of them.
+            threads: processors that `c` uses, or a pool that several environments share; None for
+                `$NERMO_MJX_THREADS`, or all of them.
 
         Raises:
             ParameterError: an unknown engine or one that cannot be driven, no world, or a task that does not fit.

@@ -28,41 +28,56 @@ METRICS: Final = (
 )  # fmt: skip
 
 
-def evaluate(
-    training: Training,
-    policy: Policy,
-    engine: str = "auto",
-    progress: Callable[[float], None] | None = None,
-    *,
-    draws: Draws | None = None,
-    walkers: tuple[str, ...] = (POLICY, ALONE),
-) -> pa.Table:
-    """Simulate every evaluation scene, with the policy and with the controller alone, from the same starts and bodies.
+class Evaluator:
+    """Walks of a training's policies; a policy that comes later needs no new programs."""
 
-    Args:
-        training: how it is evaluated.
-        policy: to be evaluated.
-        engine: of the walks.
-        progress: called with the share done.
-        draws: of bodies and starts; by default those of the training's evaluation.
-        walkers: of `POLICY` and `ALONE`.
+    def __init__(self, training: Training, engine: str = "auto") -> None:
+        """
+        Args:
+            training: how its policies are evaluated.
+            engine: of the walks.
+        """
+        self.training, self.engine = training, engine
+        self._simulators: dict[tuple[str, str], Simulator] = {}
 
-    Returns:
-        One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a success:
-        it lasted, covered at least the distance required by the training's evaluation, and stayed in its scene's
-        corridor.
-    """
-    draws = draws or Draws(training.evaluation.bodies, UNSEEN)
-    cases = [(setup, task, who) for setup, task in training.evaluated() for who in walkers]
-    parts: list[_Part] = []
-    for i, (setup, task, who) in enumerate(cases):
-        simulator = Simulator(_setup(setup, policy if who == POLICY else None), engine=engine)
-        drawn = bodies(training, task, draws)
-        values = _known(simulator.setup, {**task.set, **drawn})
-        share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
-        result = simulator.run(values, training.run, progress=share)
-        parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, task.corridor))
-    return _table(training, draws.number, parts)
+    def __call__(
+        self,
+        policy: Policy,
+        progress: Callable[[float], None] | None = None,
+        *,
+        draws: Draws | None = None,
+        walkers: tuple[str, ...] = (POLICY, ALONE),
+    ) -> pa.Table:
+        """Simulate every evaluation scene, with the policy and the controller alone, from the same starts and bodies.
+
+        Args:
+            policy: of the training.
+            progress: called with the share done.
+            draws: of bodies and starts; by default those of the training's evaluation.
+            walkers: of `POLICY` and `ALONE`.
+
+        Returns:
+            One row per walk: scene, controller, body, the drawn parameters, metrics, status, and whether it was a
+            success: it lasted, covered at least the distance required by the training's evaluation, and stayed in its
+            scene's corridor.
+        """
+        training = self.training
+        draws = draws or Draws(training.evaluation.bodies, UNSEEN)
+        cases = [(setup, task, who) for setup, task in training.evaluated() for who in walkers]
+        parts: list[_Part] = []
+        for i, (setup, task, who) in enumerate(cases):
+            there = _setup(setup, policy if who == POLICY else None)
+            key = str(setup.scene), who
+            if key not in self._simulators:
+                self._simulators[key] = Simulator(there, engine=self.engine)
+            simulator = self._simulators[key]
+            drawn = bodies(training, task, draws)
+            values = _known(simulator.setup, {**task.set, **drawn})
+            share = None if progress is None else lambda done, i=i: progress((i + done) / len(cases))
+            own = there.make_controller().parameters if who == POLICY else None
+            result = simulator.run(values, training.run, progress=share, policy=own)
+            parts.append(_Part(scene_name(str(setup.scene)), who, drawn, result, task.corridor))
+        return _table(training, draws.number, parts)
 
 
 class Draws(NamedTuple):

@@ -58,9 +58,10 @@ class Mixture:
         """
         check_worlds(worlds, len(parts))
         counts = divided(worlds, [1.0] * len(parts) if shares is None else shares)
-        # The parts run concurrently on the processors: a single part may have too few worlds for all of them.
+        # The blocks of all parts share the processors: a single part may have too few worlds for all of them.
+        processors = ThreadPoolExecutor(thread_count(threads), thread_name_prefix="nermo_mjx")
         self.parts = tuple(
-            Environment(setup, engine=engine, worlds=count, task=task, staggered=staggered, threads=1)
+            Environment(setup, engine=engine, worlds=count, task=task, staggered=staggered, threads=processors)
             for (setup, task), count in zip(parts, counts, strict=True)
         )
         check_alike({str(part.setup.scene): part.loop for part in self.parts})
@@ -70,7 +71,7 @@ class Mixture:
         self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
         self._columns = [np.array([self.privileged_names.index(name) for name in part.privileged_names])
                          for part in self.parts]  # fmt: skip
-        self._pool = ThreadPoolExecutor(thread_count(threads), thread_name_prefix="nermo_mjx")
+        self._waiting = ThreadPoolExecutor(len(parts), thread_name_prefix="nermo_mjx_part")
 
     @property
     def pure(self) -> bool:
@@ -109,7 +110,10 @@ class Mixture:
         calls = zip(self.parts, state.engine, actions, strict=True)
         if self.pure:
             return self._joined([part.step(each, own) for part, each, own in calls])
-        return self._joined(list(self._pool.map(lambda call: call[0].step(*call[1:]), calls)))
+        # The largest part begins, so that the processors end together.
+        started = {part: self._waiting.submit(part.step, each, own)
+                   for part, each, own in sorted(calls, key=lambda call: -call[0].worlds)}  # fmt: skip
+        return self._joined([started[part].result() for part in self.parts])
 
     def _joined(self, states: list[State]) -> State:
         numbers = jnp if self.pure else np

@@ -30,7 +30,7 @@ from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
-from nermo_mjx.robot.quantity import flat, parameter_tree, quantities, replace_quantities
+from nermo_mjx.robot.quantity import flat, group, parameter_tree, quantities, replace_quantities
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.shapes import Array, Count, Scalar
@@ -49,13 +49,19 @@ BASE: Final = (
 
 @parameter_tree
 class PolicyParameters:
-    """Parameters of the controller that a policy acts on; what it is commanded, and how late and noisy its sensors are.
+    """A policy's parameters: those of the controller that it acts on, what it is told, and its network.
 
-    `given` is empty for a policy that was trained with exact sensors and without commands.
+    Attributes:
+        control: of the controller.
+        given: what it is commanded, and how late and noisy its sensors are; empty for a policy that was trained with
+            exact sensors and without commands.
+        network: actor, and statistics of what it observes. They have no names; as parameters, and not constants, of a
+            program they can be replaced without compiling it again.
     """
 
     control: Any = flat(tuple)
     given: Any = flat(tuple)
+    network: Any = group(tuple)
 
 
 @jax.tree_util.register_dataclass
@@ -148,10 +154,11 @@ class Policy:
     def parameters(self) -> PolicyParameters:
         """See `ControllerLike`; they can be named as those of the controller below."""
         control = self.setup.world({name: value for name, value in self.fixed.items() if name not in GIVEN}).control
+        network = self.actor, self.statistics
         if not (self.observer.commands or self.observer.delayed or self.observer.noisy):
-            return PolicyParameters(control=control)
+            return PolicyParameters(control=control, network=network)
         given = replace_quantities(Given(), {name: value for name, value in self.fixed.items() if name in GIVEN})
-        return PolicyParameters(control=control, given=given)
+        return PolicyParameters(control=control, given=given, network=network)
 
     def init(self, params: PolicyParameters, sensors: Sensors, phase: Scalar) -> PolicyState:
         """See `ControllerLike`."""
@@ -167,15 +174,15 @@ class Policy:
     def update(self, params: PolicyParameters, state: PolicyState, sensors: Sensors) -> tuple[PolicyState, ServoAngles]:
         """See `ControllerLike`."""
         due = state.tick % self.decimation == 0
-        action = jnp.where(due, self.act(self._observed(params, state, sensors)), state.action)
+        actor, statistics = params.network
+        action = jnp.where(due, _action(actor, statistics, self._observed(params, state, sensors)), state.action)
         acted, servo = self.acting.update(Acted(self._obeying(params), action), state.acted, sensors)
         memory = self.observer.remembered(state.memory, self.observer.readings(sensors))
         return with_dtypes_of(state, PolicyState(state.tick + 1, acted, memory, action)), servo
 
     def act(self, observation: Array) -> Array:
         """The action (..., a) at observations (..., o)."""
-        seen = self.statistics.normalized(jnp.asarray(observation, jnp.float32))
-        return jnp.clip(self.actor.mean(seen), -1.0, 1.0)
+        return _action(self.actor, self.statistics, observation)
 
     def cycle_rate(self, params: PolicyParameters) -> Any:
         """See `ControllerLike`; that of the controller below, which a modulation may leave."""
@@ -240,6 +247,12 @@ class Policy:
         stream = io.BytesIO()
         np.savez(stream, **arrays)
         return stream.getvalue()
+
+
+def _action(actor: Actor, statistics: Statistics, observation: Array) -> Array:
+    """See `Policy.act`; in single precision, as it was learned."""
+    actor, statistics = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), (actor, statistics))
+    return jnp.clip(actor.mean(statistics.normalized(jnp.asarray(observation, jnp.float32))), -1.0, 1.0)
 
 
 def load_policy(path: str | Path) -> Policy:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 import os
 import time
@@ -14,10 +15,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.learn.choosing import Choice
+from nermo_mjx.learn.choosing import Choice, successes
 from nermo_mjx.learn.directory import EVALUATION, POLICY, SPEC, SUMMARY, Directory
 from nermo_mjx.learn.environment import Environment
-from nermo_mjx.learn.evaluation import evaluate, summary_of
+from nermo_mjx.learn.evaluation import Evaluator, summary_of
 from nermo_mjx.learn.experience import EnvironmentLike, Scores
 from nermo_mjx.learn.history import Curves
 from nermo_mjx.learn.learned import RESET, Learned
@@ -127,13 +128,15 @@ def run_training(
         code = directory.take_code(curves, accept=accept_new_code) if begun < training.iterations else ""
         directory.claim()
         trackers = stack.enter_context(tracked(log, directory.out)) if log else []
-        choice = Choice(directory.held, training, warn or (lambda _: None)) if training.validation else None
+        evaluator = Evaluator(training)
+        walks = functools.partial(successes, evaluator)
+        choice = Choice(directory.held, walks, warn or (lambda _: None)) if training.validation else None
         learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), trackers, code, choice)
         if begun < training.iterations:
             directory.held.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
         policy = learning.publish(learned, curves)
-        table = None if policy is None else _evaluated(directory, policy, evaluating)
+        table = None if policy is None else _evaluated(directory, policy, evaluator, evaluating)
         summary = _summary(training, learned, curves, policy, table)
         directory.held.write(SUMMARY, to_json(summary))
         figures = figures_of(training, curves, table)
@@ -250,7 +253,9 @@ class _Metered:
         return state
 
 
-def _evaluated(directory: Directory, policy: Policy, progress: Callable[[float], None] | None) -> pa.Table:
+def _evaluated(
+    directory: Directory, policy: Policy, evaluator: Evaluator, progress: Callable[[float], None] | None
+) -> pa.Table:
     """The evaluation of this policy, which is made once."""
     content = content_of(directory.out / EVALUATION)
     known = None if content is None else parquet_table(content)
@@ -258,7 +263,7 @@ def _evaluated(directory: Directory, policy: Policy, progress: Callable[[float],
     policy_key = f"{key} {policy.about['trained']['steps']}"
     if known is not None and (known.schema.metadata or {}).get(b"evaluated") == policy_key.encode():
         return known
-    table = evaluate(directory.training, policy, "auto", progress)
+    table = evaluator(policy, progress)
     table = table.replace_schema_metadata({**(table.schema.metadata or {}), b"evaluated": policy_key.encode()})
     directory.held.write(EVALUATION, parquet_bytes(table))
     return table

@@ -14,7 +14,7 @@ from nermo_mjx.learn.loop import EpisodeLoop, Observed
 from nermo_mjx.learn.task import Episodes
 from nermo_mjx.physics import Variation
 from nermo_mjx.physics.c_driven import CDriven
-from nermo_mjx.physics.c_engine import CEngine
+from nermo_mjx.physics.c_engine import CEngine, Threads
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.shapes import Array, Truth
@@ -60,16 +60,14 @@ class Worlds(Protocol):
 class CWorlds:
     """Worlds of MuJoCo's C engine. The k-th episode of a world depends on key, world and k alone."""
 
-    def __init__(
-        self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: int | None
-    ) -> None:
+    def __init__(self, loop: EpisodeLoop, episodes: Episodes, worlds: int, staggered: bool, threads: Threads) -> None:
         """
         Args:
             loop: what runs in each.
             episodes: what draws theirs.
             worlds: how many.
             staggered: whether the first episodes are cut short.
-            threads: processors.
+            threads: see `CEngine`.
         """
         self.loop, self.episodes, self.worlds = loop, episodes, worlds
         self.engine = CEngine(loop.robot, loop, threads)

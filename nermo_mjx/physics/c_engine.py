@@ -14,7 +14,7 @@ import logging
 import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import jax
 import mujoco
@@ -35,6 +35,9 @@ LANES: Final = 32
 #: Minimum number of worlds for which a separate block pays off, including its call of the loop.
 LEAST: Final = 8
 
+#: A number of processors, None for those that `thread_count` finds, or a pool of as many threads.
+Threads: TypeAlias = int | ThreadPoolExecutor | None
+
 Result = TypeVar("Result")
 
 
@@ -54,19 +57,21 @@ class CEngine:
 
     name = "c"
 
-    def __init__(self, robot: Robot, loop: Loop, threads: int | None = None) -> None:
+    def __init__(self, robot: Robot, loop: Loop, threads: Threads = None) -> None:
         """
         Args:
             robot, loop: to simulate.
-            threads: processors that share a batch; None for `$NERMO_MJX_THREADS`, or else all.
+            threads: processors that share a batch; None for `$NERMO_MJX_THREADS`, or else all. A pool is shared with
+                other engines: as many blocks run at a time as it has threads, of whichever batch.
 
         Raises:
             ParameterError: fewer than one thread.
         """
         start_jax()
         self.robot, self.loop = robot, loop
+        self.shared = threads if isinstance(threads, ThreadPoolExecutor) else None
         try:
-            self.threads = thread_count(threads)
+            self.threads = 1 if isinstance(threads, ThreadPoolExecutor) else thread_count(threads)
         except ValueError as error:
             raise ParameterError(str(error)) from None
         self._packed: dict[Any, PackedLoop] = {}
@@ -90,7 +95,7 @@ class CEngine:
     @functools.cached_property
     def pool(self) -> ThreadPoolExecutor:
         """The threads, one per core."""
-        return ThreadPoolExecutor(self.threads, thread_name_prefix="nermo_mjx")
+        return self.shared or ThreadPoolExecutor(self.threads, thread_name_prefix="nermo_mjx")
 
 
 class CSession:
@@ -161,7 +166,7 @@ class CSession:
                 return work(block)
 
         with _warnings_logged():
-            if len(self._blocks) == 1:
+            if len(self._blocks) == 1 and self.engine.shared is None:
                 return [run(self._blocks[0])]
             return list(self.engine.pool.map(run, self._blocks))
 
