@@ -118,6 +118,12 @@ def test_another_training_is_refused_and_more_steps_are_not(tmp_path, done):
         ({"evaluate": {"scenes": ["moon"]}}, "moon"),
         ({"evaluate": {"set": {"terrain.height": 0.01}}}, "'evaluate.set.terrain.height' is no parameter of the eval"),
         ({"scene": "planks", "evaluate": {"set": {"terrain.height": 1}}}, r"is 1: allowed is \[0, 0.05\] m"),
+        ({"evaluate": {"randomize": {"terrain.height": [0, 0.01]}}}, "'evaluate.randomize.terrain.height' is no param"),
+        ({"evaluate": {"randomize": {"start.yaw": [0.1, 0.0]}}}, "the low end is not below the high one"),
+        (
+            {"evaluate": {"set": {"start.yaw": 0.1}, "randomize": {"start.yaw": [0, 0.1]}}},
+            "'evaluate.randomize.start.yaw' stands under set, too",
+        ),
         ({"scenes": [{"scene": "planks"}]}, "field 'scenes' has 1: expected two or more"),
         ({"scene": "flat", "scenes": [{"scene": "planks"}]}, "field 'scene' stands beside 'scenes'"),
         ({"scenes": [{"scene": "planks"}, {"scene": "planks"}]}, "'scenes.1.scene' is 'planks' for a second time"),
@@ -173,6 +179,22 @@ def evaluated(policy):
     narrow = [scenes[0] | {"corridor": 0.01}, scenes[1]]
     trainings = [Training.from_dict(fields | {"scenes": each}) for each in (scenes, narrow)]
     return [Evaluator(training, "c")(policy[0]).to_pandas() for training in trainings]
+
+
+def test_an_evaluation_draws_from_ranges_of_its_own():
+    """Where a scene has such a parameter; what it sets is not drawn, and the training's draws stay."""
+    harder = {"scene": "rough", "randomize": {"contact.friction": [1.2, 1.6], "terrain.height": [0.009, 0.013]}}
+    training = Training.from_dict({
+        "randomize": {"contact.friction": [0.8, 1.6], "start.yaw": [0.0, 0.1]}, "scenes": [{"scene": "ramp"}, harder],
+        "evaluate": {"set": {"start.yaw": 0.0}, "randomize": {"contact.friction": [0.8, 1.6], "terrain.side": [0, 0.1]}},
+    })  # fmt: skip
+    friction = {"contact.friction": (0.8, 1.6)}
+    ramp, rough = (task for _, task in training.evaluated())
+    assert ramp.randomize == friction
+    assert rough.randomize == friction | {"terrain.height": (0.009, 0.013), "terrain.side": (0.0, 0.1)}
+    assert ramp.set["start.yaw"] == 0.0
+    assert training.scenes[1].task.randomize["contact.friction"] == (1.2, 1.6)
+    assert Training.from_text(training.to_yaml()) == training
 
 
 def test_a_walk_beside_its_path_is_no_success(evaluated):

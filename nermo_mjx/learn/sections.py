@@ -138,6 +138,7 @@ class EvaluationFields(Fields):
     scenes: list[str] = optional("where it is evaluated, by default where it learned")
     distance: Annotated[float, Field(ge=0)] = Field(0.0, description="distance required for success [m]")
     set: dict[str, Finite] = Field({}, description="parameters that are not drawn there, such as terrain.height")
+    randomize: dict[str, _Unit] = Field({}, description="ranges that differ from those of the training's draws")
 
 
 class SceneFields(Fields):
@@ -160,12 +161,14 @@ class Evaluation:
         scenes: by name, or MJCF; empty for the training's own.
         distance: required for success [m].
         set: parameters that are not drawn, on the scenes that have them.
+        randomize: ranges there, instead of those of the training.
     """
 
     bodies: int = 100
     scenes: tuple[str, ...] = ()
     distance: float = 0.0
     set: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    randomize: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
 
 def algorithm_fields(algorithm: Algorithm) -> dict[str, dict[str, Any]]:

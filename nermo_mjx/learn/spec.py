@@ -160,7 +160,7 @@ class Training(WalkSpec, Described):
         known = {str(setup.scene): (setup, task) for setup, task in here}
         pairs = [known.get(scene, (dataclasses.replace(self.setup, scene=scene), self.task))
                  for scene in self.evaluation.scenes] or here  # fmt: skip
-        return [(setup, _with_values(setup, task, self.evaluation.set)) for setup, task in pairs]
+        return [(setup, _evaluated(setup, task, self.evaluation)) for setup, task in pairs]
 
     def check_division(self) -> None:
         """Refuse scenes and minibatches among which worlds and steps cannot be divided; raises `ParameterError`."""
@@ -194,6 +194,8 @@ class Training(WalkSpec, Described):
         evaluation: dict[str, Any] = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
         evaluation |= {"scenes": list(self.evaluation.scenes)} if self.evaluation.scenes else {}
         evaluation |= {"set": dict(self.evaluation.set)} if self.evaluation.set else {}
+        drawn = {name: [float(low), float(high)] for name, (low, high) in self.evaluation.randomize.items()}
+        evaluation |= {"randomize": drawn} if drawn else {}
         return data | {"evaluate": evaluation, "plots": self.plots}
 
     def decisive(self) -> dict[str, Any]:
@@ -245,7 +247,8 @@ def _read(doc: Document) -> Training:
     for scene in file.evaluate.scenes or ():
         _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
     evaluation = Evaluation(file.evaluate.bodies, tuple(file.evaluate.scenes or ()), file.evaluate.distance,
-                            file.evaluate.set)  # fmt: skip
+                            file.evaluate.set,
+                            {name: (low, high) for name, (low, high) in file.evaluate.randomize.items()})  # fmt: skip
     names = ("worlds", "steps", "checkpoint", "seed", "validation", "plots")
     training = Training(**walk, task=task, scenes=scenes, algorithm=algorithm, evaluation=evaluation,
                         **{name: getattr(file, name) for name in names})  # fmt: skip
@@ -255,23 +258,30 @@ def _read(doc: Document) -> Training:
 
 
 def _check_evaluation(doc: Document, training: Training) -> None:
-    """Refuse values that none of the evaluation's scenes has, or that are out of range."""
-    for name, value in training.evaluation.set.items():
-        setups = [setup for setup, task in training.evaluated() if name in task.set]
-        if not setups:
-            doc.fail(("evaluate", "set", name), "is no parameter of the evaluation's scenes: leave it out.")
-        about = task_parameters(setups[0])[name]
-        _said(doc, ("evaluate",), functools.partial(about.check, f"set.{name}", value))
+    """Refuse values and ranges that none of the evaluation's scenes has, or that are out of range."""
+    evaluation, pairs = training.evaluation, training.evaluated()
+    for section, given in (("set", evaluation.set), ("randomize", evaluation.randomize)):
+        for name in given:
+            if not any(name in getattr(task, section) for _, task in pairs):
+                twice = section == "randomize" and name in evaluation.set
+                doc.fail(("evaluate", section, name), "stands under set, too: leave one out." if twice else
+                         "is no parameter of the evaluation's scenes: leave it out.")  # fmt: skip
+    for setup, task in pairs:
+        _said(doc, ("evaluate",), functools.partial(task.check, setup))
 
 
-def _with_values(setup: Setup, task: Task, values: Mapping[str, float]) -> Task:
-    """The task with these values where the setup has them, and without draws of a terrain that it has not."""
+def _evaluated(setup: Setup, task: Task, evaluation: Evaluation) -> Task:
+    """The task of an evaluation: with its values and ranges where the setup has them, and no draws that it has not."""
     shape, known = terrain_values(str(setup.scene)), task_parameters(setup)
-    there = {name: value for name, value in values.items()
-             if (name in shape if name.startswith("terrain.") else name in known)}  # fmt: skip
-    drawn = {name: ends for name, ends in task.randomize.items()
-             if name not in there and (name in shape or not name.startswith("terrain."))}  # fmt: skip
-    return dataclasses.replace(task, set={**task.set, **there}, randomize=drawn)
+
+    def there(given: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: each for name, each in given.items()
+                if (name in shape if name.startswith("terrain.") else name in known)}  # fmt: skip
+
+    values, ranges = there(evaluation.set), there({**task.randomize, **evaluation.randomize})
+    drawn = {name: ends for name, ends in ranges.items() if name not in values}
+    fixed = {name: value for name, value in task.set.items() if name not in drawn}
+    return dataclasses.replace(task, set={**fixed, **values}, randomize=drawn)
 
 
 def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
