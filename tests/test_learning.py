@@ -13,7 +13,7 @@ import pytest
 from learn_toy import PointMass
 
 from nermo_mjx import ParameterError
-from nermo_mjx.learn.experience import Scores, finite_backwards, scanned
+from nermo_mjx.learn.experience import Experience, Scores, finite_backwards, scanned
 from nermo_mjx.learn.learned import RESET
 from nermo_mjx.learn.networks import Statistics
 from nermo_mjx.learn.ppo import PPO
@@ -58,6 +58,21 @@ def returned(learned, episodes=64):
         total += reward * running
         running &= ~ended
     return total.mean()
+
+
+def test_the_tally_leaves_out_each_worlds_first_episode():
+    """It is cut short; a world whose first episode fails at once is counted from its second on."""
+    steps = np.arange(1.0, 7.0)
+    ends = np.array([[0, 1, 0, 0, 1, 0], [1, 0, 0, 1, 0, 1]], bool).T
+    falls = np.array([[0, 0, 0, 0, 0, 0], [1, 0, 0, 0, 0, 1]], bool).T
+    reward, nothing = np.stack([steps, 10 * steps], axis=1), np.zeros((6, 2, 1))
+    found = Experience(nothing, nothing, reward, {"near": reward}, falls, ends & ~falls, nothing)
+    numbers = Scores.none(2).tally(found)
+    assert numbers["episodes"] == 3
+    np.testing.assert_allclose(numbers["return"], ((3 + 4 + 5) + (20 + 30 + 40) + (50 + 60)) / 3)
+    np.testing.assert_allclose(numbers["length"], (3 + 3 + 2) / 3)
+    np.testing.assert_allclose(numbers["lasted"], 2 / 3)
+    np.testing.assert_allclose(numbers["reward"], reward.mean())
 
 
 def test_advantages_are_sums_of_errors_up_to_the_episodes_end():

@@ -186,7 +186,7 @@ def test_an_evaluation_draws_from_ranges_of_its_own():
     harder = {"scene": "rough", "randomize": {"contact.friction": [1.2, 1.6], "terrain.height": [0.009, 0.013]}}
     training = Training.from_dict({
         "randomize": {"contact.friction": [0.8, 1.6], "start.yaw": [0.0, 0.1]}, "scenes": [{"scene": "ramp"}, harder],
-        "evaluate": {"set": {"start.yaw": 0.0}, "randomize": {"contact.friction": [0.8, 1.6], "terrain.side": [0, 0.1]}},
+        "evaluate": {"set": {"start.yaw": 0}, "randomize": {"contact.friction": [0.8, 1.6], "terrain.side": [0, 0.1]}},
     })  # fmt: skip
     friction = {"contact.friction": (0.8, 1.6)}
     ramp, rough = (task for _, task in training.evaluated())

@@ -75,14 +75,18 @@ class Experience(NamedTuple):
 
 @dataclasses.dataclass
 class Scores:
-    """Return and length of the current episodes, and a tally of those that ended; on the host."""
+    """Return and length of the current episodes, and a tally of those that ended; on the host.
+
+    The first episode of each world is not counted: it is cut short, so that episodes do not end all at once.
+    """
 
     returns: np.ndarray
     lengths: np.ndarray
+    first: np.ndarray
 
     @classmethod
     def none(cls, worlds: int) -> Scores:
-        return cls(np.zeros(worlds), np.zeros(worlds, int))
+        return cls(np.zeros(worlds), np.zeros(worlds, int), np.ones(worlds, bool))
 
     def tally(self, experience: Experience) -> dict[str, float]:
         """Numbers of the episodes that ended in these steps: how many, their return, length, and share that lasted."""
@@ -94,10 +98,11 @@ class Scores:
             self.lengths += 1
             ended = failed[t] | cut[t]
             if ended.any():
-                returns += self.returns[ended].tolist()
-                lengths += self.lengths[ended].tolist()
-                lasted += int((ended & ~failed[t]).sum())
-                self.returns[ended], self.lengths[ended] = 0.0, 0
+                whole = ended & ~self.first
+                returns += self.returns[whole].tolist()
+                lengths += self.lengths[whole].tolist()
+                lasted += int((whole & ~failed[t]).sum())
+                self.returns[ended], self.lengths[ended], self.first[ended] = 0.0, 0, False
         many = len(returns)
         means = [sum(each) / many if many else np.nan for each in (returns, lengths, [lasted])]
         terms = {f"term.{name}": float(np.mean(each)) for name, each in experience.terms.items()}

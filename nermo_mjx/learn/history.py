@@ -23,7 +23,7 @@ FILE: Final = "history.parquet"
 #: Role, unit and meaning of the columns that every training may have.
 _ABOUT: Final[dict[str, tuple[str, str, str]]] = {
     "steps": ("index", "1", "control steps of all worlds so far"),
-    "episodes": ("return", "1", "episodes that ended in the iteration"),
+    "episodes": ("return", "1", "episodes that ended in the iteration, but for the first of each world, cut short"),
     "return": ("return", "1", "mean sum of rewards of these episodes; NaN where none ended"),
     "length": ("return", "1", "mean control steps of these episodes"),
     "lasted": ("return", "1", "share of these episodes that their time limit ended, and no fall"),
