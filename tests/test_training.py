@@ -211,12 +211,13 @@ def test_a_walk_beside_its_path_is_no_success(evaluated):
 @pytest.fixture
 def choosing(policy, tmp_path):
     """The choice of a directory, policies after some steps, and how often each has walked."""
-    shares, walked = {0: 0.5, 10: 0.8, 20: 0.8, 30: 0.6, 40: 0.9}, []
+    shares = {0: (0.5, 1.0), 10: (0.8, 1.0), 20: (0.8, 1.0), 30: (0.6, 1.0), 40: (0.9, 1.0), 50: (0.85, 0.85)}
+    walked = []
     after = {steps: dataclasses.replace(policy[0], about={"trained": {"steps": steps}}) for steps in shares}
 
     def walks(policy):
         walked.append(policy.about["trained"]["steps"])
-        return {"planks": shares[walked[-1]], "ramp": 1.0}
+        return dict(zip(("planks", "ramp"), shares[walked[-1]], strict=True))
 
     with RunDirectory(tmp_path, "training") as held:
         yield (
@@ -240,6 +241,23 @@ def test_the_best_of_all_checkpoints_is_the_policy(choosing, tmp_path):
     table = pq.read_table(tmp_path / "validation.parquet").to_pydict()
     assert table == {"steps": walked, "planks": [0.5, 0.8, 0.8, 0.6], "ramp": [1.0] * 4}
     assert chosen(begin().of(after[40])) == 40
+
+
+def test_what_counts_is_success_where_it_fails_most(choosing):
+    """As in the summary; the mean decides between equals."""
+    begin, after, _ = choosing
+    assert [chosen(begin().of(after[steps])) for steps in (10, 50, 20, 40)] == [10, 50, 50, 40]
+
+
+def test_a_choice_by_other_rules_stands(choosing, tmp_path):
+    """A directory's policy was once the best by the mean: it is kept until a checkpoint is better than it."""
+    begin, after, _ = choosing
+    warned = []
+    for steps in (50, 10):
+        begin(warned).of(after[steps])
+    (tmp_path / "policy.npz").write_bytes(after[10].content())
+    assert [chosen(begin(warned).of(after[steps])) for steps in (10, 30, 40)] == [10, 10, 40]
+    assert not warned
 
 
 def test_a_choice_that_was_killed_is_made_again(choosing, tmp_path):

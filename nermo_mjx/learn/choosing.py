@@ -1,5 +1,6 @@
 """Which of a training's policies is kept: the best of the checkpoints, by walks that no training or evaluation draws.
 
+What counts is the success on the scene where it is least, as in a training's summary; its mean decides between equals.
 The untrained policy, which leaves the controller as it is, is the first candidate: a training whose corrections do harm
 does not end with them.
 """
@@ -27,14 +28,16 @@ _KEY: Final = 0xB0D1E5
 
 
 class _Tried(NamedTuple):
-    """A policy's steps of training, its share of successes on each scene, and their mean."""
+    """A policy's steps of training, and its share of successes on each scene."""
 
     steps: int
     scenes: Mapping[str, float]
 
     @property
-    def success(self) -> float:
-        return float(np.mean(list(self.scenes.values())))
+    def rank(self) -> tuple[float, float]:
+        """More is better: the least share of successes, and their mean."""
+        shares = list(self.scenes.values())
+        return min(shares), float(np.mean(shares))
 
 
 class Choice:
@@ -61,25 +64,20 @@ class Choice:
     def of(self, policy: Policy) -> Policy:
         """The best of all policies tried, this one included; of equals the earliest."""
         steps = int(policy.about["trained"]["steps"])
-        if self._tried and self._steps_of(self._kept()) not in (self._best.steps, steps):
+        kept = self._kept()
+        best = next((each for each in self._tried if each.steps == _steps_of(kept)), None)
+        if self._tried and best is None and _steps_of(kept) != steps:
             self._warn(f"{self._held.out / POLICY_FILE} is not the policy that was chosen: the choice begins anew.")
             self._tried = []
         if steps not in [each.steps for each in self._tried]:
             found = _Tried(steps, dict(self._walks(policy)))
-            if not self._tried or found.success > self._best.success:
+            if best is None or found.rank > best.rank:
                 self._held.write(POLICY_FILE, policy.content())
+                kept = policy
             self._tried.append(found)
             rows = [{"steps": each.steps, **each.scenes} for each in self._tried]
             self._held.write(VALIDATION, parquet_bytes(pa.Table.from_pylist(rows)))
-        return policy if self._best.steps == steps else self._kept() or policy
-
-    @staticmethod
-    def _steps_of(policy: Policy | None) -> int | None:
-        return None if policy is None else policy.about.get("trained", {}).get("steps")
-
-    @property
-    def _best(self) -> _Tried:
-        return max(self._tried, key=lambda each: (each.success, -each.steps))
+        return kept or policy
 
     def _kept(self) -> Policy | None:
         """The policy in the file; None if there is none that can be read."""
@@ -87,6 +85,10 @@ class Choice:
             return load_policy(Path(self._held.out) / POLICY_FILE)
         except ParameterError:
             return None
+
+
+def _steps_of(policy: Policy | None) -> int | None:
+    return None if policy is None else policy.about.get("trained", {}).get("steps")
 
 
 def successes(evaluator: Evaluator, policy: Policy) -> dict[str, float]:
