@@ -1,4 +1,4 @@
-"""The how-to's search for a gait on rough ground, and the training files that begin with its gaits."""
+"""The how-to's search for a gait on rough ground, the training files that begin with its gaits, and its policy."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from nermo_mjx import Run, Setup, Simulator
+from nermo_mjx.learn import load_policy
 from nermo_mjx.learn.spec import Training
 
 pytestmark = pytest.mark.compiles
@@ -66,9 +68,21 @@ def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
     free, *others = (Training.from_file(path) for path in FILES.values())
     for other in others:
         assert [each.setup.scene for each in other.scenes] == [each.setup.scene for each in free.scenes]
-        assert (other.algorithm, other.worlds, other.steps, other.evaluation) == (
-            free.algorithm, free.worlds, free.steps, free.evaluation
+        assert [each.share for each in other.scenes] == [each.share for each in free.scenes]
+        assert (other.algorithm, other.worlds, other.steps, other.evaluation, other.validation) == (
+            free.algorithm, free.worlds, free.steps, free.evaluation, free.validation
         )  # fmt: skip
         assert other.task.rewards == free.task.rewards
         assert other.task.randomize == free.task.randomize
         assert "spine" not in other.setup.spine
+
+
+def test_the_policy_of_the_page_climbs_the_spiral_stair():
+    """On steps of 10 mm, with low and high friction: it lasts, and stays on the stair, which is 0.3 m wide."""
+    policy = load_policy(FOLDER / "policy.npz").with_pilot("arc", None)
+    setup = Setup(scene="spiral_stairs", physics="fast", controller=policy)
+    values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.5]}
+    result = Simulator(setup, engine="c").run(values, Run(duration=10.0, warmup=1.0))
+    assert list(result.status) == ["ok"] * 3
+    assert min(result.metrics["distance"]) >= 0.5
+    assert max(result.metrics["cross_track_peak"]) <= 0.15

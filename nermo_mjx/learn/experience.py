@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
 from nermo_mjx.learn.networks import Actor, Statistics
+from nermo_mjx.runtime import compiler_options
 
 #: Arrays of a traced environment, or NumPy's of one on the host.
 Values = Any
@@ -124,7 +125,8 @@ def collector(
         return jax.jit(
             lambda actor, statistics, state, key: scanned(
                 environment, actor, statistics, state, jax.random.normal(key, shape, jnp.float32)
-            )
+            ),
+            compiler_options=compiler_options(),
         )
     act = jax.jit(_act)
     draw = jax.jit(lambda key: jax.random.normal(key, shape, jnp.float32))

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 import pyarrow as pa
 
@@ -34,6 +35,7 @@ from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.interruption import Interruption, resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.trackers import Tracker, check_trackers, finite, tracked
+from nermo_mjx.runtime import compiler_options
 
 
 class TrainingInterrupted(KeyboardInterrupt):
@@ -178,10 +180,12 @@ class _Learning:
         training = self.directory.training
         metered = _Metered(self.environment)
         iterate = training.algorithm.iteration(metered)
+        pure = self.environment.pure
+        reset = jax.jit(metered.reset, compiler_options=compiler_options()) if pure else metered.reset
         self.report(TrainingProgress(int(learned.steps), training.steps))
         self._chosen(learned)
         while len(curves) < training.iterations:
-            state, scores = metered.reset(learned.random(RESET)), Scores.none(training.worlds)
+            state, scores = reset(learned.random(RESET)), Scores.none(training.worlds)
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
@@ -189,7 +193,7 @@ class _Learning:
                 learned, state, experience, about = iterate(learned, state)
                 numbers = {"steps": float(learned.steps), **scores.tally(experience)}
                 numbers |= {name: float(value) for name, value in about.items()}
-                spent = math.nan if self.environment.pure else metered.seconds
+                spent = math.nan if pure else metered.seconds
                 numbers |= {"environment_cpu": spent, "wall_seconds": time.perf_counter() - wall,
                             "learner_cpu": time.process_time() - cpu - np.nan_to_num(spent)}  # fmt: skip
                 curves = curves.extended(numbers, self.code)

@@ -22,6 +22,7 @@ from nermo_mjx.learn.learned import ACTING, SHUFFLING, Learned, beginning, stepp
 from nermo_mjx.learn.networks import Actor, apply
 from nermo_mjx.learn.returns import advantages
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.runtime import compiler_options
 
 #: Decay of Adam's moments: the gradients of successive horizons differ more than those of minibatches.
 BETAS = (0.7, 0.95)
@@ -70,7 +71,7 @@ class ShortHorizon:
         """
         if not environment.pure:
             raise ParameterError("engine has no derivative: training by short_horizon needs the engine mjx.")
-        return jax.jit(functools.partial(_iterated, self, environment))
+        return jax.jit(functools.partial(_iterated, self, environment), compiler_options=compiler_options())
 
 
 def _iterated(

@@ -68,7 +68,7 @@ class TrainingFile(WalkFields):
     validation: Annotated[int, Whole(0, 100_000)] = Field(
         0,
         description="walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; "
-        "0: the last one does",
+        "0: the last one does. The best one succeeds most on the scene where it succeeds least",
     )
     evaluate: EvaluationFields = Field(
         EvaluationFields.model_validate({}), description="on what the policy is evaluated at the end"
