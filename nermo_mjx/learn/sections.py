@@ -106,7 +106,7 @@ class ShortHorizonFields(Fields):
     trace: _Share = optional("lambda of the critic's targets, by default 0.95")
     epochs: Annotated[int, Whole(1, 1_000)] = optional("passes of the critic over an iteration's steps, by default 16")
     minibatches: Annotated[int, Whole(1, 10_000)] = optional("parts of a pass, by default 4")
-    rate: Positive = optional("learning rate of the actor, by default 0.003")
+    rate: Positive = optional("learning rate of the actor, by default 0.0005")
     critic_rate: Positive = optional("learning rate of the critic, by default 0.001")
     follow: _Share = optional("fraction by which the slow copy moves to the critic, by default 0.3")
     entropy: Annotated[float, Field(ge=0)] = optional("weight of the policy's entropy, by default 0")
