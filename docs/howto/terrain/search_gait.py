@@ -1,5 +1,5 @@
 """A gait for rough ground: CMA-ES over the paths of the feet, on planks of several heights, then on more scenes, then
-with the steering on all seven.
+with the steering on all seven, at last with other bodies.
 
 All gaits of a generation start alike, on the same ground, and each generation anew: no gait wins by an easy draw.
 The result is the centre of the last distribution, which many gaits have shaped, not the best single gait.
@@ -57,6 +57,7 @@ class Stage:
     Attributes:
         places: where each gait walks.
         steers: whether the steering is searched for, too, and counts.
+        bodies: what is drawn of the body for each walk, and its range.
         generations, population, sigma, seed: of CMA-ES; sigma as a share of the bounds.
         far: what is far enough in 8 s [m].
         fall: what a fall costs, and a way twice as wide as allowed [m].
@@ -72,6 +73,7 @@ class Stage:
     fall: float
     test: tuple[int, int]
     steers: bool = False
+    bodies: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
 
 
 POLES = ((0, 0), (0, -0.1), (0.06, -0.35), (-0.06, -0.75), (0.06, -1.15), (-0.06, -1.55), (0.06, -1.95), (-0.06, -2.35))
@@ -80,6 +82,19 @@ SPIRAL = Place("spiral_stairs", HIGH, {"pilot": "arc"}, {"pilot.radius": 0.5, "p
 SLALOM = Place("slalom", (None,), {"pilot": "waypoints", "waypoints": POLES}, corridor=0.1)
 FIVE = (Place("planks", HIGH), Place("stairs", HIGH), SPIRAL, SLALOM, Place("logs", (0.011,)))
 SEVEN = (*FIVE, SLALOM, Place("ramp"), Place("rough", HIGH))
+#: Masses within 10 % of the model's, servos and spine within 20 %: the ranges of the training files.
+BODIES = {
+    "mass.front": (0.1525, 0.1865), "mass.rear": (0.0905, 0.1106), "servo.kp": (15.3, 22.9),
+    "servo.kv": (0.0125, 0.0187), "stiffness.spine": (0.96, 1.44), "damping.spine": (0.074, 0.111),
+}  # fmt: skip
+FOUR = (0.008, 0.010, 0.011, 0.012)
+#: Most walks where most fails.
+ALL = (
+    *(dataclasses.replace(SPIRAL, heights=FOUR) for _ in range(3)),
+    *(dataclasses.replace(SLALOM, heights=(None,) * times) for times in (4, 2)),
+    Place("rough", FOUR), Place("planks", (0.009, 0.012)), Place("stairs", HIGH), Place("logs", (0.011,)),
+    Place("ramp"),
+)  # fmt: skip
 STAGES = (
     Stage((Place("planks", (0.004, 0.006, 0.008, 0.010, 0.011, 0.012)),), generations=30, population=20, sigma=0.12,
           seed=1, far=1.2, fall=0.15, test=(5, 24)),
@@ -87,6 +102,8 @@ STAGES = (
     Stage(SEVEN, generations=40, population=20, sigma=0.08, seed=3, far=0.8, fall=0.4, test=(10, 16), steers=True),
     Stage((*SEVEN, Place("rough", HIGH), SPIRAL), generations=20, population=24, sigma=0.03, seed=4, far=0.55, fall=0.6,
           test=(10, 24), steers=True),
+    Stage(ALL, generations=24, population=24, sigma=0.03, seed=5, far=0.55, fall=0.6, test=(4, 48), steers=True,
+          bodies=BODIES),
 )  # fmt: skip
 
 
@@ -97,7 +114,7 @@ class Ground:
         mode = "stride_extension+harmonics" if spine == "free" else "none"
         self.slack = {"build.spine_slack": 0.004} if spine == "passive" else {}
         self.random = np.random.default_rng(stage.seed)
-        self.steers = stage.steers
+        self.steers, self.bodies = stage.steers, stage.bodies
         self.simulators = {
             place: Simulator(Setup(scene=place.scene, gait="trt", trajectory="free", spine=mode, physics="fast",
                                    **place.pilot), engine="c")
@@ -117,6 +134,7 @@ class Ground:
         n, draw = len(heights), self.random.uniform
         starts = {"start.phase": draw(0.0, 1.0, n), "start.yaw": draw(-0.1, 0.1, n),
                   "contact.friction": draw(0.8, 1.6, n)}  # fmt: skip
+        starts |= {name: draw(*ends, n) for name, ends in self.bodies.items()}
         if None not in heights:
             starts["terrain.height"] = np.array(heights)
             if not place.pilot:
