@@ -23,6 +23,7 @@ Examples:
   nermo-mjx experiment turning --profile exact --repeats 5 --out runs/turns
   nermo-mjx experiment maze --set contact.friction=0.8 --out runs/slippery
   nermo-mjx experiment all --bodies 64 --out runs/published
+  nermo-mjx experiment maze --controller policy.npz --out runs/learned
 """
 ALL = "all"
 #: Longest text of a cell on the terminal; the names of figures are shorter.
@@ -40,6 +41,11 @@ _WIDEST = 72
 @click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute.")
 @click.option("--no-video", is_flag=True, help="Render no videos.")
 @click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR.")
+@click.option(
+    "--controller",
+    metavar="FILE.npz",
+    help="A policy, in place of the published controller; for straight-line, turning and maze.",
+)
 @options.workers
 @options.accept_new_code
 @options.assigned("A parameter of the body, such as contact.friction; repeatable.")
@@ -47,7 +53,7 @@ _WIDEST = 72
 @options.report
 def command(
     name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
-    no_video: bool, again: bool, workers: str, ray_address: str | None, accept_new_code: bool,
+    no_video: bool, again: bool, controller: str | None, workers: str, ray_address: str | None, accept_new_code: bool,
     assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
 ) -> None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
@@ -70,7 +76,7 @@ def command(
             result = run_experiments(
                 EXPERIMENTS if name == ALL else [name], out, engine=engine,
                 profiles=SIMULATED if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
-                values=values, bodies=bodies, video=not no_video, again=again,
+                values=values, controller=controller, bodies=bodies, video=not no_video, again=again,
                 accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
             )  # fmt: skip
     if as_json:

@@ -59,11 +59,15 @@ class FollowsPath(Protocol):
 
 
 @runtime_checkable
-class TakesPilot(Protocol):
-    """A controller whose path can be replaced."""
+class ActsUpon(Protocol):
+    """A controller that acts upon the published one, such as a policy."""
 
-    def with_pilot(self, pilot: str, waypoints: tuple[tuple[float, float], ...] | None) -> ControllerLike:
-        """The same controller with a pilot of the published one; raises `ParameterError` if that is impossible."""
+    def upon(self, **choices: Any) -> ControllerLike:
+        """The same controller upon a published one with other choices, named as in `Setup`: `pilot`, `spine`.
+
+        Raises:
+            ParameterError: it cannot act upon that one.
+        """
 
 
 @runtime_checkable

@@ -34,6 +34,7 @@ class Experiment:
         metrics: columns shown in the report for every case, with theory next to simulation.
         needs: column -> the column that must be a number for it to be meaningful.
         shot: the view of the video.
+        walks: whether another controller can take the place of the published one.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Experiment:
     metrics: tuple[str, ...] = ()
     needs: Mapping[str, str] = dataclasses.field(default_factory=dict)
     shot: Shot = dataclasses.field(default_factory=Shot)
+    walks: bool = False
 
 
 _STRAIGHT_LINE: Final = f"""\
@@ -104,6 +106,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
                 "roll_std", "pitch_mean", "pitch_std", "yaw_std",
             ),
             shot=Shot("with spine"),
+            walks=True,
         ),
         Experiment(
             turning.NAME,
@@ -119,6 +122,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             ),
             needs={"followed": "cross_track_peak"},
             shot=Shot("mix", speed=2.0, until="time"),
+            walks=True,
         ),
         Experiment(
             "balance",
@@ -143,6 +147,7 @@ EXPERIMENTS: Final[dict[str, Experiment]] = {
             quick="the first metre only, so that no run reaches the end",
             metrics=("reached", "time", "mean_speed", "roll_std", "pitch_std", "touched", "boxes"),
             shot=Shot("exact, with spine", camera="overview", speed=8.0, until="time"),
+            walks=True,
         ),
         Experiment(
             body.NAME,

@@ -12,7 +12,7 @@ from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
 from nermo_mjx.experiments.outcome import BODY, Column, Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.robot import Robot
-from nermo_mjx.rollout import History, Run, Setup, Simulator
+from nermo_mjx.rollout import History, Run, Simulator
 
 NAME: Final = "maze"
 FREQUENCY: Final = 0.67
@@ -46,7 +46,7 @@ def run(settings: Settings) -> Outcome:
 
     Quick: the first metre only, so that no run reaches the end.
     """
-    setup = Setup(scene="maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
+    setup = settings.setup("maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
     simulator = Simulator(setup, engine=settings.engine)
     batch = worlds(cases(), setup.defaults(), settings)
     length = 1.0 if settings.quick else maze_course().length + 2 * _PASSES

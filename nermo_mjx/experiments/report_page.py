@@ -94,6 +94,9 @@ def _summary(content: Mapping[str, Any], chosen: list[Experiment]) -> Iterator[s
     for title, values in changed.items():
         if values:
             yield f"> {title} was run with other parameters than the default: {said(values)}.\n"
+    for each in chosen:
+        if walker := content["experiments"][each.name]["settings"].get("controller"):
+            yield f"> In {each.title}, {walker} walked in place of the published controller, upon which it acts.\n"
     for sentence in content["differences"]:
         yield f"> **Run in different ways.** {sentence}\n"
 

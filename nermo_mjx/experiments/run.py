@@ -25,6 +25,7 @@ from nermo_mjx.experiments.published import REASONS
 from nermo_mjx.experiments.published.shares import shipped
 from nermo_mjx.experiments.settings import QUICK_REPEATS, REPEATS, Settings, check_bodies, differences
 from nermo_mjx.experiments.simulating import Part, Simulation, of_bodies, own, simulate
+from nermo_mjx.experiments.substitute import Substitute
 from nermo_mjx.experiments.videos import shoot
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.robot import ParameterError
@@ -95,6 +96,7 @@ def run_experiments(
     seed: int = 0,
     quick: bool = False,
     values: Mapping[str, float] | None = None,
+    controller: str | os.PathLike[str] | None = None,
     bodies: int | None = None,
     video: bool = True,
     again: bool = False,
@@ -114,6 +116,8 @@ def run_experiments(
         seed: of the shifts.
         quick: run fewer cases, without video.
         values: parameters for all worlds, by name, such as another friction.
+        controller: file of a policy (`nermo-mjx train`), which walks in every case in place of the published controller
+            and acts upon it; full lock is left out if it observes a path. A copy is kept in the directory.
         bodies: members of the identified ensemble to run as well, once each in the profile `exact`; the report then
             gives the share of them in which each line holds. None uses those in the directory, or the shares that ship
             with the package if all settings are the defaults.
@@ -135,12 +139,13 @@ def run_experiments(
     chosen = [experiment(name) for name in dict.fromkeys(names)]
     if repeats is None:
         repeats = QUICK_REPEATS if quick else REPEATS
-    settings = Settings(profiles, repeats, seed, quick, values or {})
+    substitute = None if controller is None else Substitute.of(os.fspath(controller))
+    settings = Settings(profiles, repeats, seed, quick, values or {}, substitute)
     for profile in settings.profiles:
         choice("profile", profile, SIMULATED)
     check_bodies(bodies)
     drawn = None if bodies is None else ensemble.draw(bodies, seed)
-    _check_settable(chosen, settings)
+    _check_applicable(chosen, settings)
     resolve_engine(engine)
     directory = Directory(out)
     with RunDirectory(out, "experiments") as held, _stoppable(directory.out):
@@ -154,6 +159,8 @@ def run_experiments(
         # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else work.kept(each) for each in chosen}
         held.take_code(code, holds_rows=directory.holds_rows(), accept=again or accept_new_code)
+        if substitute is not None:
+            held.write(substitute.file, substitute.content)
         if drawn is not None or None in kept.values():
             held.note_session(session(experiments=list(kept)))
         parts = [part for each in chosen for part in work.missing(each, kept[each.name])]
@@ -165,9 +172,13 @@ def run_experiments(
         return ExperimentsResult(directory.out, tuple(results), report.collect(directory, EXPERIMENTS))
 
 
-def _check_settable(chosen: Sequence[Experiment], settings: Settings) -> None:
-    """Reject a parameter that an experiment sets itself, case by case, or does not have."""
+def _check_applicable(chosen: Sequence[Experiment], settings: Settings) -> None:
+    """Reject a parameter that an experiment sets itself, case by case, or does not have, and a controller without a
+    walk."""
     for each in chosen:
+        if settings.controller is not None and not each.walks:
+            walks = ", ".join(name for name, other in EXPERIMENTS.items() if other.walks)
+            raise ParameterError(f"controller does not apply to {each.name}, where nothing walks: allowed is {walks}.")
         for name in settings.values:
             if name not in each.settable:
                 raise ParameterError(f"{name} cannot be set for {each.name}, whose cases decide it or do not use it.")
@@ -248,7 +259,9 @@ class _Work:
                         "reruns it.")  # fmt: skip
         several = self._ensemble(chosen, stored)
         shares = several.shares if several else None
-        lines = compare(stored.outcome, chosen.figures, REASONS.get(chosen.name, {}), shares)
+        # Reasons were found for the published controller.
+        reasons = {} if stored.about["settings"].get("controller") else REASONS.get(chosen.name, {})
+        lines = compare(stored.outcome, chosen.figures, reasons, shares)
         former = self.directory.entry(chosen.name) if kept is not None else None
         entry = report.entry_of(chosen.title, stored, lines) | {
             name: (former or {}).get(name, []) for name in _MADE_LATER
@@ -281,7 +294,8 @@ class _Work:
         if held is not None:
             return ensemble.of_outcome(held.outcome, chosen.figures)
         settings = stored.about["settings"]
-        return None if settings["quick"] or settings["values"] else shipped(chosen.name)
+        other = settings["quick"] or settings["values"] or settings.get("controller")
+        return None if other else shipped(chosen.name)
 
     def _explain(self, name: str, error: BaseException) -> NoReturn:
         """Raise the error of a failed part, with a sentence that names the experiment and what is kept."""

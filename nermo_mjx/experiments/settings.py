@@ -9,9 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.control.published import PROFILES, SIMULATED
+from nermo_mjx.experiments.substitute import Substitute
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.parameters import WorldParameters
 
 #: Repeats of each case, and of a quick run.
@@ -21,7 +23,7 @@ _WORDS: Final = {"values": "parameters", "quick": "quick run"}
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Settings of an experiment; the first five determine its numbers.
+    """Settings of an experiment; the first six determine its numbers.
 
     Attributes:
         profiles: of `PROFILES`, in their order; reports compare those of `SIMULATED`.
@@ -29,6 +31,7 @@ class Settings:
         seed: of the shifts.
         quick: fewer cases.
         values: parameters for all worlds, by name.
+        controller: what walks instead of the published controller; None is that.
         engine: of the simulations.
         bodies: parameter name -> (n,) values of n bodies, each of which runs all cases; they override `values`, and no
             run is recorded.
@@ -43,6 +46,7 @@ class Settings:
     seed: int = 0
     quick: bool = False
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    controller: Substitute | None = None
     engine: str = "auto"
     bodies: Mapping[str, np.ndarray] | None = None
     progress: Callable[[float], None] | None = None
@@ -65,8 +69,23 @@ class Settings:
 
     def as_dict(self) -> dict[str, Any]:
         """The settings that determine the numbers, as written to files."""
+        other = {} if self.controller is None else {"controller": self.controller.name}
         return {"profiles": list(self.profiles), "repeats": self.repeats, "seed": self.seed, "quick": self.quick,
-                "values": dict(self.values)}  # fmt: skip
+                "values": dict(self.values), **other}  # fmt: skip
+
+    def setup(self, scene: str, **choices: Any) -> Setup:
+        """The setup of a walk in a scene.
+
+        Args:
+            scene: see `Setup`.
+            choices: of the published controller, which another acts upon.
+
+        Raises:
+            ParameterError: the controller cannot act upon such a one.
+        """
+        if self.controller is None:
+            return Setup(scene=scene, **choices)
+        return Setup(scene=scene, controller=self.controller.acts.upon(**choices))
 
     def but(self, **other: Any) -> Settings:
         """The same, except for what is named."""
@@ -104,14 +123,16 @@ def check_bodies(bodies: int | None) -> None:
 def differences(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
     """Differences between settings, in words: "seed: 0 instead of 1"."""
     return [
-        f"{_WORDS.get(name, name)}: {said(value)} instead of {said(other.get(name))}"
-        for name, value in one.items()
-        if value != other.get(name)
+        f"{_WORDS.get(name, name)}: {said(one.get(name))} instead of {said(other.get(name))}"
+        for name in dict.fromkeys((*one, *other))
+        if one.get(name) != other.get(name)
     ]
 
 
 def said(value: Any) -> str:
     """A setting in words."""
+    if value is None:
+        return "the published one"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):

@@ -11,7 +11,7 @@ from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, Wo
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.recording import Recording
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Simulator
 
 NAME: Final = "straight-line"
 DISTANCE: Final = 2.0
@@ -56,7 +56,7 @@ def run(settings: Settings) -> Outcome:
 
     Quick: fewer cases, and half a metre.
     """
-    simulator = Simulator(Setup(scene="straight_line", spine="stride_extension"), engine=settings.engine)
+    simulator = Simulator(settings.setup("straight_line", spine="stride_extension"), engine=settings.engine)
     defaults, quick = simulator.setup.defaults(), settings.quick
     batch = worlds(cases(quick), defaults, settings)
     distance = 0.5 if quick else DISTANCE

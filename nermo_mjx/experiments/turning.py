@@ -18,7 +18,7 @@ from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, LABELS, Case, La
 from nermo_mjx.experiments.outcome import Column, Outcome
 from nermo_mjx.experiments.settings import Settings
 from nermo_mjx.recording import Recording
-from nermo_mjx.rollout import Run, Setup, Simulator
+from nermo_mjx.rollout import Run, Simulator
 
 NAME: Final = "turning"
 RADII: Final = (1.0, 0.5)
@@ -85,15 +85,19 @@ def cases(quick: bool = False) -> tuple[Case, ...]:
 
 
 def run(settings: Settings) -> Outcome:
-    """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command."""
+    """Turn in all cases: the quarter circles in one batch, full lock in another, whose pilot holds its command.
+
+    Full lock is left out for a controller that needs a path.
+    """
     parts: list[tuple[float, dict[str, np.ndarray]]] = []
     about: dict[str, Column] = {}
     recordings: dict[str, Recording] = {}
-    for pilot, share in (("arc", 0.8), ("open_loop", 0.2)):
+    locks = settings.controller is None or not settings.controller.needs_path
+    for pilot, share in (("arc", 0.8), ("open_loop", 0.2)) if locks else (("arc", 1.0),):
         chosen = [
             case for case in cases(settings.quick) if (case.labels["radius"] == FULL_LOCK) == (pilot == "open_loop")
         ]
-        simulator = Simulator(Setup(scene="quarter_circles", pilot=pilot), engine=settings.engine)
+        simulator = Simulator(settings.setup("quarter_circles", pilot=pilot), engine=settings.engine)
         defaults = simulator.setup.defaults()
         batch = _mirrored_starts(worlds(chosen, defaults, settings))
         before = sum(done for done, _ in parts)

@@ -135,7 +135,7 @@ def _setup(setup: Setup, policy: Policy | None) -> Setup:
     if policy is None:
         return setup
     own = ("robot", "scene", "tail", "routing", "cone", "physics", "timestep", "hinges", "metrics")
-    there = policy.with_pilot(setup.pilot, setup.waypoints)
+    there = policy.upon(pilot=setup.pilot, waypoints=setup.waypoints)
     return Setup(**{name: getattr(setup, name) for name in own}, controller=there)
 
 

@@ -156,6 +156,11 @@ class Observer:
         return tuple(name for name in self.groups if name in SENSED)
 
     @property
+    def sees_path(self) -> bool:
+        """Whether an observation says where the path is."""
+        return self.path and not {"path", "curvature"}.isdisjoint(self.groups)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of every number of an observation, such as `gyro.x`."""
         told = {

@@ -30,6 +30,7 @@ from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import flat, group, parameter_tree, quantities, replace_quantities
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
@@ -129,11 +130,13 @@ class Policy:
             fixed | given, about or {},
         )  # fmt: skip
 
-    def with_pilot(self, pilot: str, waypoints: tuple[tuple[float, float], ...] | None) -> Policy:
-        """See `TakesPilot`: what it observes of a path is that of the new one."""
-        if self.observer.path and pilot == "open_loop":
+    def upon(self, **choices: Any) -> Policy:
+        """See `ActsUpon`: what it observes of a path is that of the new one."""
+        for name in choices:
+            choice("choice", name, BASE)
+        if self.observer.sees_path and choices.get("pilot") == "open_loop":
             raise ParameterError("pilot is 'open_loop', which has no path, and the policy observes one.")
-        return dataclasses.replace(self, base={**self.base, "pilot": pilot, "waypoints": waypoints})
+        return dataclasses.replace(self, base={**self.base, **choices})
 
     @functools.cached_property
     def setup(self) -> Setup:

@@ -16,7 +16,7 @@ from nermo_mjx.control.fusion import SpineModes, mode_names
 from nermo_mjx.control.loading import check_form, load_controller
 from nermo_mjx.control.parameters import with_geometry
 from nermo_mjx.control.pilot import Command
-from nermo_mjx.control.protocol import ChecksParameters, CompletesValues, ControllerLike, TakesPilot
+from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.control.published import body_values, published_values
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
@@ -163,8 +163,8 @@ class Setup:
         if self.controller is not None:
             own: Any = load_controller(self.controller) if isinstance(self.controller, str) else self.controller
             check_form(own)
-            if isinstance(own, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
-                return own.with_pilot(self.pilot, self.waypoints)
+            if isinstance(own, ActsUpon) and self.pilot not in (Setup.pilot, "external"):
+                return own.upon(pilot=self.pilot, waypoints=self.waypoints)
             return own
         return published_controller(
             tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot, waypoints=self.waypoints,
@@ -176,7 +176,7 @@ class Setup:
         """Whether a choice applies to the controller."""
         if self.controller is None or name not in PUBLISHED:
             return True
-        if isinstance(self._unbalanced, TakesPilot) and self.pilot not in (Setup.pilot, "external"):
+        if isinstance(self._unbalanced, ActsUpon) and self.pilot not in (Setup.pilot, "external"):
             return name == "pilot" or (name == "waypoints" and self.pilot == name)
         return isinstance(self._unbalanced, Controller) and name in ("gait", "steering", "profile")
 
