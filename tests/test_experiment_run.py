@@ -459,7 +459,7 @@ def test_settings_reach_the_experiment(fakes, tmp_path):
         video=False, progress=lambda what, share: heard.append((what, share)),
     )  # fmt: skip
     (asked,) = fakes["maze"].asked
-    assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, "c")
+    assert asked.but(progress=None) == Settings(("as_published",), 2, 5, False, {"contact.friction": 0.8}, engine="c")
     assert ("maze", 0.5) in heard
     report = report_of(tmp_path)
     assert {line["exact"] for line in report["lines"]} == {None}
