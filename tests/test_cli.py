@@ -146,7 +146,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["walk", "--set", "frequency=quick"], "'quick' is not a number; allowed is (0, 5] Hz."),
         (["walk", "--cycles", "3", "--duration", "2"], "Give --cycles or --duration, not both."),
         (["walk", "--cycles", "2", "--warmup", "2"], "--warmup is 2: it must be shorter than the run, 2."),
-        (["walk", "--video", "walk.avi"], "a video ends in .mp4 or .gif"),
+        (["walk", "--video", "walk.avi"], "a video ends in .mp4, .gif or .webp"),
         (["walk", "--video", "walk.mp4", "--camera", "moon"], "camera is 'moon': allowed is one of three_quarter"),
         (["sweep"], "A sweep needs SPEC.yaml or --rows FILE, and --out DIR"),
         (["sweep", "missing.yaml", "--out", "runs"], "missing.yaml: there is no such file."),

@@ -352,7 +352,7 @@ def test_wrong_use_is_refused_before_a_simulator_is_built(
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (("--video", "row.avi"), "a video ends in .mp4 or .gif"),
+        (("--video", "row.avi"), "a video ends in .mp4, .gif or .webp"),
         (("--video", "row.gif", "--camera", "moon"), "camera is 'moon': allowed is one of three_quarter"),
         (("--record", "/sys/kernel/nermo/row.npz"), "cannot write in /sys/kernel/nermo: "),
     ],

@@ -83,6 +83,21 @@ def test_a_gif_by_its_suffix_at_half_speed(model: mujoco.MjModel, tmp_path: Path
     assert frames[0].shape[:2] == (49, 63)
 
 
+@pytest.mark.usefixtures("drawing")
+def test_a_webp_shows_what_a_gif_shows(model: mujoco.MjModel, tmp_path: Path) -> None:
+    """All frames, without end, in real time, and the same picture but for its compression."""
+    options: dict = {"fps": 10, "width": 64, "height": 48}
+    gif, webp = (render(walk(model), model, tmp_path / f"walk.{kind}", **options) for kind in ("gif", "webp"))
+    with Image.open(gif) as one, Image.open(webp) as other:
+        assert other.format == "WEBP"
+        assert other.info["loop"] == 0
+        assert other.n_frames == one.n_frames == 4
+        for first, second in zip(ImageSequence.Iterator(one), ImageSequence.Iterator(other), strict=True):
+            difference = np.subtract(first.convert("RGB"), second.convert("RGB"), dtype=float)
+            assert np.abs(difference).mean() < 8.0
+            assert second.info["duration"] == 100
+
+
 @pytest.mark.parametrize("fps", [13, 17, 30, 50])
 def test_a_gif_lasts_as_long_as_its_frames_should(tmp_path: Path, fps: int) -> None:
     """To half of the hundredth of a second that the format counts in, whatever the rate."""
@@ -116,8 +131,8 @@ def test_a_camera_of_the_model_can_be_named(model: mujoco.MjModel, tmp_path: Pat
 @pytest.mark.parametrize(
     ("file", "options", "sentence"),
     [
-        ("walk.avi", {}, "ends in .mp4 or .gif"),
-        ("walk", {}, "ends in .mp4 or .gif"),
+        ("walk.avi", {}, "ends in .mp4, .gif or .webp"),
+        ("walk", {}, "ends in .mp4, .gif or .webp"),
         ("walk.mp4", {"width": 63}, "even width"),
         ("walk.mp4", {"fps": 0}, "1 to 240 frames/s"),
         ("walk.gif", {"fps": 51}, r"^fps is 51: allowed is \[1, 50\] in a GIF"),

@@ -27,7 +27,7 @@ Examples:
 
 @click.command("render", epilog=EPILOG)
 @click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
-@options.file("--out", ".mp4", "MP4 (H.264) or GIF.", required=True)
+@options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
 @options.camera
 @click.option(
     "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",

@@ -33,7 +33,7 @@ Examples:
 @options.number("--row", "Row of the table, from 0.", int, required=True, metavar="N")
 @options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
 @options.file("--record", ".npz", "Save the whole run.")
-@options.file("--video", ".mp4", "Render it; MP4 or GIF.")
+@options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.camera
 @options.report
 def command(

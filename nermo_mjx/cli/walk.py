@@ -46,7 +46,7 @@ Examples:
 @options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.file("--record", ".npz", "Save the whole run.")
-@options.file("--video", ".mp4", "Render it; MP4 or GIF.")
+@options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.camera
 @options.report
 def command(

@@ -1,4 +1,4 @@
-"""From frames to a video file: MP4 (H.264) or GIF."""
+"""From frames to a video file: MP4 (H.264), GIF or animated WebP."""
 
 from __future__ import annotations
 
@@ -16,7 +16,12 @@ from jaxtyping import UInt8
 
 #: Called with (frames done, frames in all).
 CountDone = Callable[[int, int], None]
-SUFFIXES: Final = (".mp4", ".gif")
+SUFFIXES: Final = (".mp4", ".gif", ".webp")
+#: What ffmpeg is told; its quality of WebP is that of JPEG, which blurs text below 70.
+_CODECS: Final[dict[str, dict[str, Any]]] = {
+    ".mp4": {"codec": "libx264", "quality": 8, "output_params": ["-movflags", "+faststart"]},
+    ".webp": {"codec": "libwebp_anim", "quality": None, "output_params": ["-quality", "70", "-loop", "0"]},
+}
 
 
 class VideoError(RuntimeError):
@@ -75,8 +80,8 @@ def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterat
             yield writer.append_data
         return
     encoder = require_encoder().write_frames(
-        str(path), (width, height), fps=fps, codec="libx264", pix_fmt_out="yuv420p", quality=8, macro_block_size=2,
-        ffmpeg_log_level="error", output_params=["-movflags", "+faststart"],
+        str(path), (width, height), fps=fps, pix_fmt_out="yuv420p", macro_block_size=2, ffmpeg_log_level="error",
+        **_CODECS[path.suffix],
     )  # fmt: skip
     with warnings.catch_warnings():
         # JAX warns of every fork; the child becomes ffmpeg at once.
@@ -95,7 +100,7 @@ def require_encoder() -> Any:
 
         program = imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
-        raise VideoError("There is no ffmpeg to encode MP4: `pip install imageio-ffmpeg`, or write a .gif.") from None
+        raise VideoError("There is no ffmpeg to encode MP4 or WebP: `pip install imageio-ffmpeg`, or write a .gif.") from None
     if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not check
         raise VideoError(f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif.")
     return imageio_ffmpeg

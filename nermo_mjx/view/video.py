@@ -1,4 +1,4 @@
-"""Videos of recordings, drawn off-screen by MuJoCo and encoded as MP4 (H.264) or GIF."""
+"""Videos of recordings, drawn off-screen by MuJoCo and encoded as MP4 (H.264), GIF or animated WebP."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def render(
     overlays: Sequence[str] = (),
     progress: CountDone | None = None,
 ) -> Path:
-    """Render a recording into a video file; the suffix chooses the format, `.mp4` or `.gif`.
+    """Render a recording into a video file; the suffix chooses the format: `.mp4`, `.gif` or `.webp`.
 
     Args:
         recording: what to show; it is truncated where its state is no longer finite.
         model: the simulated model.
         path: the file; it appears only when it is complete.
         fps: frames per second of the video.
-        width, height: size of the robot's picture in pixels, even numbers for MP4; strips of overlays stand below it.
+        width, height: size of the robot's picture in pixels, even numbers except for GIF; strips of overlays stand below it.
         camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the images of both
             eyes, each half as wide.
         speed: 1 is real time, 0.25 a quarter of it.
@@ -92,7 +92,8 @@ def check_video(
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise ParameterError(f"{path}: a video ends in {' or '.join(SUFFIXES)}, not in {path.suffix or 'nothing'!r}.")
+        allowed = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
+        raise ParameterError(f"{path}: a video ends in {allowed}, not in {path.suffix or 'nothing'!r}.")
     if suffix == ".gif" and fps > FASTEST_GIF:
         raise ParameterError(
             f"fps is {fps}: allowed is [1, {FASTEST_GIF}] in a GIF, which players show slowly past it."
@@ -102,8 +103,8 @@ def check_video(
             f"A video of {width} x {height} pixels, {fps} frames/s and speed {speed:g} cannot be made: allowed are "
             "16 x 16 to 7680 x 4320 pixels, 1 to 240 frames/s, and a speed above 0."
         )
-    if suffix == ".mp4" and (width % 2 or height % 2):
-        raise ParameterError(f"An MP4 video needs an even width and height, not {width} x {height}.")
+    if suffix != ".gif" and (width % 2 or height % 2):
+        raise ParameterError(f"A video {suffix} needs an even width and height, not {width} x {height}.")
     own = [model.camera(i).name for i in range(model.ncam)]
     known = [*CAMERAS, *filter(None, own), *([STEREO] if set(EYES) <= set(own) else [])]
     if camera not in known:
@@ -111,7 +112,7 @@ def check_video(
     if camera == STEREO and width % 2:
         raise ParameterError(f"width is {width}: allowed is an even number with camera {STEREO}, half for each eye.")
     check_overlays(overlays)
-    if suffix == ".mp4":
+    if suffix != ".gif":
         require_encoder()
     try:
         offscreen.require_gl()
