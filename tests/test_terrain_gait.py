@@ -81,7 +81,7 @@ def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
 
 def test_the_policy_of_the_page_climbs_the_spiral_stair():
     """On steps of 10 mm, from eight starts: it lasts, stays on the stair, and nearer its path than the gait alone."""
-    policy = load_policy(FOLDER / "policy.npz").upon(pilot="arc")
+    policy = load_policy(FOLDER / "free.npz").upon(pilot="arc")
     simulator = Simulator(Setup(scene="spiral_stairs", physics="fast", controller=policy), engine="c")
     values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.4, 1.5] * 2,
               "start.phase": np.arange(8) / 8}  # fmt: skip
