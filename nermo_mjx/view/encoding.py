@@ -100,7 +100,7 @@ def require_encoder() -> Any:
 
         program = imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
-        raise VideoError("There is no ffmpeg to encode MP4 or WebP: `pip install imageio-ffmpeg`, or write a .gif.") from None
+        raise VideoError("No ffmpeg encodes MP4 or WebP: `pip install imageio-ffmpeg`, or write a .gif.") from None
     if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not check
         raise VideoError(f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif.")
     return imageio_ffmpeg

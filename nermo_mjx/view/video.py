@@ -52,7 +52,7 @@ def render(
         model: the simulated model.
         path: the file; it appears only when it is complete.
         fps: frames per second of the video.
-        width, height: size of the robot's picture in pixels, even numbers except for GIF; strips of overlays stand below it.
+        width, height: size of the robot's picture in pixels, even except for GIF; strips of overlays stand below it.
         camera: a following view of `CAMERAS`, the name of a camera of the model, or `stereo` for the images of both
             eyes, each half as wide.
         speed: 1 is real time, 0.25 a quarter of it.

@@ -1,6 +1,6 @@
 """The walks of docs/spine_on_terrain.md: each terrain with the spine free, stiff and passive, as short recordings.
 
-    python walks.py          # writes walks/SCENE/SPINE.npz beside this file
+Run as `python walks.py`; it writes walks/SCENE/SPINE.npz beside this file.
 """
 
 from __future__ import annotations
@@ -47,5 +47,6 @@ if __name__ == "__main__":
             run = Run(duration=10.0, warmup=1.0)
             result = simulator.run(values | {"contact.friction": 1.2}, run, record=True)
             speed, aside = (float(result.metrics[name][0]) for name in ("speed", "cross_track_peak"))
-            print(f"{spine} on {scene}: {result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside", flush=True)
+            outcome = f"{result.status[0]}, {1000 * speed:.0f} mm/s, {1000 * aside:.0f} mm aside"
+            print(f"{spine} on {scene}: {outcome}", flush=True)
             short(result.recording()).save(HERE / "walks" / scene / f"{spine}.npz")
