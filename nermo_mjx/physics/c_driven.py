@@ -59,14 +59,14 @@ class CDriven(CSession):
 
 
 def _observed(block: _Block) -> Any:
-    _, *given = block.arguments
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[: block.worlds], block.loop.observe(*given))
+    _, params, state, sensordata = block.arguments
+    return block.loop.observe(block.worlds, params, state, sensordata)
 
 
 def _restarted(block: _Block, ids: np.ndarray, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> Any:
     batch, lanes = block.batch, np.pad(np.arange(len(ids)), (0, LANES - len(ids)), mode="edge")
     batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-    block.models = vary(batch, block.engine.robot.physical, fields, block.models, ids)
+    block.models = vary(batch, block.engine.model, fields, block.models, ids)
     block.qpos[ids] = qpos
     if block.servos is not None:
         block.servos.play[ids], block.servos.motor[ids] = fields[SERVO_PLAY], 0.0

@@ -9,6 +9,7 @@ number of cores.
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import logging
 import math
@@ -69,6 +70,10 @@ class CEngine:
         """
         start_jax()
         self.robot, self.loop = robot, loop
+        self.model = copy.copy(robot.physical)
+        # Each foot moves few joints: constraints on it are solved in less time without the zeros. MJX has no such
+        # choice here: from a sparse model it would take another path through its own code.
+        self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         self.shared = threads if isinstance(threads, ThreadPoolExecutor) else None
         try:
             self.threads = 1 if isinstance(threads, ThreadPoolExecutor) else thread_count(threads)
@@ -179,9 +184,9 @@ class _Block:
     ) -> None:
         self.engine, self.worlds = engine, len(qpos)
         self.steps = engine.loop.steps_per_tick
-        self.batch = Batch(engine.robot.physical, self.worlds, nthread=threads)
-        self.models = vary(self.batch, engine.robot.physical, fields)
-        self.servos = _Servos(engine.robot.physical, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
+        self.batch = Batch(engine.model, self.worlds, nthread=threads)
+        self.models = vary(self.batch, engine.model, fields)
+        self.servos = _Servos(engine.model, fields[SERVO_PLAY]) if SERVO_PLAY in fields else None
         self.qpos, self.qvel, self.ctrl = (self.batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self.qpos[...] = qpos
         at_rest = self.batch.bind("sensordata")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -21,9 +21,13 @@ from nermo_mjx.physics.engine import DrivenLoop, Loop
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array
 
+#: Worlds that are observed at a time. The heights of the ground ahead of 32 worlds would exceed what XLA compiles to a
+#: single function (`runtime.EXTRA_OPTIONS`); and a block of few worlds is not observed in all of its lanes.
+_OBSERVED: Final = 8
+
 
 class PackedLoop:
-    """`Loop.init` and `Loop.step` over rows, jitted.
+    """`Loop.init` and `Loop.step` over rows, jitted; `DrivenLoop.observe`, too, if the loop is one.
 
     Integers and flags are stored as floats, exact up to 2^24: the control ticks of 46 hours.
     """
@@ -72,20 +76,46 @@ class PackedLoop:
         self.init = jax.jit(jax.vmap(init), compiler_options=options)
         self.step = jax.jit(step_once, compiler_options=options)
         if isinstance(loop, DrivenLoop):
-            self._observe(loop, unpack_params, unpack_state, one)
+            self._drive(loop, one, state, sensordata)
         #: First argument of `step`: not a constant, or XLA would remove the loop.
         self.once = jax.device_put(np.int32(1))
 
-    def _observe(self, loop: DrivenLoop, unpack_params: Any, unpack_state: Any, one: Any) -> None:
+    def _drive(self, loop: DrivenLoop, one: Any, state: Any, sensordata: np.ndarray) -> None:
         """The additional interface of a driven loop."""
+        unpack_params, unpack_state = _unpacking(one), _unpacking(state)
+        one_world = jax.jit(full_precision(loop.observe), inline=True)
+        readings = jax.ShapeDtypeStruct((loop.steps_per_tick, *sensordata.shape[1:]), sensordata.dtype)
+        self._seen = jax.eval_shape(one_world, one, state, readings)
+        width = sum(leaf.size for leaf in jax.tree.leaves(self._seen))
 
-        def observe(params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]) -> Any:
-            return loop.observe(unpack_params(params), unpack_state(state), sensordata)
+        @jax.vmap
+        def some(
+            params: Float[Array, " p"], state: Float[Array, " s"], sensordata: Float[Array, "steps n"]
+        ) -> Float[Array, " o"]:
+            return ravel_pytree(one_world(unpack_params(params), unpack_state(state), sensordata))[0]
 
-        self.observe = jax.jit(full_precision(jax.vmap(observe)), compiler_options=compiler_options())
+        def observe(rounds: Any, *given: Array) -> Float[Array, "n o"]:
+            """The observations of the first `rounds` times `_OBSERVED` worlds."""
+
+            def body(round_: Array, seen: Array) -> Array:
+                at = round_ * _OBSERVED
+                rows = [jax.lax.dynamic_slice_in_dim(each, at, _OBSERVED) for each in given]
+                return jax.lax.dynamic_update_slice_in_dim(seen, some(*rows), at, 0)
+
+            return jax.lax.fori_loop(0, rounds, body, jnp.zeros((len(given[0]), width), given[0].dtype))
+
+        self._observe = jax.jit(observe, compiler_options=compiler_options())
         places = np.arange(sum(leaf.size for leaf in jax.tree.leaves(one)))
         #: Columns of the packed parameters that hold the inputs.
         self.input = np.asarray(loop.input(unpack_params(jnp.asarray(places, float)))).astype(int)
+
+    def observe(self, worlds: int, params: Array, state: Array, sensordata: np.ndarray) -> Any:
+        """Observations of the first worlds, leaves (worlds, ...)."""
+        rows = np.asarray(self._observe(np.int32(-(-worlds // _OBSERVED)), params, state, sensordata))[:worlds]
+        leaves, structure = jax.tree.flatten(self._seen)
+        parts = np.split(rows, np.cumsum([leaf.size for leaf in leaves])[:-1], axis=1)
+        split = zip(parts, leaves, strict=True)
+        return jax.tree.unflatten(structure, [part.reshape(-1, *leaf.shape).astype(leaf.dtype) for part, leaf in split])
 
 
 def _unpacking(tree: Any) -> Callable[[Array], Any]:
