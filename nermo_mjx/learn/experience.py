@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
+from nermo_mjx.learn.mixture import Mixture
 from nermo_mjx.learn.networks import Actor, Statistics
 from nermo_mjx.runtime import compiler_options
 
@@ -132,17 +134,43 @@ def collector(
     draw = jax.jit(lambda key: jax.random.normal(key, shape, jnp.float32))
 
     def collect(actor: Actor, statistics: Statistics, state: Any, key: PRNGKeyArray) -> tuple[Any, Experience]:
-        rows = []
-        for noise in np.asarray(draw(key)):
-            seen = np.concatenate([state.observation, state.privileged], axis=-1, dtype=np.float32)
-            action = np.asarray(act(actor, statistics, state.observation, noise))
-            state = environment.step(state, action)
-            then = np.concatenate([state.final_observation, state.final_privileged], axis=-1, dtype=np.float32)
-            rows.append(Experience(seen, action, np.asarray(state.reward, np.float32), dict(state.terms),
-                                   np.asarray(state.terminated), np.asarray(state.truncated), then))  # fmt: skip
-        return state, jax.tree.map(lambda *each: np.stack(each), *rows)
+        policy, noise = functools.partial(act, actor, statistics), np.asarray(draw(key))
+        if isinstance(environment, Mixture):
+            return _of_parts(environment, policy, state, noise)
+        return _stepped(environment, policy, state, noise)
 
     return collect
+
+
+def _stepped(
+    environment: EnvironmentLike, policy: Callable[[Any, Any], Array], state: Any, noise: Float[Values, "t n a"]
+) -> tuple[Any, Experience]:
+    """Steps of an environment on the host, one by one."""
+    rows = []
+    for each in noise:
+        seen = np.concatenate([state.observation, state.privileged], axis=-1, dtype=np.float32)
+        action = np.asarray(policy(state.observation, each))
+        state = environment.step(state, action)
+        then = np.concatenate([state.final_observation, state.final_privileged], axis=-1, dtype=np.float32)
+        rows.append(Experience(seen, action, np.asarray(state.reward, np.float32), dict(state.terms),
+                               np.asarray(state.terminated), np.asarray(state.truncated), then))  # fmt: skip
+    return state, jax.tree.map(lambda *each: np.stack(each), *rows)
+
+
+def _of_parts(
+    mixture: Mixture, policy: Callable[[Any, Any], Array], state: Any, noise: Float[Values, "t n a"]
+) -> tuple[Any, Experience]:
+    """Steps of several environments on the host. None waits for another one, so that all processors are busy."""
+    calls = [functools.partial(_stepped, part, policy, *given)
+             for part, *given in zip(mixture.parts, state.engine, mixture.split(noise, 1), strict=True)]  # fmt: skip
+    states, found = zip(*mixture.at_once(calls), strict=True)
+
+    def told(i: int, values: Float[Values, "t n k"]) -> Float[Values, "t n k"]:
+        observation, privileged = np.split(values, [mixture.observation_size], axis=-1)
+        return np.concatenate([observation, mixture.told(i, privileged)], axis=-1)
+
+    parts = [each._replace(seen=told(i, each.seen), then=told(i, each.then)) for i, each in enumerate(found)]
+    return mixture.joined(states), jax.tree.map(lambda *each: np.concatenate(each, axis=1), *parts)
 
 
 def _act(actor: Actor, statistics: Statistics, observation: Any, noise: Array) -> Array:

@@ -35,7 +35,7 @@ _ABOUT: Final[dict[str, tuple[str, str, str]]] = {
     "explained": ("learning", "1", "share of the returns' variance that the critic explains"),
     "rate": ("learning", "1", "learning rate of the actor"),
     "std": ("learning", "1", "mean standard deviation of the actions"),
-    "environment_cpu": ("effort", "s", "CPU time of the environment in the iteration; NaN where both are one program"),
+    "environment_cpu": ("effort", "s", "CPU time of the control steps; NaN where they and the rest are one program"),
     "learner_cpu": ("effort", "s", "CPU time of the rest of the iteration"),
     "wall_seconds": ("effort", "s", "wall time of the iteration"),
 }

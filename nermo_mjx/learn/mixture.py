@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -66,7 +67,7 @@ class Mixture:
         )
         check_alike({str(part.setup.scene): part.loop for part in self.parts})
         self.worlds = worlds
-        self._spans = np.split(np.arange(worlds), np.cumsum(counts)[:-1])
+        self._bounds = np.cumsum(counts)[:-1]
         told = dict.fromkeys(name for part in self.parts for name in part.privileged_names)
         self.privileged_names = (*told, *(f"part.{i}" for i in range(len(self.parts))))
         self._columns = [np.array([self.privileged_names.index(name) for name in part.privileged_names])
@@ -102,37 +103,43 @@ class Mixture:
         """Begin an episode in every world; each part draws from a key of its own."""
         key = jax.random.key(key) if isinstance(key, int) else key
         keys = [jax.random.fold_in(key, i) for i in range(len(self.parts))]
-        return self._joined([part.reset(each) for part, each in zip(self.parts, keys, strict=True)])
+        return self.joined([part.reset(each) for part, each in zip(self.parts, keys, strict=True)])
 
     def step(self, state: State, action: Any) -> State:
         """One control step of all worlds; see `Environment.step`."""
-        actions = [action[span[0] : span[-1] + 1] for span in self._spans]
-        calls = zip(self.parts, state.engine, actions, strict=True)
-        if self.pure:
-            return self._joined([part.step(each, own) for part, each, own in calls])
-        # The largest part begins, so that the processors end together.
-        started = {part: self._waiting.submit(part.step, each, own)
-                   for part, each, own in sorted(calls, key=lambda call: -call[0].worlds)}  # fmt: skip
-        return self._joined([started[part].result() for part in self.parts])
+        given = zip(self.parts, state.engine, self.split(action), strict=True)
+        calls = [functools.partial(part.step, each, own) for part, each, own in given]
+        return self.joined([call() for call in calls] if self.pure else self.at_once(calls))
 
-    def _joined(self, states: list[State]) -> State:
+    def split(self, values: Any, axis: int = 0) -> list[Any]:
+        """What belongs to each part's worlds, along an axis of all worlds."""
+        return (jnp if self.pure else np).split(values, self._bounds, axis)
+
+    def at_once(self, calls: Sequence[Callable[[], Any]]) -> list[Any]:
+        """The results of a call for each part, each in a thread of its own; the largest part begins."""
+        order = sorted(range(len(calls)), key=lambda i: -self.parts[i].worlds)
+        started = {i: self._waiting.submit(calls[i]) for i in order}
+        return [started[i].result() for i in range(len(calls))]
+
+    def joined(self, states: Sequence[State]) -> State:
+        """The state of all worlds from those of the parts."""
         numbers = jnp if self.pure else np
         fields = {name: [getattr(state, name) for state in states] for name in State._fields if name != "engine"}
         for name in ("privileged", "final_privileged"):
-            fields[name] = [self._told(i, each) for i, each in enumerate(fields[name])]
+            fields[name] = [self.told(i, each) for i, each in enumerate(fields[name])]
         joined = {name: jax.tree.map(lambda *leaves: numbers.concatenate(leaves), *each)
                   for name, each in fields.items()}  # fmt: skip
         return State(**joined, engine=tuple(states))
 
-    def _told(self, i: int, own: Any) -> Any:
-        """The critic's input from part i, in the columns of all parts."""
+    def told(self, i: int, own: Any) -> Any:
+        """The critic's input (..., p) from that of part i, in the columns of all parts."""
         which = len(self.privileged_names) - len(self.parts) + i
+        shape = *own.shape[:-1], self.privileged_size
         if not self.pure:
-            told = np.zeros((len(own), self.privileged_size), np.float32)
-            told[:, self._columns[i]], told[:, which] = own, 1.0
+            told = np.zeros(shape, np.float32)
+            told[..., self._columns[i]], told[..., which] = own, 1.0
             return told
-        zeros = jnp.zeros((len(own), self.privileged_size), jnp.float32)
-        return zeros.at[:, self._columns[i]].set(own).at[:, which].set(1.0)
+        return jnp.zeros(shape, jnp.float32).at[..., self._columns[i]].set(own).at[..., which].set(1.0)
 
 
 def divided(worlds: int, shares: Sequence[float]) -> list[int]:

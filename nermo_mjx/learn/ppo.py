@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -62,9 +63,11 @@ class PPO:
         key = jax.jit(lambda learned: learned.random(ACTING))
 
         def iterate(learned: Learned, state: Any) -> tuple[Learned, Any, Experience, dict[str, Any]]:
+            began = time.process_time()
             state, experience = collect(learned.actor, learned.statistics, state, key(learned))
+            spent = time.process_time() - began
             learned, numbers = update(learned, experience._replace(terms={}))
-            return learned, state, experience, numbers
+            return learned, state, experience, numbers if environment.pure else numbers | {"environment_cpu": spent}
 
         return iterate
 

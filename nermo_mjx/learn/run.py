@@ -178,10 +178,9 @@ class _Learning:
     def learn(self, learned: Learned, curves: Curves) -> tuple[Learned, Curves]:
         """Section by section, to the end."""
         training = self.directory.training
-        metered = _Metered(self.environment)
-        iterate = training.algorithm.iteration(metered)
-        pure = self.environment.pure
-        reset = jax.jit(metered.reset, compiler_options=compiler_options()) if pure else metered.reset
+        iterate, reset = training.algorithm.iteration(self.environment), self.environment.reset
+        if self.environment.pure:
+            reset = jax.jit(reset, compiler_options=compiler_options())
         self.report(TrainingProgress(int(learned.steps), training.steps))
         self._chosen(learned)
         while len(curves) < training.iterations:
@@ -189,13 +188,12 @@ class _Learning:
             # Sections are counted from the beginning of the training.
             end = min((len(curves) // training.section + 1) * training.section, training.iterations)
             while len(curves) < end:
-                wall, cpu, metered.seconds = time.perf_counter(), time.process_time(), 0.0
+                wall, cpu = time.perf_counter(), time.process_time()
                 learned, state, experience, about = iterate(learned, state)
                 numbers = {"steps": float(learned.steps), **scores.tally(experience)}
-                numbers |= {name: float(value) for name, value in about.items()}
-                spent = math.nan if pure else metered.seconds
-                numbers |= {"environment_cpu": spent, "wall_seconds": time.perf_counter() - wall,
-                            "learner_cpu": time.process_time() - cpu - np.nan_to_num(spent)}  # fmt: skip
+                numbers |= {"environment_cpu": math.nan, **{name: float(value) for name, value in about.items()}}
+                rest = time.process_time() - cpu - np.nan_to_num(numbers["environment_cpu"])
+                numbers |= {"wall_seconds": time.perf_counter() - wall, "learner_cpu": rest}
                 curves = curves.extended(numbers, self.code)
                 self._tell(numbers)
             with self.interruption.shielded():
@@ -238,23 +236,6 @@ class _Learning:
         for tracker in self.trackers:
             tracker.log(int(numbers["steps"]), finite({key: each for key, each in numbers.items() if key != "steps"}))
         self.report(TrainingProgress(int(numbers["steps"]), self.directory.training.steps, numbers))
-
-
-class _Metered:
-    """An environment, and the CPU seconds that its steps took."""
-
-    def __init__(self, environment: EnvironmentLike) -> None:
-        self._environment, self.seconds = environment, 0.0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._environment, name)
-
-    def step(self, state: Any, action: Any) -> Any:
-        """See `EnvironmentLike`."""
-        began = time.process_time()
-        state = self._environment.step(state, action)
-        self.seconds += time.process_time() - began
-        return state
 
 
 def _evaluated(
