@@ -238,7 +238,7 @@ def test_mjx_walks_as_c_does_and_its_slopes_are_those_of_c():
         value, slopes = jax.jit(with_slopes, compiler_options=compiler_options())(jnp.asarray(first))
         points = first + first * share * np.concatenate([np.zeros((1, 5)), np.eye(5), -np.eye(5)])
         simulator = Simulator(setup, "c")
-        simulator.robot.physical.opt.tolerance = 0.0
+        simulator.engine.model.opt.tolerance = 0.0
         reference, *ends = simulator.run(dict(zip(point, points.T, strict=True)), run).metrics["speed"]
     high, low = np.split(np.array(ends), 2)
     assert value == pytest.approx(reference, rel=1e-6)

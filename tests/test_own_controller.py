@@ -386,7 +386,7 @@ def test_the_gradient_of_a_network_is_that_of_the_c_engine() -> None:
         program.trace(policy).lower(lowering_platforms=("cuda", "tpu"))  # refused where an operation is missing there
         along = sum(float(jnp.vdot(a, b)) for a, b in zip(jax.tree.leaves(slope), jax.tree.leaves(way), strict=True))
         simulator = Simulator(engine="c", controller=controller)
-        simulator.robot.physical.opt.tolerance = 0.0
+        simulator.engine.model.opt.tolerance = 0.0
         both = jax.tree.map(lambda at, to: np.stack([at + eps * to, at - eps * to]), policy, way)
         high, low = simulator({}, run, policy=both)["speed"]
     assert all(np.abs(leaf).max() > 0.0 for leaf in jax.tree.leaves(slope))

@@ -173,7 +173,7 @@ def test_a_metric_of_ones_own_has_the_derivative_of_the_engine_c(shake: Path) ->
         rollout = Rollout(setup, run)
         slope = jax.jit(jax.jacfwd(lambda x: rollout({"spine.amplitude": x})["yaw_shake"]))(at)
         simulator = Simulator(setup, engine="c")
-        simulator.robot.physical.opt.tolerance = 0.0
+        simulator.engine.model.opt.tolerance = 0.0
         high, low = simulator({"spine.amplitude": [at + eps, at - eps]}, run)["yaw_shake"]
     assert float(slope) == pytest.approx((high - low) / (2 * eps), rel=1e-3)
 

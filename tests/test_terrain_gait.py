@@ -80,16 +80,19 @@ def test_trainings_of_the_three_spines_differ_in_gait_and_spine_alone():
 
 
 def test_the_policy_of_the_page_climbs_the_spiral_stair():
-    """On steps of 10 mm, from eight starts: it lasts, stays on the stair, and nearer its path than the gait alone."""
+    """On steps of 10 mm, from 32 starts, and nearer its path than the gait alone.
+
+    It passes 97.6 % of walks in docs/terrain.md: four failures of 32 would be unlucky in one of a hundred such tests.
+    """
     policy = load_policy(FOLDER / "free.npz").upon(pilot="arc")
     simulator = Simulator(Setup(scene="spiral_stairs", physics="fast", controller=policy), engine="c")
-    values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.4, 1.5] * 2,
-              "start.phase": np.arange(8) / 8}  # fmt: skip
+    values = {"pilot.radius": 0.5, "terrain.height": 0.01, "contact.friction": [0.9, 1.2, 1.4, 1.5] * 8,
+              "start.phase": np.arange(32) / 32}  # fmt: skip
     none = dataclasses.replace(policy, actor=jax.tree.map(np.zeros_like, policy.actor)).parameters
     result, alone = (
         simulator.run(values, Run(duration=10.0, warmup=1.0), policy=each) for each in (policy.parameters, none)
     )
-    assert list(result.status) == ["ok"] * 8
-    assert min(result.metrics["distance"]) >= 0.5
-    assert max(result.metrics["cross_track_peak"]) <= 0.15
-    assert np.mean(result.metrics["cross_track_peak"]) < 0.8 * np.nanmean(alone.metrics["cross_track_peak"])
+    aside = result.metrics["cross_track_peak"]
+    passed = (np.array(result.status) == "ok") & (result.metrics["distance"] >= 0.5) & (aside <= 0.15)
+    assert passed.sum() >= 29
+    assert np.nanmean(aside) < 0.8 * np.nanmean(alone.metrics["cross_track_peak"])

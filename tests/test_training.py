@@ -25,6 +25,7 @@ from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
 from nermo_mjx.learn.choosing import Choice
 from nermo_mjx.learn.evaluation import Evaluator, summary_of
+from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.mixture import Mixture, divided
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
@@ -355,6 +356,29 @@ def test_a_mixture_is_its_parts_side_by_side():
     assert told["part.0"].tolist() == [1, 1, 0]
     assert told["part.1"].tolist() == [0, 0, 1]
     assert told["drawn.contact.friction"].astype(bool).tolist() == [True, True, False]
+
+
+def test_parts_that_do_not_wait_for_each_other_step_as_together():
+    """What a policy collects in a mixture, against its steps of all worlds at once; episodes end in between."""
+    task = Task(duration=0.02, observe=("gyro", "action"), randomize={})
+    other = dataclasses.replace(task, randomize={"contact.friction": (1.0, 1.2)})
+    mixture = Mixture([(Setup(physics="fast"), task), (Setup(physics="fast"), other)], worlds=3, threads=2)
+    learned, key, steps = PPO(std=0.5).begin(mixture, 0), jax.random.key(7), 3
+    after, found = collector(mixture, steps)(learned.actor, learned.statistics, mixture.reset(4), key)
+    state = mixture.reset(4)
+    noise = np.asarray(jax.random.normal(key, (steps, 3, 9), np.float32))
+    for t in range(steps):
+        seen = np.concatenate([state.observation, state.privileged], axis=1)
+        np.testing.assert_array_equal(found.seen[t], seen)
+        # An untrained policy's mean is zero.
+        np.testing.assert_allclose(found.action[t], 0.5 * noise[t], rtol=1e-6)
+        state = mixture.step(state, found.action[t])
+        np.testing.assert_array_equal(found.reward[t], state.reward)
+        np.testing.assert_array_equal(found.truncated[t], state.truncated)
+        then = np.concatenate([state.final_observation, state.final_privileged], axis=1)
+        np.testing.assert_array_equal(found.then[t], then)
+    assert found.truncated.any()
+    np.testing.assert_array_equal(after.privileged, state.privileged)
 
 
 def test_a_policy_follows_another_path(policy, tmp_path):

@@ -230,7 +230,10 @@ def test_a_name_that_is_no_parameter_is_refused():
 
 
 def test_c_engine_worlds_move_like_models_compiled_for_them():
-    """Worlds of different masses, friction and slope are, bit for bit, `mj_step` of models compiled with them."""
+    """Worlds of different masses, friction and slope are, bit for bit, `mj_step` of models compiled with them.
+
+    Jacobians are sparse in all.
+    """
     robot = load_robot()
     loop, worlds = Standing(robot), 3
     values = {
@@ -243,6 +246,7 @@ def test_c_engine_worlds_move_like_models_compiled_for_them():
     trace = CEngine(robot, loop).open(swing, qpos, varied(robot, values, worlds)).record(30)
     for world in range(worlds):
         model = compile_model(robot, {name: value[world] for name, value in values.items()})
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
         for tick in range(30):

@@ -74,7 +74,7 @@ class Walk:
         with jax.enable_x64(True):
             simulator = Simulator(self.setup, "c")
             # At the default of 1e-8 C stops early enough to move the speed by 2e-6 of itself, and slopes by up to 1e-3.
-            simulator.robot.physical.opt.tolerance = 0.0
+            simulator.engine.model.opt.tolerance = 0.0
             run = simulator.run(dict(zip(POINT, points.T, strict=True)), ONE_CYCLE)
         speed, *ends = run.metrics["speed"]
         high, low = np.split(np.array(ends), 2)
