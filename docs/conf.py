@@ -18,6 +18,7 @@ import address
 
 ROOT = pathlib.Path(__file__).parents[1]
 REPOSITORY = address.repository()
+WALKS = ROOT / "docs" / "howto" / "terrain" / "walks"
 
 project = "nermo_mjx"
 version = release = nermo_mjx.__version__
@@ -99,7 +100,19 @@ def formula(translator: Any, node: nodes.Element) -> None:
     raise nodes.SkipNode
 
 
+def viewers(app: Sphinx, failure: Exception | None) -> None:
+    """Write the pages of the viewer that docs/spine_on_terrain.md leads to: the free spine beside each other one."""
+    if failure is not None or app.builder.format != "html":
+        return
+    for free in sorted(WALKS.glob("*/free.npz")):
+        for other in (free.with_name("stiff.npz"), free.with_name("passive.npz")):
+            page = pathlib.Path(app.outdir, "viewer", f"{free.parent.name}-{other.stem}.html")
+            if not page.exists() or page.stat().st_mtime < max(free.stat().st_mtime, other.stat().st_mtime):
+                nermo_mjx.show(free, other).save(page)
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("source-read", fill)
+    app.connect("build-finished", viewers)

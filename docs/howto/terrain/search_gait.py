@@ -5,6 +5,7 @@ All gaits of a generation start alike, on the same ground, and each generation a
 The result is the centre of the last distribution, which many gaits have shaped, not the best single gait.
 
     python search_gait.py free        # or stiff, or passive: the spine
+    python search_gait.py free 100    # another search, whose random numbers begin elsewhere
 """
 
 from __future__ import annotations
@@ -189,14 +190,14 @@ def searched(stage: Stage, spine: str, begin: Gait) -> Gait:
     return {name: round(value, 5) for name, value in gait_of(strategy.result.xfavorite).items()}
 
 
-def search(spine: str, stages: tuple[Stage, ...] = STAGES) -> Gait:
-    """The gait that is found, parameter -> value."""
+def search(spine: str, stages: tuple[Stage, ...] = STAGES, seed: int = 0) -> Gait:
+    """The gait that is found, parameter -> value; `seed` is added to those of the stages."""
     gait = {name: start for name, (start, _, _) in (STANCE | SPINE | FEET).items()}
     for stage in stages:
-        gait = searched(stage, spine, gait)
+        gait = searched(dataclasses.replace(stage, seed=stage.seed + seed), spine, gait)
     return gait
 
 
 if __name__ == "__main__":
-    for parameter, value in search(sys.argv[1]).items():
+    for parameter, value in search(sys.argv[1], seed=int(sys.argv[2]) if len(sys.argv) > 2 else 0).items():
         print(f"  {parameter}: {value:g}")
