@@ -29,7 +29,7 @@ QUICK_TO_COMPILE = (
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
 if "xla_backend_optimization_level" not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK_TO_COMPILE}".strip()
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {runtime.known_flags(QUICK_TO_COMPILE)}".strip()
 files._DPI = 100  # figures are drawn at half their size
 os.fsync = lambda _: None  # no test cuts the power, and a process that is killed has written what it wrote
 gc.disable()  # until all is imported and collected: a quarter of the time of both

@@ -27,3 +27,15 @@ ONE, TWO, THREE, FOUR = jnp.zeros(()), jnp.zeros(2), jnp.zeros(3), jnp.zeros(4)
 def test_an_array_of_another_shape_is_refused(function, arguments):
     with pytest.raises(TypeCheckError):
         function(*arguments)
+
+
+def test_a_residual_is_asked_for_one_point_at_a_time():
+    """Of the shape of the bracket's ends: JAX takes no other from 0.12 on."""
+    seen = set()
+
+    def residual(x):
+        seen.add(jnp.shape(x))
+        return x - 0.5
+
+    assert float(bracketed_root(residual, 0.0, 2.0, 1e-3)) == pytest.approx(0.5)
+    assert seen == {()}

@@ -54,7 +54,7 @@ def bracketed_root(
         return value / jnp.where(jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope)
 
     def solve(f: Callable[[Array], Array], start: Array) -> Array:
-        at_low, at_high = f(jnp.stack([low, high]))
+        at_low, at_high = f(low), f(high)
         rising = at_high >= at_low
 
         def goes_on(state: _Search) -> Array:
