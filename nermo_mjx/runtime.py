@@ -150,9 +150,11 @@ def known_flags(flags: str) -> str:
 
     Other processes are asked, some 0.3 s for each flag. To be called before JAX starts.
     """
-    ask = [sys.executable, "-c", "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"]
+    read = "from jaxlib import _jax; _jax.CompileOptions().executable_build_options.debug_options"
     asked = {
-        flag: subprocess.Popen(ask, env=os.environ | {"XLA_FLAGS": flag}, stderr=subprocess.DEVNULL)
+        flag: subprocess.Popen(
+            [sys.executable, "-c", read], env=os.environ | {"XLA_FLAGS": flag}, stderr=subprocess.DEVNULL
+        )
         for flag in flags.split()
     }
     return " ".join(flag for flag, process in asked.items() if process.wait() == 0)

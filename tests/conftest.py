@@ -80,6 +80,7 @@ def pytest_collection() -> Generator[None, Any, Any]:
 
 def pytest_unconfigure() -> None:
     gc.unfreeze()  # libraries complain of what is not collected at the end
+    gc.callbacks.clear()  # xdist interrupts its processes, and hypothesis' callback would tell of it
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
