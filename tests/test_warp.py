@@ -103,13 +103,13 @@ def test_warp_refuses_gradients():
 
 @installed
 def test_warp_has_room_for_all_contacts_and_rows(simulator):
-    """Seven contacts and six tendons a world, friction in elliptic cones; contacts are counted for all worlds."""
+    """Eight contacts and six tendons a world, friction in elliptic cones; contacts are counted for all worlds."""
     sim = simulator()
     engine = WarpEngine(sim.robot, sim.loop)
-    assert sim.robot.model.npair == 7
+    assert sim.robot.model.npair == 8
     for worlds in (1, 64):
         data = engine.data_among(worlds)
-        assert (data._impl.naconmax, data._impl.njmax) == (7 * worlds, 6 + 7 * 3)
+        assert (data._impl.naconmax, data._impl.njmax) == (8 * worlds, 6 + 8 * 3)
     assert engine.model.opt.ls_iterations == sim.robot.model.opt.ls_iterations, "not the shorter search of MJX-JAX"
 
 

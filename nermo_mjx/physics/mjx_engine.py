@@ -224,7 +224,7 @@ class MjxSession:
 
     def __init__(self, engine: MjxEngine, params: Any, qpos: np.ndarray, fields: dict[str, np.ndarray]) -> None:
         self.engine, self.worlds = engine, len(qpos)
-        at_rest, fields = _constants(engine.robot, qpos, fields)
+        at_rest, fields = _constants(engine.robot.physical, qpos, fields)
         real, put = engine.data.qpos.dtype, engine.devices.put
         self.params = put(params)
         self.fields = put({name: np.asarray(values, real) for name, values in fields.items()})
@@ -275,14 +275,14 @@ def _join(parts: list[Any]) -> Any:
 
 
 def _constants(
-    robot: Robot, qpos: np.ndarray, fields: dict[str, np.ndarray]
+    model: mujoco.MjModel, qpos: np.ndarray, fields: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Sensor readings at rest, and the fields with the constants MuJoCo derives from them, both from the C engine.
 
     MJX has no `mj_setConst`; and a `forward` before the scan would double what XLA compiles.
     """
-    batch = Batch(robot.physical, len(qpos))
-    models = vary(batch, robot.physical, fields)
+    batch = Batch(model, len(qpos))
+    models = vary(batch, model, fields)
     derived = {}
     if moves_constants(fields) and models is None:
         derived = {name: batch.expand(name).copy() for name in DERIVED_FIELDS}
