@@ -17,7 +17,6 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from nermo_mjx.readers import READERS
 from nermo_mjx.version import __version__
 
 if TYPE_CHECKING:
@@ -72,15 +71,6 @@ __all__ = [
     "read_history", "read_table", "render", "run_experiment", "run_experiments", "run_landscape", "run_search",
     "run_sweep", "run_tuning", "sensitivity", "servo_table", "show",
 ]  # fmt: skip
-
-
-def _load_policy(where: str) -> Any:
-    from nermo_mjx.learn.policy import load_policy
-
-    return load_policy(where)
-
-
-READERS[".npz"] = _load_policy
 
 
 def __getattr__(name: str) -> Any:

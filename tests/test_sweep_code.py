@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import re
-import shutil
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from click.testing import CliRunner
 from sweep_fake import SPEC, FakeSimulator
 
-from nermo_mjx.cli import main
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.runs import OtherCode, code, codes_of, stamp
-from nermo_mjx.sweep import Results, Sweep, SweepInterrupted, read_table, run_sweep
-from nermo_mjx.sweep.redraw import figures
-from nermo_mjx.sweep.replay import find_row, replay_row
+from nermo_mjx.sweep import Sweep, SweepInterrupted, run_sweep
 from nermo_mjx.sweep.table import columns_of
-
-#: Release 0.1.0 had run two of its six walks: `nermo-mjx sweep` on the engine `c`, stopped after its first chunk.
-OLD = Path(__file__).with_name("data") / "sweep-0.1.0"
 
 
 @pytest.fixture
@@ -37,16 +27,6 @@ def begun(tmp_path):
     with pytest.raises(SweepInterrupted):
         run_sweep(SPEC, tmp_path, chunk=9, simulator=FakeSimulator(stop_at=2))
     return tmp_path
-
-
-@pytest.fixture
-def old(tmp_path, monkeypatch):
-    """A copy of the directory of release 0.1.0; the defaults are that release's."""
-    out = tmp_path / "old"
-    shutil.copytree(OLD, out)
-    digest = pq.read_schema(out / "results" / "chunk-00000.parquet").metadata[b"sweep"].decode()
-    monkeypatch.setattr(Sweep, "digest", lambda self: digest)
-    return out
 
 
 def files_of(out):
@@ -143,54 +123,6 @@ def test_chunks_made_with_other_defaults_are_kept_aside(begun, monkeypatch):
     assert [path.read_bytes() for path in sorted(begun.glob("results.aside/*"))] == kept
     assert result.chunks_run == result.table.num_rows / 9 == 4
     assert len(list(begun.glob("results/*"))) == 4
-
-
-# --- a directory of release 0.1.0, which noted no code
-
-
-@pytest.mark.compiles
-def test_the_command_refuses_a_directory_of_the_previous_release_until_it_is_told_to_go_on(old):
-    """Exit code 2 and one sentence; with --accept-new-code the two old rows stay as they are."""
-    command = ["sweep", str(old / "sweep.yaml"), "--out", str(old), "--engine", "c", "--json", "--quiet"]
-    before = files_of(old)
-    refused = CliRunner().invoke(main, command)
-    assert refused.exit_code == 2
-    assert refused.stderr == (
-        f"nermo-mjx: {old} does not say which code made it, as those of earlier releases: choose another directory, or "
-        "resume with --accept-new-code, and distinguish the rows by their column code.\n"
-    )
-    assert files_of(old) == before
-    accepted = CliRunner().invoke(main, [*command, "--accept-new-code"])
-    assert accepted.exit_code == 0, accepted.stderr
-    assert json.loads(accepted.stdout)["chunks_run"] == 2
-    table, (name,) = read_table(old), codes_of(old)
-    codes = [name] * 4 + [None] * 2
-    assert sorted(table.column("code").to_pylist(), key=str) == sorted(codes, key=str)  # a name may begin with a letter
-    assert (old / "results" / "chunk-00000.parquet").read_bytes() in before.values()
-    assert len(json.loads((old / "run.json").read_text())["sessions"]) == 2
-
-
-@pytest.mark.compiles
-def test_plot_and_replay_read_a_directory_of_the_previous_release(old):
-    """Figures of what is there, and a row of it run again, compared with what is stored."""
-    assert list(figures(old))
-    rows = read_table(old).column("row").to_pylist()
-    found = find_row(old, rows[0])
-    assert found.engine == "c"
-    comparison = replay_row(found).comparison
-    assert comparison is not None
-    assert comparison.engine == "c"
-
-
-def test_metrics_that_an_earlier_release_did_not_know_are_unknown_in_its_rows(begun):
-    """A table of two releases is summed up; what only one of them measured is null in the other one's rows."""
-    path = begun / "results" / "chunk-00001.parquet"
-    pq.write_table(pq.read_table(path).drop(["roll_std", "code"]), path)
-    files = sorted(begun.glob("results/*.parquet"))
-    columns = dict(Results(files).columns(["speed", "roll_std"]))
-    assert [int(sum(column != column)) for column in columns.values()] == [0, 9]
-    assert read_table(begun).column("code").null_count == read_table(begun).column("roll_std").null_count == 9
-    assert dataclasses.asdict(next(iter(codes_of(begun).values())))["engine"] == "fake"
 
 
 def test_a_stamp_reads_every_room_that_decides_the_numbers():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -320,25 +319,3 @@ def test_the_command_merges_and_says_what_is_missing(tmp_path):
                       use=[tmp_path / "a", tmp_path / "b"])  # fmt: skip
     assert whole.complete
     assert simulator.rows == 1
-
-
-OLD = Path(__file__).with_name("data") / "sweep-sealed"
-
-
-def test_a_directory_of_an_earlier_release_is_extended(tmp_path, monkeypatch):
-    """Its draws stay seeded by position; its rows are used when its code is accepted."""
-    out = tmp_path / "old"
-    shutil.copytree(OLD, out)
-    begun = Sweep.from_directory(out)
-    assert begun.seeds == "position"
-    held = read_table(out).num_rows
-    digest = read_table(out).schema.metadata[b"sweep"].decode()
-    if digest != begun.digest():  # made with other defaults than today's
-        monkeypatch.setattr(Sweep, "digest", lambda self: digest if self.variants == 9 else "another")
-    data = begun.resolved() | {"vary": {"frequency": [0.5, 0.7, 0.9, 1.1], "stride": [0.5, 0.75, 1.0]}}
-    data.pop("seeds")
-    simulator = Counting()
-    result = run_sweep(data, out, extend=True, accept_new_code=True, simulator=simulator)
-    assert result.complete
-    assert simulator.rows == 12 - held
-    assert Sweep.from_directory(out).seeds == "position"

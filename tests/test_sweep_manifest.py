@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from sweep_fake import SPEC, FakeSimulator
@@ -18,10 +17,6 @@ from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.results import digests_of
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.store import Store
-
-#: Four of nine walks, sealed: each chunk has a checksum of its own between its last page and its footer, and no
-#: manifest names it. A build between 0.1.0 and this one made it.
-SEALED = Path(__file__).with_name("data") / "sweep-sealed"
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +123,7 @@ def test_a_digest_that_was_cut_off_costs_no_other_one(copy):
 
 
 def test_a_chunk_is_noted_before_it_is_there(tmp_path, monkeypatch):
-    """A process killed between the two leaves nothing that would pass for a chunk of an earlier release."""
+    """A process killed between the two leaves nothing that would pass for a chunk."""
     replace = files.replace_file
 
     def killed(path, content):
@@ -154,42 +149,3 @@ def test_shards_note_their_chunks_in_files_of_their_own(tmp_path):
     path = tmp_path / "results" / "chunk-00003.parquet"
     path.write_bytes(path.read_bytes()[:-9] + b"?" + path.read_bytes()[-8:])
     assert flaw(tmp_path) == "is damaged"
-
-
-# --- chunks that no manifest names
-
-
-@pytest.fixture
-def sealed(tmp_path, monkeypatch):
-    """A copy of the directory with sealed chunks; the defaults are those it was made with."""
-    digest = pq.read_schema(SEALED / "results" / "chunk-00000.parquet").metadata[b"sweep"].decode()
-    monkeypatch.setattr(Sweep, "digest", lambda self: digest)
-    return Path(shutil.copytree(SEALED, tmp_path / "sealed"))
-
-
-def test_sealed_chunks_are_kept_and_the_rest_is_run(sealed):
-    """By all their pages' checksums; the table has their rows as they are."""
-    before = {path: path.read_bytes() for path in sealed.glob("results/*.parquet")}
-    rows = read_table(sealed)
-    simulator = FakeSimulator()
-    result = run_sweep(sealed / "sweep.yaml", sealed, simulator=simulator, accept_new_code=True)
-    assert len(before) == 2
-    assert simulator.batches == [2, 2, 2]
-    assert {path: path.read_bytes() for path in before} == before
-    for name in ("frequency", "speed", "status", "code"):
-        column = result.table.column(name).to_numpy()[rows.column("row").to_numpy()]
-        np.testing.assert_array_equal(column, rows.column(name).to_numpy())
-
-
-def test_a_damaged_page_of_a_sealed_chunk_is_seen(sealed):
-    """Of whichever column it is; a file that was cut is seen, too."""
-    path = sealed / "results" / "chunk-00001.parquet"
-    content, about = path.read_bytes(), pq.read_metadata(path).row_group(0)
-    assert flaw(sealed, 1) == ""
-    for column in map(about.column, range(about.num_columns)):
-        damaged = bytearray(content)
-        damaged[(column.dictionary_page_offset or column.data_page_offset) + column.total_compressed_size - 1] ^= 1
-        path.write_bytes(damaged)
-        assert flaw(sealed, 1) == "is damaged", column.path_in_schema
-    path.write_bytes(content[:-100])
-    assert flaw(sealed, 1) == "is damaged"

@@ -2,7 +2,6 @@
 
 import dataclasses
 import errno
-import json
 import shutil
 from pathlib import Path
 
@@ -21,8 +20,6 @@ pytestmark = pytest.mark.compiles
 FEW = {"starts": 1, "iterations": 1}
 #: A tuning that compares with a recording.
 COMPARED = SPEC | FEW | {"objective": [{"minimize": "trajectory_error"}]}
-#: Begun by the release 0.1.0, on a fake robot, with its two iterations done.
-EARLIER = Path(__file__).with_name("data") / "tuning-0.1.0"
 
 
 @pytest.fixture
@@ -186,29 +183,3 @@ def test_an_earlier_directory_with_an_absolute_path_goes_on_working(tmp_path, go
 
 
 # --- the previous release
-
-
-@pytest.fixture
-def earlier(tmp_path):
-    """A copy of the directory that the previous release began."""
-    return Path(shutil.copytree(EARLIER, tmp_path / "tuned"))
-
-
-def test_a_directory_of_the_previous_release_is_drawn(earlier):
-    assert len(list(figures(earlier))) == 4
-    assert read_history(earlier).num_rows == 3
-
-
-def test_a_directory_of_the_previous_release_is_refused_until_it_is_accepted_and_then_taken_over(earlier):
-    """Its rows stay as they were, their code is not known, and the next ones have this code."""
-    before = read_history(earlier)
-    longer = dataclasses.replace(load_tuning(earlier), iterations=3)
-    with pytest.raises(OtherCode, match="resume with --accept-new-code"):
-        run_tuning(longer, earlier, problem=FakeProblem(longer))
-    assert read_history(earlier).equals(before)
-    result = run_tuning(longer, earlier, problem=FakeProblem(longer), accept_new_code=True)
-    assert result.iterations_run == 1
-    (name,) = codes_of(earlier)
-    assert result.history["code"].to_pylist() == ["", "", "", name]
-    assert result.history.select(before.column_names).slice(0, 3).equals(before)
-    assert [session["begun_at"] for session in json.loads((earlier / "run.json").read_text())["sessions"]] == [0, 3]

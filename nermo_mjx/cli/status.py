@@ -63,7 +63,7 @@ def _made(status: Status, codes: Mapping[str, CodeStamp]) -> Iterator[tuple[str,
     yield "engine", status.engine or "not known"
     yield from (("code", f"{name}: {stamp}") for name, stamp in codes.items())
     if not codes:
-        yield "code", ", ".join(status.code) or "not known, as of earlier releases"
+        yield "code", ", ".join(status.code) or "not known"
 
 
 def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:

@@ -65,8 +65,7 @@ class Shard(click.ParamType):
 )
 @options.workers
 @options.accept_new_code
-@click.option("--log", type=click.Choice(("tensorboard", "mlflow")), multiple=True,
-              help="Log each chunk to TensorBoard or MLflow, in DIR.")  # fmt: skip
+@click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR.")
 @click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing.")
 @click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name.")
 @options.report

@@ -34,13 +34,12 @@ Examples:
 @options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
 @click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
 @click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx.")
-@click.option("--log", type=click.Choice(("tensorboard", "mlflow")), multiple=True,
-              help="Log each iteration to TensorBoard or MLflow, in DIR.")  # fmt: skip
+@click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR.")
 @click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
 @options.accept_new_code
 @options.report
 def command(
-    spec: Path, out: Path, engine: str, onnx: bool, log: tuple[str, ...], dry_run: bool, accept_new_code: bool,
+    spec: Path, out: Path, engine: str, onnx: bool, tensorboard: bool, dry_run: bool, accept_new_code: bool,
     as_json: bool, quiet: bool, **chosen: Any,
 ) -> None:  # fmt: skip
     """Train a policy as described in a training file.
@@ -70,8 +69,9 @@ def command(
 
         with Stages(quiet, compiles=lambda what: True) as stages:
             result = run_training(
-                training, out, engine=engine, progress=lambda done: _show(stages, done), warn=stages.say, log=log,
-                evaluating=lambda share: stages.share("evaluation", share), accept_new_code=accept_new_code,
+                training, out, engine=engine, progress=lambda done: _show(stages, done), warn=stages.say,
+                tensorboard=tensorboard, evaluating=lambda share: stages.share("evaluation", share),
+                accept_new_code=accept_new_code,
             )  # fmt: skip
         exported = _export(result) if onnx else None
     if as_json:

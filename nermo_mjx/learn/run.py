@@ -8,7 +8,7 @@ import functools
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,8 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import session
 from nermo_mjx.runs.files import content_of, parquet_bytes, parquet_table
 from nermo_mjx.runs.interruption import Interruption, resumable
+from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.trackers import Tracker, check_trackers, finite, tracked
 from nermo_mjx.runtime import compiler_options
 
 
@@ -92,7 +92,7 @@ def run_training(
     evaluating: Callable[[float], None] | None = None,
     warn: Callable[[str], None] | None = None,
     accept_new_code: bool = False,
-    log: Sequence[str] = (),
+    tensorboard: bool = False,
 ) -> TrainingResult:
     """Learn a policy into a directory, or resume what it contains, and evaluate it.
 
@@ -109,7 +109,7 @@ def run_training(
         evaluating: called with the progress of the evaluation.
         warn: called with a message about each thing that is moved aside.
         accept_new_code: resume a directory that other code started.
-        log: trackers, see `nermo_mjx.runs.trackers`.
+        tensorboard: write scalars of each iteration to DIR/tensorboard; needs the extra of this name.
 
     Raises:
         SpecError: the training is wrong; nothing has been written.
@@ -117,7 +117,8 @@ def run_training(
         TrainingInterrupted: Ctrl-C or SIGTERM; the same call resumes.
     """
     training = Training.of(spec)
-    check_trackers(log)
+    if tensorboard:
+        require_tensorboard()
     name = engine_for(training, engine)
     with (
         Directory(out, training, name, warn or (lambda _: None)) as directory,
@@ -129,11 +130,11 @@ def run_training(
         begun = len(curves)
         code = directory.take_code(curves, accept=accept_new_code) if begun < training.iterations else ""
         directory.claim()
-        trackers = stack.enter_context(tracked(log, directory.out)) if log else []
+        board = stack.enter_context(TensorBoard(directory.out)) if tensorboard else None
         evaluator = Evaluator(training)
         walks = functools.partial(successes, evaluator)
         choice = Choice(directory.held, walks, warn or (lambda _: None)) if training.validation else None
-        learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), trackers, code, choice)
+        learning = _Learning(directory, worlds, interruption, progress or (lambda _: None), board, code, choice)
         if begun < training.iterations:
             directory.held.note_session(session(begun_at=begun))
             learned, curves = learning.learn(learned, curves)
@@ -171,7 +172,7 @@ class _Learning:
     environment: EnvironmentLike
     interruption: Interruption
     report: Callable[[TrainingProgress], None]
-    trackers: Sequence[Tracker]
+    board: TensorBoard | None
     code: str
     choice: Choice | None
 
@@ -233,8 +234,8 @@ class _Learning:
 
     def _tell(self, numbers: Mapping[str, float]) -> None:
         self.interruption.check()
-        for tracker in self.trackers:
-            tracker.log(int(numbers["steps"]), finite({key: each for key, each in numbers.items() if key != "steps"}))
+        if self.board is not None:
+            self.board.log(int(numbers["steps"]), {key: each for key, each in numbers.items() if key != "steps"})
         self.report(TrainingProgress(int(numbers["steps"]), self.directory.training.steps, numbers))
 
 

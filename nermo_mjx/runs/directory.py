@@ -29,18 +29,6 @@ from nermo_mjx.runs.files import (
 from nermo_mjx.runs.lock import hold
 
 RUN: Final = "run.json"
-#: Files that identify directories of releases that did not record the kind.
-_SIGNS: Final = {
-    "sweep.yaml": "sweep",
-    "tuning.yaml": "tuning",
-    "search.yaml": "search",
-    "landscape.yaml": "landscape",
-    "landscape.json": "landscape",
-    "candidates.jsonl": "identification",
-    "identification.json": "identification",
-    "report.json": "experiments",
-    "results.jsonl": "benchmarks",
-}
 
 
 class OtherCode(WrongDirectory):
@@ -154,8 +142,8 @@ class RunDirectory:
                     )
                 if begun is None and holds_rows and not accept:
                     raise OtherCode(
-                        f"{self.out} does not say which code made it, as those of earlier releases: choose another "
-                        "directory, or resume with --accept-new-code, and distinguish the rows by their column code."
+                        f"{self.out} does not say which code made it: choose another directory, or "
+                        "resume with --accept-new-code, and distinguish the rows by their column code."
                     )
                 codes[stamp.id] = stamp.fields()
 
@@ -202,9 +190,7 @@ def read_record(out: Path) -> dict[str, Any]:
 def kind_of(out: Path) -> str | None:
     """The kind of a directory; None if it is unknown or empty."""
     kind = read_record(out).get("kind")
-    if isinstance(kind, str):
-        return kind
-    return next((kind for sign, kind in _SIGNS.items() if (out / sign).exists()), None)
+    return kind if isinstance(kind, str) else None
 
 
 def codes_of(out: Path) -> dict[str, CodeStamp]:

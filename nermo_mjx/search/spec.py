@@ -134,9 +134,7 @@ class Search(Described):
         return simulated_seconds / self.simulated_seconds
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
-        data = {
-            key: value for key, value in self.sweep.resolved(folder).items() if key not in ("sample", "seeds", "plots")
-        }
+        data = {key: value for key, value in self.sweep.resolved(folder).items() if key not in ("sample", "plots")}
         data |= self.aim.written() | {"method": {self.method: dict(self.options)} if self.options else self.method}
         data["budget"] = (
             self.evaluations if self.evaluations is not None else {"simulated_seconds": self.simulated_seconds}

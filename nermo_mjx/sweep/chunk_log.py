@@ -1,16 +1,16 @@
-"""A line per chunk for external monitoring of a sweep: best and mean of each metric so far, statuses, pace."""
+"""Scalars per chunk for TensorBoard: best and mean of each metric so far, statuses, pace."""
 
 from __future__ import annotations
 
 import collections
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.runs.trackers import Tracker, finite
+from nermo_mjx.runs.tensorboard import TensorBoard
 from nermo_mjx.sweep.comparing.comparison import better
 from nermo_mjx.sweep.table import columns_of
 
@@ -19,12 +19,12 @@ class ChunkLog:
     """Sums up chunks as they come.
 
     Args:
-        trackers: are told after each chunk that is added with `tell`.
+        board: is told after each chunk that is added with `tell`.
         there: chunks of earlier sessions.
     """
 
-    def __init__(self, trackers: Sequence[Tracker], there: Iterable[pa.Table] = ()) -> None:
-        self._trackers, self._rows = trackers, 0
+    def __init__(self, board: TensorBoard, there: Iterable[pa.Table] = ()) -> None:
+        self._board, self._rows = board, 0
         self._statuses: collections.Counter[str] = collections.Counter()
         self._sums: collections.Counter[str] = collections.Counter()
         self._counts: collections.Counter[str] = collections.Counter()
@@ -51,7 +51,7 @@ class ChunkLog:
                 self._best[name] = min(candidates, key={"high": lambda x: -x, "low": float, "zero": abs}[side])
 
     def tell(self, table: pa.Table, steps_per_second: float = math.nan) -> None:
-        """Add a chunk's rows, and report the current state to the trackers; the step is the number of rows."""
+        """Add a chunk's rows, and report the current state to TensorBoard; the step is the number of rows."""
         self.add(table)
         numbers = {
             "rows": float(self._rows),
@@ -60,5 +60,4 @@ class ChunkLog:
             **{f"mean/{name}": self._sums[name] / count for name, count in self._counts.items()},
             **{f"best/{name}": value for name, value in self._best.items()},
         }
-        for tracker in self._trackers:
-            tracker.log(self._rows, finite(numbers))
+        self._board.log(self._rows, numbers)

@@ -10,7 +10,7 @@ from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
 
 #: Fields that determine the rows; all others are fixed.
-_ROWS: Final = ("vary", "rows", "sample", "randomize.repeats", "seeds")
+_ROWS: Final = ("vary", "rows", "sample", "randomize.repeats")
 #: Number of fields that a message names when two sweeps differ.
 _NAMED: Final = 3
 

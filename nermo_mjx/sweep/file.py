@@ -60,9 +60,6 @@ class SweepFile(WalkFields):
     sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
     randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
     seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
-    seeds: Annotated[str, Choice(("content", "position"))] = Field(
-        "content", description="what seeds the draws of a run: its values, or its position, as in earlier releases"
-    )
     chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
     plots: bool = Field(True, description="whether figures are drawn when the table is complete")
     compare: CompareFields = optional("structures or values to compare when the table is complete")

@@ -78,9 +78,7 @@ class KnownRows:
                 self._unnamed.append(source)
             for path in chunk_files(source).values():
                 content = path.read_bytes()
-                noted = f"results/{path.name}" in digests.values()
-                sealed = not noted or hashlib.sha256(content).hexdigest() in digests
-                table = parquet_table(content) if sealed else None
+                table = parquet_table(content) if hashlib.sha256(content).hexdigest() in digests else None
                 if series and not _sealed(_series_of(path), digests):
                     table = None
                 if table is None or (table.schema.metadata or {}).get(b"sweep") != digest:
@@ -121,8 +119,7 @@ class KnownRows:
         table = pa.concat_tables(parts, promote_options="default").take(np.argsort(np.concatenate(order)))
         metrics = {name: table.column(name).to_numpy() for name in columns_of(self._table(int(files[0])), "metric")}
         status = np.array(table.column("status").to_pylist(), object)
-        named = "code" in table.column_names  # release 0.1.0 did not say it
-        code = np.array(table.column("code").to_pylist() if named else [None] * len(table), object)
+        code = np.array(table.column("code").to_pylist(), object)
         engine = self._table(int(files[0])).schema.metadata[b"engine"].decode()
         return TakenRows(metrics, status, code, engine, steps, seconds)
 
@@ -154,8 +151,8 @@ class KnownRows:
         """
         if self._unnamed and not accept:
             raise OtherCode(
-                f"{self._unnamed[0]} does not say which code made it, as those of earlier releases: its rows are used "
-                "with --accept-new-code; distinguish them by their column code."
+                f"{self._unnamed[0]} does not say which code made it: its rows are used with "
+                "--accept-new-code; distinguish them by their column code."
             )
         return list(self._codes.values())
 

@@ -65,8 +65,6 @@ def merged(places: Sequence[Path]) -> Sweep:
     for place, sweep in zip(places, sweeps, strict=True):
         if apart := fixed_differences(sweeps[0], sweep):
             raise DirectoryError(f"{places[0]} and {place} cannot be merged: {apart}.")
-        if sweep.seeds == "position" and (sweep.draws or sweep.bodies):
-            raise DirectoryError(f"{place} cannot be merged: its draws are seeded by position, as in earlier releases.")
         alone = set(sweep.varied) ^ set(sweeps[0].varied)
         if alone and any(each.draws or each.bodies for each in sweeps):
             raise DirectoryError(f"{places[0]} and {place} cannot be merged: only one of them varies "

@@ -237,7 +237,7 @@ def agreement(stored: Mapping[str, Any], metrics: Mapping[str, float], engine: s
     """A row of the table beside the metrics of its replay.
 
     Args:
-        stored: columns of the table; a metric that it lacks, because an earlier version made it, is passed over.
+        stored: columns of the table; a metric that it lacks, because other code made it, is passed over.
         metrics: name -> value.
         engine: which engine made the table's row.
     """

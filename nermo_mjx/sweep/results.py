@@ -36,7 +36,7 @@ class Results:
     def __init__(self, source: pa.Table | Sequence[Path]) -> None:
         """
         Args:
-            source: a table, or chunks of one; a column that an earlier release did not know is null in its chunks.
+            source: a table, or chunks of one; a column that other code did not know is null in its chunks.
 
         Raises:
             DirectoryError: a chunk cannot be read, now or when a column is asked for.
@@ -122,7 +122,7 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     """The result table of a sweep's directory, as far as it is complete, in the order of its rows.
 
     Each field's metadata has `unit`, `description` and `role` (index, varied, randomized, metric, status,
-    code). Where several releases made the rows, what one of them did not know is null in its rows.
+    code). Where several codes made the rows, what one of them did not know is null in its rows.
 
     Raises:
         DirectoryError: no readable chunk is there.

@@ -17,8 +17,8 @@ from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import parquet_bytes
 from nermo_mjx.runs.interruption import resumable
+from nermo_mjx.runs.tensorboard import TensorBoard, require_tensorboard
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.runs.trackers import check_trackers, tracked
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.chunk_log import ChunkLog
@@ -91,7 +91,7 @@ def run_sweep(
     extend: bool = False,
     use: Sequence[str | os.PathLike[str]] = (),
     simulate: bool = True,
-    log: Sequence[str] = (),
+    tensorboard: bool = False,
     workers: Workers | None = None,
     simulator: SimulatorLike | None = None,
 ) -> SweepResult:
@@ -121,7 +121,7 @@ def run_sweep(
             rows. The result is that of running this sweep in a single pass.
         use: directories of other sweeps whose rows are reused where this sweep has the same ones.
         simulate: whether missing rows are run.
-        log: trackers that get a line per chunk, `tensorboard` or `mlflow`; each needs the extra of its name.
+        tensorboard: write scalars after each chunk to DIR/tensorboard; needs the extra of this name.
         workers: what simulates; by default this process, else `nermo_mjx.runs.ray_workers.RayWorkers`.
         simulator: replaces `Simulator(spec.setup, engine)`.
 
@@ -134,7 +134,8 @@ def run_sweep(
     """
     sweep = Sweep.of(spec)
     _check(chunk, shard, extend)
-    check_trackers(log)
+    if tensorboard:
+        require_tensorboard()
     sources = [Path(each) for each in use]
     for source in sources:
         check_source(source, sweep)
@@ -162,10 +163,10 @@ def run_sweep(
         work = Work(store, rows, layout, Tally(layout, seconds, range(first, len(layout), step), report))
         work.survey(warn)
         check_room(sweep, store.out, seconds, [layout[k] for k in (work.mine & ~work.done).nonzero()[0]])
-        if log:
+        if tensorboard:
             part = "" if shard is None else "shard-{}-of-{}".format(*shard)
-            trackers = stack.enter_context(tracked(log, store.out, part))
-            work.log = ChunkLog(trackers, map(pq.read_table, work.finished()))
+            board = stack.enter_context(TensorBoard(store.out, part))
+            work.log = ChunkLog(board, map(pq.read_table, work.finished()))
         begun = engine_of(store.out) or next(iter(work.engines), None)
         ran = engine_name(engine, simulator, begun)
         simulates = SweepSimulator(sweep.structures, ran, simulator, notify, sweep.save)

@@ -149,16 +149,12 @@ class Sample:
 
     def _seeds(self, variant: np.ndarray, repeat: np.ndarray, points: dict[str, np.ndarray]) -> np.ndarray:
         """Seeds of rows, (n,) int."""
-        sweep = self.sweep
-        if sweep.seeds == "position":
-            pairs = zip(variant.tolist(), repeat.tolist(), strict=True)
-            return np.array([_row_seed(sweep.seed, *pair) for pair in pairs], dtype=np.int64)
         names = sorted(points)
         table = np.column_stack([points[name] + 0.0 for name in names]) if names else np.empty((len(variant), 0))
         known, seeds = ~np.isnan(table), np.empty(len(variant), np.int64)
         for i, each in enumerate(repeat.tolist()):
             content = zip(names, table[i].tolist(), known[i], strict=True)
-            text = [f"{sweep.seed} {each}", *(f"{name} {value!r}" for name, value, there in content if there)]
+            text = [f"{self.sweep.seed} {each}", *(f"{name} {value!r}" for name, value, there in content if there)]
             digest = hashlib.blake2b(" ".join(text).encode(), digest_size=8).digest()
             seeds[i] = int.from_bytes(digest, "little") >> 11
         return seeds
@@ -180,7 +176,3 @@ def _low_discrepancy(sweep: Sweep) -> np.ndarray:
     # A power of two keeps the sequence balanced; its first points are the sample, and only they are kept.
     exponent = max(sweep.samples - 1, 0).bit_length()
     return qmc.Sobol(dimensions, rng=rng).random_base2(exponent)[: sweep.samples].copy()
-
-
-def _row_seed(*entropy: int) -> int:
-    return int(np.random.SeedSequence(entropy).generate_state(1, np.uint64)[0] >> np.uint64(11))

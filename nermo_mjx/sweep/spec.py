@@ -49,7 +49,6 @@ class Sweep(WalkSpec, Described):
         rows: the variants, where they are given one by one.
         bodies: "identified", if each run has a body of that ensemble; else None.
         seed: makes samples and draws repeatable.
-        seeds: what else seeds the draws of a run: "content", its values, or "position", the number of its variant.
         chunk: rows run and stored together; None lets the runner choose.
         plots: whether figures are drawn when the table is complete.
         comparison: what is compared when it is; None if nothing is.
@@ -67,7 +66,6 @@ class Sweep(WalkSpec, Described):
     rows: RowList | None = None
     bodies: str | None = None
     seed: int = 0
-    seeds: str = "content"
     chunk: int | None = None
     second_order: bool = False
     plots: bool = True
@@ -87,10 +85,8 @@ class Sweep(WalkSpec, Described):
 
     @classmethod
     def from_directory(cls, out: str | os.PathLike[str]) -> Sweep:
-        """The sweep of a directory, also of one that an earlier release began; raises `SpecError`."""
-        doc = read_file(Path(out) / "sweep.yaml")
-        doc.data.setdefault("seeds", "position")
-        return cls.of_document(doc)
+        """The sweep of a directory; raises `SpecError`."""
+        return cls.from_file(Path(out) / "sweep.yaml")
 
     @classmethod
     def of_document(cls, doc: Document) -> Sweep:
@@ -129,11 +125,6 @@ class Sweep(WalkSpec, Described):
         """Whether the variants are every combination of their values."""
         return self.sampler == "grid" if self.rows is None else self.rows.is_product()
 
-    def seeded(self, seeds: str) -> Sweep:
-        """The sweep with draws that are seeded in another way."""
-        draws = tuple(dataclasses.replace(draw, implied=draw.implied and seeds == "content") for draw in self.draws)
-        return dataclasses.replace(self, seeds=seeds, draws=draws)
-
     def partly_read(self) -> dict[str, list[Structure]]:
         """The varied parameters that only some of the structures read, and which ones do."""
         read = {name: [at for at in self.structures if unread(at.setup, name) is None] for name in self.varied}
@@ -166,7 +157,6 @@ class Sweep(WalkSpec, Described):
         named = [draw for draw in self.draws if not draw.implied]
         data["randomize"] = {"repeats": self.repeats} | bodies | {draw.name: draw.written() for draw in named}
         data["seed"] = self.seed
-        data["seeds"] = self.seeds
         if self.chunk is not None:
             data["chunk"] = self.chunk
         data["plots"] = self.plots
@@ -187,7 +177,7 @@ class Sweep(WalkSpec, Described):
         """The fields that decide the rows; a controller counts by what it is, and not by where it is."""
         first = self.rows.fingerprint if self.rows is not None else None
         data = {key: value for key, value in (self if first is None else _few(self)).resolved().items()
-                if key not in _NOT_DECISIVE and (key, value) != ("seeds", "position")}  # fmt: skip
+                if key not in _NOT_DECISIVE}  # fmt: skip
         return data | code_identity(self.setup) | ({} if first is None else {"rows": first})
 
     def digest(self) -> str:
@@ -199,7 +189,7 @@ class Sweep(WalkSpec, Described):
         if self.labelled:
             defaults = [[each.setup.defaults(), each.walk_fields()] for each in self.structures]
         bodies = [identified.bodies().fingerprint] if self.bodies else []
-        implied = [{draw.name: draw.numbers for draw in self.draws if draw.implied}] if self.seeds == "content" else []
+        implied = [{draw.name: draw.numbers for draw in self.draws if draw.implied}]
         return digest_of(self.decisive(), defaults, *bodies, *filter(None, implied))
 
 
@@ -247,7 +237,6 @@ def _read(doc: Document) -> Sweep:
         rows=rows,
         bodies=file.randomize.bodies,
         seed=file.seed,
-        seeds=file.seeds,
         chunk=file.chunk,
         plots=file.plots,
         save=read_saving(doc, file.save, first.setup),
@@ -271,12 +260,11 @@ def _row_table(doc: Document, file: SweepFile) -> RowTable | None:
 def start_draws(sweep: Sweep) -> tuple[Draw, ...]:
     """The perturbation of the start that makes repeats differ, for what the file does not place itself.
 
-    Of draws that are seeded by content the first repeat starts as a single one does, so that more can follow it.
+    The first repeat starts as a single one does, so that more can follow it.
     """
     named = {*sweep.constants, *sweep.varied, *(draw.name for draw in sweep.draws)}
-    implied = sweep.seeds == "content"
     return tuple(
-        Draw(name, "uniform", (-spread, spread), sweep.parameters[name].low, sweep.parameters[name].high, implied)
+        Draw(name, "uniform", (-spread, spread), sweep.parameters[name].low, sweep.parameters[name].high, True)
         for name, spread in START_SPREAD.items()
         if name not in named
     )

@@ -34,7 +34,6 @@ from nermo_mjx.runs.files import (
     clear_errors,
     create_file,
     parquet_bytes,
-    parquet_table,
     sync_folder,
 )
 from nermo_mjx.specs.controllers import with_code_copied
@@ -134,8 +133,7 @@ class Store:
     def inspect(self, chunk: int, rows: np.ndarray, digests: Mapping[str, str]) -> ChunkState:
         """Whether a chunk is there, undamaged to the last bit, and holds exactly these rows of this sweep.
 
-        A chunk that no manifest names was written by an earlier release, which sealed it in a form of its own. All its
-        pages are read, and their checksums count; its footer, which these do not cover, has to be one that can be read.
+        One that no manifest names is none of the program's, and counts as damaged.
         """
         try:
             content = self.chunk_path(chunk).read_bytes()
@@ -143,13 +141,9 @@ class Store:
             return ChunkState(None)
         except OSError as error:
             return ChunkState(None, f"cannot be read ({error.strerror})")
-        about: Mapping[bytes, bytes] | None = None
-        if _digest(content) in digests:
-            about = pq.read_metadata(pa.BufferReader(content)).metadata
-        elif f"results/{_name(chunk)}" not in digests.values() and (table := parquet_table(content)) is not None:
-            about = table.schema.metadata or {}
-        if about is None:
+        if _digest(content) not in digests:
             return ChunkState(None, "is damaged")
+        about = pq.read_metadata(pa.BufferReader(content)).metadata
         if about.get(b"sweep") != self._digest:
             return ChunkState(None, "was made by another sweep, or with other defaults")
         if about[b"rows"].decode() != rows_digest(rows):
@@ -167,7 +161,7 @@ class Store:
             if part is None:
                 continue
             content, name = parquet_bytes(part), f"{folder}/{_name(chunk)}"
-            with clear_errors(self.out):  # first its digest: a chunk without one is an earlier release's
+            with clear_errors(self.out):  # first its digest: a chunk without one counts as damaged
                 append_line(self.out / self._manifest, f"{_digest(content)}  {name}")
             self.directory.move_aside(name, f"{folder}.aside")
             self.directory.write(name, content)
@@ -205,8 +199,6 @@ class Store:
             begun = Sweep.from_directory(self.out)
         except SpecError as error:
             raise self._foreign(f"a sweep that cannot be read ({error}); choose another directory") from None
-        if begun.seeds == "position":  # as earlier releases did it: its rows stay what they are
-            self.sweep = self.sweep.seeded("position")
         self._digest = self.sweep.digest().encode()
         if begun.digest() != self.sweep.digest():
             why = refusal(begun, self.sweep)

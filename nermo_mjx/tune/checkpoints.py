@@ -79,25 +79,23 @@ class Checkpoints:
         if found is None:
             return None
         parts, about = found
-        codes = tuple((int(first), str(code)) for first, code in about.get("codes", [(0, "")]))
+        codes = tuple((int(first), str(code)) for first, code in about["codes"])
         return parts["state"], Log(tuple(about["metrics"]), parts["history"], codes)
 
     def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
         """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
         if about["digest"] == self.digest:
             return
-        here, there = self._identity, about.get("identity")
-        difference = "its checkpoints do not say which, as those of earlier releases, or whether of another recording"
-        if there is not None:
-            # A field that only one of the two knows has a default there.
-            both = there["fields"].keys() & here["fields"].keys()
-            apart = changes(*({name: each["fields"][name] for name in here["fields"] if name in both}
-                              for each in (there, here)))  # fmt: skip
-            apart += ["recording"] if there["recording"] != here["recording"] else []
-            if apart:
-                raise WrongDirectory(f"{self._held.out} holds checkpoints of another tuning, with another "
-                                     f"{', '.join(apart)}; choose another directory.")  # fmt: skip
-            difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
+        here, there = self._identity, about["identity"]
+        # A field that only one of the two knows has a default there.
+        both = there["fields"].keys() & here["fields"].keys()
+        apart = changes(*({name: each["fields"][name] for name in here["fields"] if name in both}
+                          for each in (there, here)))  # fmt: skip
+        apart += ["recording"] if there["recording"] != here["recording"] else []
+        if apart:
+            raise WrongDirectory(f"{self._held.out} holds checkpoints of another tuning, with another "
+                                 f"{', '.join(apart)}; choose another directory.")  # fmt: skip
+        difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
         if not accept:
             raise OtherCode(
                 f"{self._held.out} was made with other defaults: {difference}; choose another directory, or resume "

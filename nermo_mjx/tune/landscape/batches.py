@@ -45,9 +45,7 @@ class Batches:
             return None
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                columns = {name: file[name] for name in file.files}
-            # Batches of the release 0.1.0 do not say which code made them.
-            return {"code": np.full(len(columns["value"]), ""), **columns}
+                return {name: file[name] for name in file.files}
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             self._held.set_aside("damaged", [self._path(first)], self._warn)
             return None

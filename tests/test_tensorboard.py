@@ -1,4 +1,4 @@
-"""A line a chunk for TensorBoard and MLflow: read with their own readers, over two sessions."""
+"""Scalars of each chunk for TensorBoard: read with its own reader, over two sessions."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import read_table, run_sweep
 from nermo_mjx.cli import main
-from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep import SweepInterrupted
 
 
-def two_sessions(out: Path, name: str) -> dict[str, float]:
+def two_sessions(out: Path) -> dict[str, float]:
     """A sweep that is stopped and resumed; the numbers in its final table."""
     with pytest.raises(SweepInterrupted):
-        run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), log=[name])
-    run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(falls_above=0.1), log=[name])
+        run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(stop_at=2, falls_above=0.1), tensorboard=True)
+    run_sweep(SPEC, out, chunk=9, simulator=FakeSimulator(falls_above=0.1), tensorboard=True)
     table = read_table(out)
     well = np.array(table.column("status").to_pylist()) == "ok"
     speed = table.column("speed").to_numpy()[well]
@@ -34,7 +33,7 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     pytest.importorskip("tensorboardX")
     from tensorboardX.proto.event_pb2 import Event
 
-    known = two_sessions(tmp_path, "tensorboard")
+    known = two_sessions(tmp_path)
     found: dict[str, dict[int, float]] = {}
     for path in sorted((tmp_path / "tensorboard").iterdir()):
         content = path.read_bytes()
@@ -51,34 +50,14 @@ def test_tensorboard_reads_each_chunk_of_both_sessions(tmp_path: Path) -> None:
     assert all(value > 0 for value in found["steps_per_second"].values())
 
 
-def test_mlflow_has_one_run_of_both_sessions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In the directory's own folder, with the metrics' history."""
-    pytest.importorskip("mlflow")
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    from mlflow.tracking import MlflowClient
-
-    known = two_sessions(tmp_path, "mlflow")
-    noted = json.loads((tmp_path / "mlflow.json").read_text())
-    client = MlflowClient(tracking_uri=noted["uri"])
-    experiment = client.get_experiment_by_name("nermo_mjx")
-    assert experiment is not None
-    assert [run.info.run_id for run in client.search_runs([experiment.experiment_id])] == [noted["run"]]
-    assert [each.step for each in client.get_metric_history(noted["run"], "rows")] == [9, 18, 27, 36]
-    run = client.get_run(noted["run"])
-    assert run.info.status == "FINISHED"
-    assert {name: run.data.metrics[name] for name in known} == pytest.approx(known)
-
-
 def test_a_missing_package_is_named_before_anything_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Exit code 2, the package and the extra that has it, and no directory."""
+    """Exit code 2, a sentence, and no directory."""
     found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "mlflow" else found(name))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "tensorboardX" else found(name))
     (tmp_path / "sweep.yaml").write_text(json.dumps(SPEC))
     out = tmp_path / "out"
-    asked = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(out), "--log", "mlflow", "--engine", "c"]
+    asked = ["sweep", str(tmp_path / "sweep.yaml"), "--out", str(out), "--tensorboard", "--engine", "c"]
     run = CliRunner().invoke(main, asked)
     assert run.exit_code == 2
-    assert "log is mlflow, which needs mlflow-skinny: install nermo-mjx with its extra mlflow" in run.stderr
-    with pytest.raises(DirectoryError, match="log is 'wandb': allowed are tensorboard, mlflow"):
-        run_sweep(SPEC, out, log=["wandb"], simulator=FakeSimulator())
+    assert "tensorboard needs the package tensorboardX: install it with pip" in run.stderr
     assert not out.exists()
