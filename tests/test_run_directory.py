@@ -41,12 +41,6 @@ def test_a_directory_of_another_kind_is_refused_and_left_alone(tmp_path):
     assert kind_of(tmp_path) == "sweep"
 
 
-def test_a_directory_of_an_earlier_release_is_known_by_its_files(tmp_path):
-    (tmp_path / "tuning.yaml").write_text("")
-    with pytest.raises(WrongDirectory, match="holds a tuning, and not a sweep"):
-        RunDirectory(tmp_path, "sweep").__enter__()
-
-
 def test_rows_of_other_code_are_refused_until_they_are_accepted(tmp_path):
     other = dataclasses.replace(HERE, package="9.9.9")
     with RunDirectory(tmp_path, "sweep") as held:

@@ -78,18 +78,18 @@ def test_a_directory_that_is_being_written_is_read(tmp_path: Path) -> None:
         assert "nermo-mjx sweep a.yaml --out elsewhere" in text
 
 
-def test_a_sweep_of_the_previous_release_is_read(tmp_path: Path) -> None:
-    """Its run.json has neither kind nor codes; its chunks know the engine."""
+def test_the_last_three_sessions_are_shown(tmp_path: Path) -> None:
+    """Where run.json has no codes, the chunks know the engine."""
     run_sweep(SPEC, tmp_path, chunk=8, simulator=FakeSimulator())
     sessions = [{"started": "2026-01-01T00:00:00+0000", "command": "nermo-mjx sweep a", "versions": {"jax": "0.1"},
                  "machine": {"host": "far", "cores": 4}}]  # fmt: skip
-    (tmp_path / "run.json").write_text(json.dumps({"sessions": sessions * 5}))
+    (tmp_path / "run.json").write_text(json.dumps({"kind": "sweep", "sessions": sessions * 5}))
     content = said(tmp_path)
     assert known(content) == ("sweep", 36, 36, True)
     assert content["code"] == []
     assert content["engine"]
     text = status(tmp_path).stdout
-    assert "code     not known, as of earlier releases" in text
+    assert "code     not known" in text
     assert "session  and 2 earlier" in text
     assert text.count("2026-01-01T00:00, jax 0.1, on far, 4 cores") == 3
 
@@ -143,11 +143,6 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     run_experiments(["turning", "maze"], tmp_path, video=False)
     assert known(said(tmp_path)) == ("experiments", 24, 24, True)
     assert f"figures  nermo-mjx plot {tmp_path}\n" in status(tmp_path).stdout
-    # As the previous release left it.
-    (tmp_path / "run.json").unlink()
-    content = said(tmp_path)
-    assert known(content) == ("experiments", 24, 24, True)
-    assert (content["engine"], content["code"]) == ("c", [])
 
 
 def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
@@ -206,6 +201,7 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
 
 def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Path) -> None:
     hardware = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
+    (tmp_path / "run.json").write_text('{"kind": "benchmarks"}')
     for commit, figures in (("abc", {"steps_per_second": 3.0}), ("def", {"error": "no memory"})):
         line = {"case": "throughput", "engine": "c", "worlds": 64, **figures}
         add_run(tmp_path, {"date": "2026-01-01", "commit": commit, "hardware": hardware, "cases": [line]})

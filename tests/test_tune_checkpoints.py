@@ -2,7 +2,6 @@
 
 import dataclasses
 import errno
-import json
 import resource
 import shutil
 import signal
@@ -236,21 +235,6 @@ def test_a_changed_default_is_refused_by_name_and_loses_nothing(done, monkeypatc
     result, problem = tune(done.out, {"iterations": 8}, accept_new_code=True)
     assert len(problem.batches) == 2
     assert lasting(result.history).slice(0, 14).equals(lasting(done.history))
-
-
-def test_defaults_that_were_not_noted_are_said_to_be_unknown(done, monkeypatch):
-    """Checkpoints of the previous release have a digest and nothing that it is of."""
-    for step in steps(done.out):
-        path = done.out / "checkpoints" / str(step) / "about" / "metadata"
-        about = json.loads(path.read_text())
-        path.write_text(json.dumps({key: about[key] for key in ("digest", "precision", "metrics", "rows", "checksum")}))
-    assert tune(done.out)[1].batches == []
-    before = content(done.out)
-    changed_default(monkeypatch, "contact.friction", 0.77)
-    with pytest.raises(OtherCode, match="other defaults: its checkpoints do not say which"):
-        tune(done.out)
-    assert content(done.out) == before
-    assert tune(done.out, accept_new_code=True)[1].batches == []
 
 
 @pytest.mark.parametrize("broken", ["the file system", "orbax"])
