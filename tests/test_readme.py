@@ -29,17 +29,16 @@ def test_a_fresh_machine_needs_two_commands_of_one_line_each() -> None:
     assert fresh[1].endswith("-m pytest")
 
 
-def test_ci_runs_the_test_command_of_the_readme_and_no_other() -> None:
+def test_ci_runs_both_commands_of_the_readme() -> None:
     script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
-    pattern = re.search(r"^command=\$\(grep -E '(.*)' README\.md\)$", script, re.MULTILINE)
-    assert pattern is not None
-    assert [line for line in README.splitlines() if re.search(pattern[1], line)] == [
-        'python3 -m venv .venv && .venv/bin/pip install -e ".[test]" && .venv/bin/python -m pytest'
-    ]
-    assert 'eval "$command"' in script
-    assert script.count("pytest") == 1
-    assert "\n.ci/wheel\n" in script
-    for name in ("run", "wheel"):
+    patterns = dict(re.findall(r"^(job|tests)=\$\(grep -E '(.*)' README\.md\)$", script, re.MULTILINE))
+    fresh = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("python3 -m venv")]
+    for name, command in zip(("job", "tests"), fresh, strict=True):
+        assert [line for line in README.splitlines() if re.search(patterns[name], line)] == [command]
+    assert 'eval "$tests"' in script
+    assert 'eval "${job/python3/$python}"' in script
+    assert "\n.ci/wheel\n.ci/size\n" in script
+    for name in ("run", "wheel", "size"):
         subprocess.run(["bash", "-n", str(ROOT / ".ci" / name)], check=True)
 
 
