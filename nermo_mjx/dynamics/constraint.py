@@ -57,7 +57,7 @@ def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
     """
     springs, loss = _simple(layout, problem, residual)
     spring = -problem.stiffness * residual
-    simple = jnp.where(springs, spring, jnp.clip(spring, -loss, loss))
+    simple = jnp.where(springs, spring, jnp.sign(spring) * loss)
     parts = [simple[: _first_cone(layout, residual)]]
     parts += [jax.vmap(_cone)(*contact).ravel() for _, _, *contact in _contacts(layout, problem, residual)]
     return jnp.concatenate(parts)
@@ -77,9 +77,8 @@ def _simple(layout: Layout, problem: Problem, residual: Efc) -> tuple[Array, Arr
     """For rows outside cones: whether each is a spring, and otherwise its constant force in either direction."""
     row = np.arange(residual.shape[0])
     dry = (row >= layout.equality) & (row < layout.equality + layout.frictionloss)
-    # MuJoCo treats a row of dry friction without loss, which a batch may contain, as a spring.
     loss = jnp.where(dry, problem.frictionloss, 0.0)
-    holds = (loss <= 0.0) | (jnp.abs(problem.stiffness * residual) < loss)
+    holds = (row < layout.equality) | (jnp.abs(problem.stiffness * residual) < loss)
     return jnp.where(row < layout.equality + layout.frictionloss, holds, residual < 0.0), loss
 
 
