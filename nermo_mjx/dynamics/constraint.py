@@ -11,7 +11,7 @@ Constraint model").
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,11 +21,21 @@ from jaxtyping import Float, Int
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Dofs, Efc
 
+#: Multiple of a number's precision that sums of some dozens of terms lose.
+ROUNDING: Final = 4.0
+
 
 def gradient(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
     """g(a), zero at the solution."""
     force = forces(layout, problem, residual(problem, qacc))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
+
+
+def rounding(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
+    """The size of g(a) that is left where it should vanish: the rounding of its terms."""
+    force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
+    terms = jnp.abs(problem.inertia) @ jnp.abs(qacc) + jnp.abs(problem.smooth) + jnp.abs(problem.jacobian).T @ force
+    return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 
 def hessian(layout: Layout, problem: Problem, qacc: Dofs) -> Float[Array, "nv nv"]:
