@@ -23,7 +23,7 @@ geom_adhesion geom_fluid geom_plugin geom_surfacevel jnt_springyield pair_adhesi
 tendon_springyield opt.noslip_iterations opt.disableactuator""".split()
 #: The others, by the reason why they have no effect on `step`: patterns of whole names.
 HARMLESS = {
-    "sizes and addresses of what is refused or counted elsewhere": r"n[A-Za-z0-9]+|\w+_\w*adr|\w+_(num|\w+num)|paths|names_map",
+    "sizes and addresses of what is refused or counted elsewhere": r"n[A-Za-z0-9_]+|\w+_\w*adr|\w+_(num|\w+num)|paths|names_map",
     "matrices' sparsity, which MJX has in its own form": r"[BDM]_\w+|map\w+|ten_J_\w+|flex\w+_J_\w+|efm[0C]\w*",
     "MuJoCo C derives them, and MJX does, or reads nothing of them": r"""body_(simple|sameframe|treeid|contype|conaffinity
         |margin|jntnum)|dof_(M0|simplenum|treeid|length)|geom_(aabb|sameframe)|site_sameframe|pair_signature|tree_\w+|tendon_tree\w+
