@@ -178,6 +178,7 @@ CASES: dict[str, Case] = {
         _TWO + _COUPLED.format('actuatorfrcrange="-1 1"') + '<actuator><motor tendon="t"/><motor tendon="t"/></actuator>',
         ctrl=[0.5, -0.5],
     ),
+    "tendon at its spring's length": Case(_TWO + _COUPLED.format('stiffness="100" damping=".1" springlength="0"'), qvel=[0.0, 0.0]),
     # Actuators.
     "motor without control": Case(_hinge() + '<actuator><motor joint="j" ctrlrange="0 1" ctrllimited="true"/></actuator>'),
     "servo beyond its force, implicitfast": Case(
@@ -335,8 +336,9 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
 if __name__ == "__main__":
     import sys
 
+    words = sys.argv[1:] or [""]
     for name, case in CASES.items():
-        if len(sys.argv) < 2 or sys.argv[1] in name:
+        if any(word in name for word in words):
             try:
                 print(name, *(f"{each:.1e}" for each in check(case)), flush=True)
             except Exception as error:  # noqa: BLE001

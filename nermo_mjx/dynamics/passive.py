@@ -18,8 +18,10 @@ from nermo_mjx.shapes import Array, Dofs
 
 
 def passive(model: Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.passive`, with polynomials."""
-    data = mjx.passive(model, data)
+    """As `mjx.passive`, with polynomials, and with a derivative where a tendon has the length of its spring."""
+    springs = model.ntendon and not (is_zero(model.tendon_stiffness) and is_zero(model.tendon_stiffnesspoly))
+    without = model.replace(tendon_stiffness=jnp.zeros_like(model.tendon_stiffness)) if springs else model
+    data = mjx.passive(without, data)
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt.disableflags & both == both:
         return data
@@ -28,10 +30,12 @@ def passive(model: Model, data: mjx.Data) -> mjx.Data:
         force += _joint_springs(model, data.qpos)
     if not is_zero(model.dof_dampingpoly):
         force -= data.qvel * _share(model.dof_dampingpoly, jnp.abs(data.qvel))
-    if model.ntendon and not is_zero(model.tendon_stiffnesspoly):
-        low, high = model.tendon_lengthspring.T
-        beyond = data.ten_length - jnp.clip(data.ten_length, low, high)
-        force -= rows.tendon_jacobian(data).T @ (beyond * _share(model.tendon_stiffnesspoly, beyond))
+    if springs:
+        (low, high), length = model.tendon_lengthspring.T, data.ten_length
+        # Where both limits are the same, its length at rest has the derivative of both sides.
+        beyond = length - jnp.where(length >= high, high, jnp.where(length <= low, low, length))
+        stiffness = model.tendon_stiffness + _share(model.tendon_stiffnesspoly, beyond)
+        force -= rows.tendon_jacobian(data).T @ (beyond * stiffness)
     if model.ntendon and not is_zero(model.tendon_dampingpoly):
         rate = rows.tendon_velocity(data)
         force -= rows.tendon_jacobian(data).T @ (rate * _share(model.tendon_dampingpoly, jnp.abs(rate)))
