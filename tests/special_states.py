@@ -1,6 +1,7 @@
 """Small models in special states: at rest, without controls, exactly at a limit, aligned, coincident, depth = width.
 
-Norms, powers and quotients have no derivative there, and everybody's simulation begins there. `check` compares values and
+Norms, powers and quotients have no derivative there, and everybody's simulation begins there. `check` compares values
+and
 derivatives with those of MuJoCo C.
 """
 
@@ -39,8 +40,10 @@ class Found(NamedTuple):
 
     Attributes:
         value: largest difference of the end state from C's, over the larger of 1 and the state's size.
-        slope: largest difference of an entry of the gradient from C's differences, over the larger of 1 and the largest.
-        kinks: entries for which C has no two-sided derivative, but a one-sided one, which the gradient equals or is between.
+        slope: largest difference of an entry of the gradient from C's differences, over the larger of 1 and the
+        largest.
+        kinks: entries for which C has no two-sided derivative, but a one-sided one, which the gradient equals or is
+        between.
         jumps: entries for which C's differences converge on neither side.
         is_finite: whether value and gradient are.
     """
@@ -80,19 +83,22 @@ _ARM = (
 _SPATIAL = '<tendon><spatial name="t" {}><site site="o"/><site site="s"/></spatial></tendon>'
 _TWO = (
     '<body><joint name="j" axis="0 1 0"/><geom size=".02" pos=".2 0 0" mass="1" contype="0"/></body>'
-    '<body pos="0 1 0"><joint name="k" axis="0 1 0"/><geom size=".02" pos=".2 0 0" mass="2" contype="0"/></body></worldbody>'
+    '<body pos="0 1 0"><joint name="k" axis="0 1 0"/><geom size=".02" pos=".2 0 0" mass="2" '
+    'contype="0"/></body></worldbody>'
 )
 _FIXED = '<tendon><fixed name="t" {}><joint joint="j" coef="1"/></fixed></tendon>'
 _COUPLED = '<tendon><fixed name="t" {}><joint joint="j" coef="1"/><joint joint="k" coef="-.5"/></fixed></tendon>'
 _LINKS = (
     '<body name="p"><joint name="j" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .2 0 0" size=".01" mass=".2" '
-    'contype="0"/><body name="q" pos=".2 0 0"><joint name="k" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .2 0 -.1" '
+    'contype="0"/><body name="q" pos=".2 0 0"><joint name="k" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .2 '
+    '0 -.1" '
     'size=".01" mass=".2" contype="0"/></body></body><body name="r" pos=".4 0 0"><joint name="l" axis="0 1 0"/>'
     '<geom type="capsule" fromto="0 0 0 0 0 -.1" size=".01" mass=".2" contype="0"/></body></worldbody>'
 )
 _CONNECT = '<equality><connect body1="q" body2="r" anchor=".2 0 -.1"/></equality>'
 _PAIR = (
-    '<body name="a" pos="0 0 .5"><freejoint/><geom size=".05" pos=".1 0 0" mass="1" contype="0"/><site name="sa" pos="0 .1 0" '
+    '<body name="a" pos="0 0 .5"><freejoint/><geom size=".05" pos=".1 0 0" mass="1" contype="0"/><site name="sa" '
+    'pos="0 .1 0" '
     'euler="10 20 30"/></body><body name="c" pos=".3 0 .5"><joint name="w" type="ball"/><geom size=".05" pos="0 .1 0" '
     'mass=".5" contype="0"/><site name="sc" pos=".1 0 0"/></body></worldbody>'
 )
@@ -104,17 +110,20 @@ CASES: dict[str, Case] = {
     "ball spring, polynomial": Case(_BALL.format('stiffness="5 3 2" damping=".1 .2 .1"', "")),
     "ball spring, half a turn": Case(_BALL.format('stiffness="5"', ""), qpos=[0.001, 1.0, 0.0, 0.0]),
     "free joint with a spring": Case(
-        '<body pos="0 0 1"><joint type="free" stiffness="5 1 2"/><geom type="box" size=".1 .05 .02" mass="1"/></body></worldbody>'
+        '<body pos="0 0 1"><joint type="free" stiffness="5 1 2"/><geom type="box" size=".1 .05 .02" '
+        'mass="1"/></body></worldbody>'
     ),
     "ball servo in the parent's frame": Case(
-        _BALL.format("", "") + '<actuator><general joint="j" gear="1 0 0" gainprm="5" biastype="affine" biasprm="0 -5 -.1"/>'
+        _BALL.format("", "") + '<actuator><general joint="j" gear="1 0 0" gainprm="5" biastype="affine" biasprm="0 '
+        '-5 -.1"/>'
         '<position jointinparent="j" gear="0 1 0" kp="5"/></actuator>'
     ),
     "ball at its limit": Case(
         _BALL.format('range="0 30"', ""), qpos=[np.cos(np.pi / 12), np.sin(np.pi / 12), 0, 0], qvel=[0.5, 0.1, 0.0]
     ),
     "site servo about another site": Case(
-        '<site name="o"/><body><joint type="ball"/><geom size=".05" pos="0 0 -.2" mass="1"/><site name="s"/></body></worldbody>'
+        '<site name="o"/><body><joint type="ball"/><geom size=".05" pos="0 0 -.2" mass="1"/><site '
+        'name="s"/></body></worldbody>'
         '<actuator><position site="s" refsite="o" gear="0 0 0 1 0 0" kp="5"/><position site="s" refsite="o" '
         'gear="0 1 0 0 .5 0" kp="5" kv=".1"/></actuator>'
     ),
@@ -125,7 +134,9 @@ CASES: dict[str, Case] = {
     "limit, deeper than width, power 1.5": Case(_hinge('range="-30 0" solimplimit=".5 .9 .01 .5 1.5"'), qpos=[0.02]),
     "limit, at the midpoint, power 3": Case(_hinge('range="-30 0" solimplimit=".5 .9 .01 .5 3"'), qpos=[0.005]),
     "limit, constant impedance without width": Case(_hinge('range="-30 0" solimplimit=".5 .9 0 .5 2"'), qpos=[0.02]),
-    "tendon exactly at its limit": Case(_ARM.format(o="0 0 .1") + _SPATIAL.format(f'range="0 {0.02**0.5}"'), qvel=[0.5]),
+    "tendon exactly at its limit": Case(
+        _ARM.format(o="0 0 .1") + _SPATIAL.format(f'range="0 {0.02**0.5}"'), qvel=[0.5]
+    ),
     # Contacts.
     "sphere touches": Case(PLANE + _slide()),
     "contact, depth = width": Case(PLANE + _slide(geom='size=".05" solimp=".5 .9 .01 .5 2.5"'), qpos=[-0.01]),
@@ -133,7 +144,9 @@ CASES: dict[str, Case] = {
     "contact, at its margin": Case(PLANE + _slide(geom='size=".05" margin=".01" gap=".002"'), qpos=[0.01], qvel=[-0.1]),
     "box at rest": Case(PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499")),
     "box at rest, elliptic": Case(PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499"), 'cone="elliptic"'),
-    "box at rest, six dimensions": Case(PLANE + _free('type="box" size=".05 .05 .05" condim="6"', "0 0 .0499"), 'cone="elliptic"'),
+    "box at rest, six dimensions": Case(
+        PLANE + _free('type="box" size=".05 .05 .05" condim="6"', "0 0 .0499"), 'cone="elliptic"'
+    ),
     "sphere at rest, torsion": Case(PLANE + _free('size=".05" condim="4"', "0 0 .0499"), 'cone="elliptic"'),
     "sphere without friction": Case(PLANE + _free('size=".05" condim="1"', "0 0 .0499")),
     "capsule lies": Case(PLANE + _free('type="capsule" size=".05 .1" euler="0 90 0"', "0 0 .0499")),
@@ -147,7 +160,8 @@ CASES: dict[str, Case] = {
         _free('type="capsule" size=".05 .1"', "0 0 0") + _free('type="capsule" size=".05 .1"', ".0999 0 0.03")
     ),
     "capsules cross": Case(
-        _free('type="capsule" size=".05 .1"', "0 0 0") + _free('type="capsule" size=".05 .1" euler="90 0 0"', ".0999 0 0")
+        _free('type="capsule" size=".05 '
+        '.1"', "0 0 0") + _free('type="capsule" size=".05 .1" euler="90 0 0"', ".0999 0 0")
     ),
     "sphere on a box": Case(_free('type="box" size=".05 .05 .05"', "0 0 0") + _free('size=".05"', "0 0 .0999")),
     "capsule on a box": Case(
@@ -160,9 +174,11 @@ CASES: dict[str, Case] = {
         _ARM.format(o="-.1 0 0") + _SPATIAL.format('stiffness="10 5 3" springlength="0 .2"'), qpos=[0.3], qvel=[0.0]
     ),
     "tendon tangent to its cylinder": Case(
-        '<geom name="g" type="cylinder" size=".05 .1" euler="90 0 0" contype="0" conaffinity="0"/><site name="o" pos="-.2 0 .05"/>'
+        '<geom name="g" type="cylinder" size=".05 .1" euler="90 0 0" contype="0" conaffinity="0"/><site name="o" '
+        'pos="-.2 0 .05"/>'
         '<body pos="0 0 .05"><joint axis="0 1 0"/><geom size=".02" pos=".2 0 0" mass="1" contype="0"/><site name="s" '
-        'pos=".2 0 0"/></body></worldbody><tendon><spatial stiffness="10"><site site="o"/><geom geom="g"/><site site="s"/>'
+        'pos=".2 0 0"/></body></worldbody><tendon><spatial stiffness="10"><site site="o"/><geom geom="g"/><site '
+        'site="s"/>'
         "</spatial></tendon>",
         qvel=[0.1],
     ),
@@ -171,16 +187,22 @@ CASES: dict[str, Case] = {
         _TWO + _COUPLED.format('stiffness="1 20 3" damping=".1 1 .5" springlength="0"'), FAST, qvel=[0.5, 1.0]
     ),
     "tendon's force at its range": Case(
-        _TWO + _COUPLED.format('actuatorfrcrange="-1 1"') + '<actuator><motor tendon="t"/><motor tendon="t" gear="2"/></actuator>',
+        _TWO + _COUPLED.format('actuatorfrcrange="-1 '
+        '1"') + '<actuator><motor tendon="t"/><motor tendon="t" gear="2"/></actuator>',
         ctrl=[0.7, 0.3],
     ),
     "tendon's force zero of two": Case(
-        _TWO + _COUPLED.format('actuatorfrcrange="-1 1"') + '<actuator><motor tendon="t"/><motor tendon="t"/></actuator>',
+        _TWO + _COUPLED.format('actuatorfrcrange="-1 '
+        '1"') + '<actuator><motor tendon="t"/><motor tendon="t"/></actuator>',
         ctrl=[0.5, -0.5],
     ),
-    "tendon at its spring's length": Case(_TWO + _COUPLED.format('stiffness="100" damping=".1" springlength="0"'), qvel=[0.0, 0.0]),
+    "tendon at its spring's length": Case(
+        _TWO + _COUPLED.format('stiffness="100" damping=".1" springlength="0"'), qvel=[0.0, 0.0]
+    ),
     # Actuators.
-    "motor without control": Case(_hinge() + '<actuator><motor joint="j" ctrlrange="0 1" ctrllimited="true"/></actuator>'),
+    "motor without control": Case(
+        _hinge() + '<actuator><motor joint="j" ctrlrange="0 1" ctrllimited="true"/></actuator>'
+    ),
     "servo beyond its force, implicitfast": Case(
         _hinge('armature=".01"') + '<actuator><position joint="j" kp="100" kv="10" forcerange="-2 2"/></actuator>',
         FAST, qvel=[1.0], ctrl=[1.0],
@@ -194,31 +216,41 @@ CASES: dict[str, Case] = {
         FAST, qvel=[0.0], act=[0.4], ctrl=[0.4],
     ),
     "muscle that lengthens, implicitfast": Case(
-        _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" force="30"/></actuator>', FAST, qvel=[2.0], act=[0.7], ctrl=[0.9]
+        _hinge() + '<actuator><muscle joint="j" lengthrange="-1 1" '
+        'force="30"/></actuator>', FAST, qvel=[2.0], act=[0.7], ctrl=[0.9]
     ),
     "early filter, implicitfast": Case(
-        _hinge() + '<actuator><general joint="j" dyntype="filterexact" dynprm=".05" gaintype="affine" gainprm="10 0 -3" '
-        'biastype="affine" biasprm="0 -10 -1" actearly="true"/><intvelocity joint="j" kp="5" actrange="-.1 .1"/></actuator>',
+        _hinge() + '<actuator><general joint="j" dyntype="filterexact" dynprm=".05" gaintype="affine" gainprm="10 '
+        '0 -3" '
+        'biastype="affine" biasprm="0 -10 -1" actearly="true"/><intvelocity joint="j" kp="5" actrange="-.1 '
+        '.1"/></actuator>',
         FAST, qvel=[0.5], act=[0.2, 0.1], ctrl=[1.0, 0.5],
     ),
     "actuators' inertia and damping": Case(
-        _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 .1"/><motor joint="j" '
-        'armature=".02"/><motor tendon="t" gear="2" armature=".03" damping=".05 .1"/></actuator>', qvel=[1.0, -1.0], ctrl=[1, 0, 1],
+        _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
+        '.1"/><motor joint="j" '
+        'armature=".02"/><motor tendon="t" gear="2" armature=".03" damping=".05 '
+        '.1"/></actuator>', qvel=[1.0, -1.0], ctrl=[1, 0, 1],
     ),
     "the same, implicitfast": Case(
-        _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 .1"/><motor tendon="t" '
+        _TWO + _COUPLED.format("") + '<actuator><motor joint="j" gear="3" armature=".01" damping=".1 .2 '
+        '.1"/><motor tendon="t" '
         'gear="2" armature=".03" damping=".05 .1"/></actuator>', FAST, qvel=[1.0, -1.0], ctrl=[1, 1],
     ),
     # Passive forces.
     "polynomial spring and damper at rest": Case(_hinge('stiffness="0 5 3" damping="0 1 2"')),
-    "polynomial damper, RK4": Case(_hinge('stiffness="1 5 3" damping=".1 1 2"'), 'integrator="RK4"', qpos=[-0.5], qvel=[2.0]),
+    "polynomial damper, RK4": Case(
+        _hinge('stiffness="1 5 3" damping=".1 1 2"'), 'integrator="RK4"', qpos=[-0.5], qvel=[2.0]
+    ),
     "no springs": Case(_hinge('stiffness="3" damping=".5 .1"'), '><flag spring="disable"/', qpos=[0.5], qvel=[2.0]),
     "no dampers": Case(_hinge('stiffness="3" damping=".5 .1"'), '><flag damper="disable"/', qpos=[0.5], qvel=[2.0]),
     "no dampers, implicitfast": Case(
-        _hinge('stiffness="3" damping=".5"') + _FIXED.format('damping="1"'), f'{FAST}><flag damper="disable"/', qvel=[2.0]
+        _hinge('stiffness="3" '
+        'damping=".5"') + _FIXED.format('damping="1"'), f'{FAST}><flag damper="disable"/', qvel=[2.0]
     ),
     "gravity compensation of the actuators": Case(
-        '<body gravcomp=".7"><joint name="j" axis="0 1 0" actuatorgravcomp="true" actuatorfrcrange="-1 1"/><geom size=".05" '
+        '<body gravcomp=".7"><joint name="j" axis="0 1 0" actuatorgravcomp="true" actuatorfrcrange="-1 1"/><geom '
+        'size=".05" '
         'pos=".1 0 -.3" mass="1"/></body></worldbody><actuator><motor joint="j"/></actuator>'
     ),
     "drag at rest": Case(_free('type="box" size=".1 .05 .02"'), 'density="1000" viscosity=".1" wind="0 0 0"'),
@@ -232,7 +264,8 @@ CASES: dict[str, Case] = {
     ),
     "box at rest, implicitfast": Case(PLANE + _free('type="box" size=".05 .05 .05"', "0 0 .0499"), FAST),
     "body with a child, implicitfast": Case(
-        '<body><freejoint/><geom type="box" size=".1 .05 .02" mass="1"/><body pos=".1 0 0"><joint axis="0 1 0" damping=".1"/><geom '
+        '<body><freejoint/><geom type="box" size=".1 .05 .02" mass="1"/><body pos=".1 0 0"><joint axis="0 1 0" '
+        'damping=".1"/><geom '
         'size=".02" pos=".1 0 0" mass=".2"/></body></body>', FAST, qvel=[*_SPIN, 1.0],
     ),
     # Equalities.
@@ -243,14 +276,16 @@ CASES: dict[str, Case] = {
     ),
     "weld of sites": Case(_PAIR + '<equality><weld site1="sa" site2="sc"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]),
     "connect of sites, and inactive": Case(
-        _PAIR + '<equality><connect site1="sa" site2="sc"/><weld body1="a" active="false"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]
+        _PAIR + '<equality><connect site1="sa" site2="sc"/><weld body1="a" '
+        'active="false"/></equality>', qvel=[*_SPIN, 0.3, 0.2, 0.1]
     ),
     "connect, deeper than width, power 1.5": Case(
         _PAIR + '<equality><connect body1="a" body2="c" anchor=".1 0 0" solimp=".5 .9 .01 .5 1.5"/></equality>',
         qpos=[0.05, 0, 0.5, 1, 0, 0, 0, 1, 0, 0, 0],
     ),
     "joint and tendon equalities at zero": Case(
-        _TWO + _COUPLED.format("") + '<equality><joint joint1="j" joint2="k" polycoef="0 1 .5 .2 .1"/><tendon tendon1="t" '
+        _TWO + _COUPLED.format("") + '<equality><joint joint1="j" joint2="k" polycoef="0 1 .5 .2 .1"/><tendon '
+        'tendon1="t" '
         'polycoef="0 .5 .2 0 0"/></equality>', qvel=[0.5, 0.2],
     ),
     "everything off": Case(_hinge('range="-30 0"'), '><flag constraint="disable"/', qpos=[0.1]),
@@ -317,18 +352,17 @@ def check(case: Case, model: mujoco.MjModel | None = None, width: float = 1e-6) 
         [[weights @ (in_c(sign * h * each) - here) / (sign * h) for each in np.eye(size)] for h in (width, width / 4)]
         for sign in (1, -1)
     ])  # fmt: skip
-    ahead, behind = sides[0], sides[1]
-    middle = (ahead[0] + behind[0]) / 2
+    middle = sides[:, 0].mean(axis=0)
     scale = max(1.0, np.abs(middle).max())
     error = np.abs(slopes - middle) / scale
     converged = np.abs(sides[:, 0] - sides[:, 1]) < 1e-2 * np.maximum(1.0, np.abs(sides[:, 0]))
-    low, high = np.minimum(ahead[0], behind[0]), np.maximum(ahead[0], behind[0])
-    outside = np.maximum(np.maximum(low - slopes, slopes - high), 0.0) / scale
     jump = ~converged.any(axis=0)
-    kink = ~jump & (high - low > 1e-3 * scale) & (error > 1e-4)
-    # Of a jump to one side, the other side's derivative is what there is.
-    one_sided = np.where(converged, np.abs(slopes - sides[:, 0]) / scale, np.inf).min(axis=0)
-    error = np.where(jump, 0.0, np.where(kink, np.minimum(outside * converged.all(axis=0) + (~converged.all(axis=0)) * 1e9, one_sided), error))
+    # At a kink: the derivative of one side, or between both.
+    beyond = np.maximum(np.minimum(*sides[:, 0]) - slopes, slopes - np.maximum(*sides[:, 0]))
+    apart = np.where(converged, np.abs(slopes - sides[:, 0]), np.inf).min(axis=0)
+    settled = np.minimum(apart, np.where(converged.all(axis=0), np.maximum(beyond, 0.0), np.inf)) / scale
+    kink = ~jump & (error > 1e-4) & (settled < 1e-4)
+    error = np.where(jump, 0.0, np.where(kink, settled, error))
     finite = bool(np.isfinite(end).all() and np.isfinite(slopes).all())
     return Found(float(value), float(error.max(initial=0.0)), int(kink.sum()), int(jump.sum()), finite)
 
@@ -341,5 +375,5 @@ if __name__ == "__main__":
         if any(word in name for word in words):
             try:
                 print(name, *(f"{each:.1e}" for each in check(case)), flush=True)
-            except Exception as error:  # noqa: BLE001
+            except Exception as error:
                 print(name, type(error).__name__, str(error)[:300], flush=True)

@@ -48,10 +48,13 @@ def test_all_special_states_are_those_of_c() -> None:
     assert [wrong for name in CASES if (wrong := _is_right(name))] == []
 
 
-FROM_ZERO = """<mujoco><worldbody><body name="b"><joint name="j" axis="0 1 0"/><geom type="box" size=".1 .05 .02" pos=".2 0 0"
-mass="1"/></body><body pos="0 1 0"><joint name="k" axis="0 1 0"/><geom size=".02" pos=".2 0 0" mass="1"/></body></worldbody>
+FROM_ZERO = """<mujoco><worldbody><body name="b"><joint name="j" axis="0 1 0"/><geom type="box" size=".1 .05 .02"
+pos=".2 0 0"
+mass="1"/></body><body pos="0 1 0"><joint name="k" axis="0 1 0"/><geom size=".02" pos=".2 0 0"
+mass="1"/></body></worldbody>
 <tendon><fixed name="t"><joint joint="k" coef="1"/></fixed></tendon></mujoco>"""
-#: Fields that MJX decides on when a model is put, here of value zero: (field, index, the share of C's forward difference).
+#: Fields that MJX decides on when a model is put, here of value zero: (field, index, the share of C's forward
+#: difference).
 FIELDS = (("dof_frictionloss", 0, 1.0), ("tendon_frictionloss", 0, 0.5), ("body_gravcomp", 1, 1.0),
           ("opt.density", (), 1.0), ("opt.viscosity", (), 1.0))  # fmt: skip
 
@@ -88,7 +91,9 @@ def test_a_field_that_was_zero_has_its_derivative() -> None:
             changed = device.tree_replace(fields)
             return step(changed, step(changed, start)).qvel
 
-        values, slopes = jax.jit(lambda z: (end(z), jax.jacrev(end)(z)), compiler_options=compiler_options())(jnp.zeros(len(FIELDS)))
+        values, slopes = jax.jit(lambda z: (end(z), jax.jacrev(end)(z)), compiler_options=compiler_options())(
+            jnp.zeros(len(FIELDS))
+        )
     still = in_c("dof_frictionloss", 0, 0.0)
     np.testing.assert_allclose(values, still, atol=1e-12)
     for slope, (field, index, share) in zip(np.asarray(slopes).T, FIELDS, strict=True):
@@ -97,7 +102,8 @@ def test_a_field_that_was_zero_has_its_derivative() -> None:
         np.testing.assert_allclose(slope, share * difference, atol=1e-5 * np.abs(difference).max(), err_msg=field)
 
 
-BOX = """<mujoco><option cone="{}"/><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .05"><freejoint/><geom type="box"
+BOX = """<mujoco><option cone="{}"/><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .05"><freejoint/><geom
+type="box"
 size=".05 .05 .05" mass="1"/></body></worldbody></mujoco>"""
 
 
@@ -105,7 +111,8 @@ size=".05 .05 .05" mass="1"/></body></worldbody></mujoco>"""
 @pytest.mark.parametrize("double", [False, True], ids=["float32", "float64"])
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
-    """Where an acceleration is rounding, no step is small beside it: it made all rounds, and said it had not converged."""
+    """Where an acceleration is rounding, no step is small beside it: it made all rounds, and said it had not
+    converged."""
     with jax.enable_x64(double):
         model = mjx.put_model(mujoco.MjModel.from_xml_string(BOX.format(cone)))
         data = mjx.make_data(model)
@@ -115,14 +122,18 @@ def test_the_solver_is_quick_at_rest(cone: str, double: bool) -> None:
             return (after.qpos, after.qvel, after.qacc_warmstart), rows.solver_rounds(after)
 
         start = data.qpos, data.qvel, data.qacc_warmstart
-        run = jax.jit(lambda state: jax.lax.scan(advance, state, None, length=1000), compiler_options=compiler_options())
+        run = jax.jit(
+            lambda state: jax.lax.scan(advance, state, None, length=1000), compiler_options=compiler_options()
+        )
         (_, velocity, _), rounds = run(start)
     assert np.max(rounds) <= 3
     assert np.abs(velocity).max() < 1e-3
 
 
-SIGHT = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .3"><freejoint/><geom size=".05" mass="1"/><site
-name="d" pos="0 0 -.06" zaxis="0 0 -1"/><site name="u"/></body></worldbody><sensor><rangefinder site="d"/><rangefinder site="u"/>
+SIGHT = """<mujoco><worldbody><geom type="plane" size="3 3 .1"/><body pos="0 0 .3"><freejoint/><geom size=".05"
+mass="1"/><site
+name="d" pos="0 0 -.06" zaxis="0 0 -1"/><site name="u"/></body></worldbody><sensor><rangefinder site="d"/><rangefinder
+site="u"/>
 </sensor></mujoco>"""
 
 
@@ -146,13 +157,22 @@ def _impedances(x: Any) -> Any:
     ])  # fmt: skip
 
 
+RANGE = jnp.array([0.0, 1.0])
 MUSCLE = jnp.array([0.75, 1.05, 10.0, 200.0, 0.5, 1.6, 1.5, 1.3, 1.2])
-#: Functions of MJX and ours that a step is made of, by name: inputs where a norm, a quotient, a power or a root is singular.
+#: Functions of MJX and ours that a step is made of, by name: inputs where a norm, a quotient, a power or a root is
+#: singular.
 SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
-    "rotation vector": (lambda q: jnp.multiply(*math.quat_to_axis_angle(q)), [[1, 0, 0, 0], [-1, 0, 0, 0], [0.6, 0.8, 0, 0]]),
+    "rotation vector": (
+        lambda q: jnp.multiply(*math.quat_to_axis_angle(q)), [[1, 0, 0, 0], [-1, 0, 0, 0], [0.6, 0.8, 0, 0]],
+    ),
     "difference of rotations": (lambda q: math.quat_sub(q[:4], q[4:]), [[1, 0, 0, 0] * 2, [0.6, 0.8, 0, 0] * 2]),
-    "impedance": (_impedances, [[d, 0.01, 0.5] for d in (0.0, 0.005, 0.01, 0.02, -0.01)] + [[0.01, 1e-15, 0.5], [0.02, 0.01, 0.0]]),
-    "tendon's segment": (lambda v: _segment_length(v) * _segment_direction(v, _segment_length(v)), [[0, 0, 0], [1, 0, 0]]),
+    "impedance": (
+        _impedances,
+        [[d, 0.01, 0.5] for d in (0.0, 0.005, 0.01, 0.02, -0.01)] + [[0.01, 1e-15, 0.5], [0.02, 0.01, 0.0]],
+    ),
+    "tendon's segment": (
+        lambda v: _segment_length(v) * _segment_direction(v, _segment_length(v)), [[0, 0, 0], [1, 0, 0]],
+    ),
     "normal": (math.normalize, [[0, 0, 1], [1e-9, 0, 1]]),
     "frame": (math.make_frame, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0.5, 0.75**0.5]]),
     "segments": (
@@ -160,15 +180,22 @@ SINGULAR: dict[str, tuple[Callable[[Any], Any], list[list[float]]]] = {
         [[0, 0, 0, 0, 0, 1, 1, 0, 0, 1, 0, 1], [0, 0, 0, 0, 0, 1] * 2, [0, 0, -1, 0, 0, 1, 1, 0, 0, -1, 0, 0]],
     ),
     "muscle": (
-        lambda x: support.muscle_gain(x[0], x[1], jnp.array([0.0, 1.0]), x[2], MUSCLE) + support.muscle_bias(x[0], jnp.array([0.0, 1.0]), x[2], MUSCLE),
+        lambda x: support.muscle_gain(x[0], x[1], RANGE, x[2], MUSCLE) + support.muscle_bias(x[0], RANGE, x[2], MUSCLE),
         [[length, rate, 1.0] for length in (0.0, 0.5, 0.8333333, 1.0) for rate in (-5.0, 0.0, 1.0)] + [[0.5, 0.0, 0.0]],
     ),
-    "activation": (lambda x: support.muscle_dynamics(x[0], x[1], jnp.array([0.01, 0.04, x[2]])), [[0, 0, 0], [0.4, 0.4, 0.0], [0.4, 0.4, 0.2], [1, 1, 0.2]]),
+    "activation": (
+        lambda x: support.muscle_dynamics(x[0], x[1], jnp.array([0.01, 0.04, x[2]])),
+        [[0, 0, 0], [0.4, 0.4, 0.0], [0.4, 0.4, 0.2], [1, 1, 0.2]],
+    ),
     "arc": (
         lambda x: jnp.concatenate([each.ravel() for each in support.wrap_circle(x[:4], x[4:6], x[6] > 0, x[6])]),
-        [[-2, 1, 2, 1, 0, 1, 1], [2, 0, 2, 0, 0, 1, 1], [-2, 0, 2, 0, 0, 1, 1], [-2, 0, 2, 0, 0, 1, 0], [0.5, 0, 2, 0, 0, 1, 1]],
+        [[*ends, 0, 1, radius] for *ends, radius in
+         ([-2, 1, 2, 1, 1], [2, 0, 2, 0, 1], [-2, 0, 2, 0, 1], [-2, 0, 2, 0, 0], [0.5, 0, 2, 0, 1])],
     ),
-    "cylinder": (lambda x: collision_sdf._cylinder(x[:3], x[3:]), [[0, 0, 0, 1, 2, 0], [1, 0, 2, 1, 2, 0], [0, 0, 3, 1, 2, 0], [1, 0, 0, 1, 2, 0]]),
+    "cylinder": (
+        lambda x: collision_sdf._cylinder(x[:3], x[3:]),
+        [[*point, 1, 2, 0] for point in ([0, 0, 0], [1, 0, 2], [0, 0, 3], [1, 0, 0])],
+    ),
     "drag's box": (lambda x: jnp.abs(x) * x, [[0, 0, 0]]),
 }  # fmt: skip
 
@@ -187,4 +214,6 @@ def test_a_singular_input_has_a_finite_derivative(name: str) -> None:
             assert np.isfinite(ahead).all(), point
             np.testing.assert_allclose(back, ahead, rtol=1e-9, atol=1e-12, err_msg=str(point))
             if name in ("rotation vector", "tendon's segment") and point[:3] in ([1, 0, 0], [0, 0, 0]):
-                np.testing.assert_allclose(ahead[:, -3:], 2 * np.eye(3) if name == "rotation vector" else np.eye(3), atol=1e-9)
+                np.testing.assert_allclose(
+                    ahead[:, -3:], 2 * np.eye(3) if name == "rotation vector" else np.eye(3), atol=1e-9
+                )

@@ -10,7 +10,8 @@ import numpy as np
 
 #: Fields that say which elements have a feature, by what is said of it; an element has it where its entry is not zero.
 FEATURES: Final[dict[str, tuple[tuple[str, str], ...]]] = {
-    "has a delay, and MJX keeps no history: set delay to 0": (("actuator", "actuator_delay"), ("sensor", "sensor_delay")),
+    "has a delay, and MJX keeps no history: set delay to "
+    "0": (("actuator", "actuator_delay"), ("sensor", "sensor_delay")),
     "is read at an interval, and MJX keeps no history: remove interval": (("sensor", "sensor_interval"),),
     "has a surface velocity: remove surfacevel": (("geom", "geom_surfacevel"),),
     "is adhesive: set adhesion to 0": (("geom", "geom_adhesion"), ("pair", "pair_adhesion")),
@@ -67,7 +68,8 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
         yield f"noslip_iterations is {model.opt.noslip_iterations}: set it to 0"
     if np.any(model.sensor_type == mujoco.mjtSensor.mjSENS_RANGEFINDER):
         for index in np.flatnonzero(np.isin(model.geom_type, UNSEEN)):
-            yield f"{named(model, 'geom', index)} is not seen by rangefinders: allowed are shapes other than cylinder, hfield, sdf"
+            yield f"{named(model, 'geom', index)} is not seen by rangefinders: allowed are shapes other than "
+            "cylinder, hfield, sdf"
 
 
 def named(model: mujoco.MjModel, kind: str, index: Any) -> str:

@@ -1,7 +1,8 @@
 """Constraint rows whose derivative is finite, by the impedance as well.
 
 MJX computes an impedance as powers of x, the violation over `width`, and of 1 - x, and selects afterwards. Beyond the
-width the latter is a negative number to an exponent that is data: NaN unless it is an integer, and its derivative by the
+width the latter is a negative number to an exponent that is data: NaN unless it is an integer, and its derivative by
+the
 exponent is NaN anyway; a NaN times zero is a NaN. Here both are computed within their ranges.
 """
 
@@ -13,7 +14,7 @@ from mujoco import mjMAXIMP, mjMINIMP, mjMINVAL
 
 from nermo_mjx.dynamics import rows
 from nermo_mjx.dynamics.mjx_import import Model, mjx
-from nermo_mjx.shapes import Scalar
+from nermo_mjx.shapes import Array, Scalar
 
 
 def make_constraint(model: Model, data: mjx.Data) -> mjx.Data:

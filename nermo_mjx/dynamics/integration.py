@@ -4,7 +4,8 @@ MJX normalises the angular velocity to turn a quaternion. Its safe norm is const
 at rest would keep its orientation under any torque. The positions are integrated here instead, with the
 exponential map, whose derivative is smooth; the values are the same to rounding.
 
-`implicitfast` is that of MuJoCo C: forces at their limits, muscles, polynomial dampers and drag have their derivatives by
+`implicitfast` is that of MuJoCo C: forces at their limits, muscles, polynomial dampers and drag have their derivatives
+by
 velocity, and a free body without children that of its gyroscopic forces.
 """
 
@@ -81,14 +82,14 @@ def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
     both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
     if model.opt._impl.has_fluid_params and model.opt.disableflags & both != both:
         slope += drag_slope(model, data)
-    stored = np.zeros((model.nv, model.nv), bool)
-    stored[np.repeat(np.arange(model.nv), model.M_rownnz), np.asarray(model.M_colind)] = True
-    matrix = mjx.full_m(model, data) - model.opt.timestep * jnp.where(stored | stored.T, slope, 0.0)
+    matrix = mjx.full_m(model, data) - model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0)
     force = data.qfrc_smooth + data.qfrc_constraint
     qacc = solve_definite(matrix, force)
     for body, first in _lone_bodies(model):
         of = slice(first, first + 6)
-        turned = jax.jacfwd(lambda turn, body=body: _lone_bias(model, data, body, turn))(data.qvel[first + 3 : first + 6])
+        turned = jax.jacfwd(lambda turn, body=body: _lone_bias(model, data, body, turn))(
+            data.qvel[first + 3 : first + 6]
+        )
         own = matrix[of, of] + model.opt.timestep * jnp.concatenate([jnp.zeros((6, 3), turned.dtype), turned], 1)
         qacc = qacc.at[of].set(jnp.linalg.solve(own, force[of]))
     return qacc

@@ -19,7 +19,7 @@ with contextlib.redirect_stdout(standard_io.StringIO()):
 __all__ = ["Model", "mjx"]
 
 
-class Model(mjx.Model):  # type: ignore[misc]
+class Model(mjx.Model):
     """A model of MJX with more of MuJoCo's fields, of the same names and shapes.
 
     Attributes:
@@ -30,7 +30,7 @@ class Model(mjx.Model):  # type: ignore[misc]
     actuator_armature: jax.Array
     actuator_damping: jax.Array
     actuator_dampingpoly: jax.Array
-    not_simulated: tuple  # type: ignore[type-arg]
+    not_simulated: tuple[str, ...]
 
 
 _put = io._put_model_jax

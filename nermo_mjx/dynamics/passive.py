@@ -66,7 +66,7 @@ def drag_slope(model: Model, data: mjx.Data) -> Float[Array, "nv nv"]:
 
 
 def _share(poly: Float[Array, "n k"], x: Float[Array, " n"]) -> Float[Array, " n"]:
-    return sum(poly[:, k] * x ** (k + 1) for k in range(poly.shape[1]))
+    return jnp.sum(poly * x[:, None] ** np.arange(1, poly.shape[1] + 1), axis=1)
 
 
 def _joint_springs(model: Model, qpos: Float[Array, " nq"]) -> Dofs:

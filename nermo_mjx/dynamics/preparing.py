@@ -28,7 +28,8 @@ def is_zero(array: Array | np.ndarray) -> bool:
 
 
 def prepared(model: Model) -> Model:
-    """The model with the springs, dampers and inertias of its actuators, and with static flags that hold for its values.
+    """The model with the springs, dampers and inertias of its actuators, and with static flags that hold for its
+    values.
 
     Raises:
         ValueError: something of the model is not simulated.
@@ -38,7 +39,8 @@ def prepared(model: Model) -> Model:
         raise ValueError(model.not_simulated[0] + (f" There are {others} more, see not_simulated." if others else ""))
     if mujoco.__version__ >= "4" and _has_side_sites(model):
         warnings.warn(
-            "a tendon has a side site: MuJoCo 4 leads it past its geom by another rule than MuJoCo 3, which MJX and the "
+            "a tendon has a side site: MuJoCo 4 leads it past its geom by another rule than MuJoCo 3, which MJX "
+            "and the "
             "step follow; compare ten_length.", stacklevel=3,
         )  # fmt: skip
     changes = _of_actuators(model) | _flags(model)
@@ -88,7 +90,8 @@ def _flags(model: Model) -> dict[str, Any]:
         elif np.any((np.asarray(loss) != 0) & ~getattr(model._impl, name)):
             changes[f"_impl.{name}"] = np.asarray(loss) != 0
     if isinstance(model.tendon_frictionloss, jax.core.Tracer):
-        # MuJoCo C has no row where it is negative, as it has for a joint: at 0 the derivative is the mean of both sides.
+        # MuJoCo C has no row where it is negative, as it has for a joint: at 0 the derivative is the mean of both
+        # sides.
         changes["tendon_frictionloss"] = jnp.maximum(model.tendon_frictionloss, 0.0)
     if not (model.flg_gravcomp or is_zero(model.body_gravcomp)):
         changes["flg_gravcomp"] = True

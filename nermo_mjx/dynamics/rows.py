@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Dofs, Efc
@@ -139,6 +139,25 @@ def with_joint_inertia(model: mjx.Model, data: mjx.Data, lower: Float[Array, "nv
         matrix = half + jnp.tril(half, -1).T
     changed: mjx.Data = data.tree_replace({"_impl.M": matrix})
     return changed
+
+
+def with_tendon_inertia(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Data with the tendons' armatures in its inertia, as in MuJoCo C not between joints of different branches."""
+    inner: Any = data._impl
+    added = inner.ten_J.T @ (model.tendon_armature[:, None] * inner.ten_J)
+    if inner.M.ndim == 1:
+        added = added[np.repeat(np.arange(model.nv), model.M_rownnz), np.asarray(model.M_colind)]
+    else:
+        added = jnp.where(within_branches(model), added, 0.0)
+    changed: mjx.Data = data.tree_replace({"_impl.M": inner.M + added})
+    return changed
+
+
+def within_branches(model: mjx.Model) -> Bool[np.ndarray, "nv nv"]:
+    """The entries of a joint-space inertia matrix: those of two joints of which one is an ancestor of the other."""
+    stored = np.zeros((model.nv, model.nv), bool)
+    stored[np.repeat(np.arange(model.nv), model.M_rownnz), np.asarray(model.M_colind)] = True
+    return stored | stored.T
 
 
 def with_velocities(data: mjx.Data) -> mjx.Data:

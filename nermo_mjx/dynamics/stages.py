@@ -22,7 +22,7 @@ def position(model: Model, data: mjx.Data) -> mjx.Data:
     data = mjx.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
     data = tree.crb(model, mjx.tendon(model, data))
     if not is_zero(model.tendon_armature):
-        data = mjx.tendon_armature(model, data)
+        data = rows.with_tendon_inertia(model, data)
     if model.opt.solver == mjx.SolverType.CG:  # Newton's method never reads the factors
         data = mjx.factor_m(model, data)
     return mjx.transmission(model, make_constraint(model, mjx.collision(model, data)))
