@@ -6,12 +6,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 import pytest
 from mujoco.mjx._src import io
 
-from nermo_mjx.dynamics import forward, mjx_import, not_simulated, step
+from nermo_mjx.dynamics import fitted, forward, mjx_import, not_simulated, step
 from nermo_mjx.dynamics.mjx_import import Model, mjx
 
 #: Fields of MuJoCo's model that MJX's lacks, or that no line of MJX reads, and that our code brings back.
@@ -116,8 +118,8 @@ def model_of(inside: str, rest: str = "", option: str = "") -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_string(f"<mujoco>{option}<worldbody>{inside}</worldbody>{rest}</mujoco>")
 
 
-PID = '<extension><plugin plugin="mujoco.pid"><instance name="p"><config key="kp" '
-'value="10"/></instance></plugin></extension>'
+PID = """<extension><plugin plugin="mujoco.pid"><instance name="p"><config key="kp" value="10"/></instance></plugin>
+</extension>"""
 CABLE = '<extension><plugin plugin="mujoco.elasticity.cable"/></extension>'
 ROPE = """<composite prefix="c" type="cable" curve="s" count="4 1 1" size="1" initial="none"><plugin
 plugin="mujoco.elasticity.cable"><config key="twist" value="1e7"/><config key="bend" value="4e6"/></plugin><joint
@@ -186,3 +188,68 @@ def test_a_model_that_was_put_before_is_refused() -> None:
     assert isinstance(io.put_model(model_of(HINGE)), Model)
     with pytest.raises(ValueError, match=r"^the model was put before nermo_mjx was imported.*: put it again"):
         step(early, mjx.make_data(early))
+
+
+SMALL = """<mujoco><option solver="PGS" noslip_iterations="2"><flag energy="enable"/></option><asset><mesh name="m"
+vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody><geom name="f" type="box" size="1 1 .1"/><body pos="0 0 .3">
+<freejoint/><geom name="can" type="cylinder" size=".1 .2"/></body><body pos="1 0 .3"><freejoint/><geom name="egg" type="ellipsoid"
+size=".1 .3 .05"/></body><body pos="2 0 .3"><freejoint/><geom name="rock" type="mesh" mesh="m" margin=".01"/></body>
+</worldbody></mujoco>"""
+
+
+def test_a_model_is_made_fit_for_mjx() -> None:
+    """Each change is named, the model that was given stays as it is, and so do masses and what nobody collides with."""
+    model = mujoco.MjModel.from_xml_string(SMALL)
+    ours, changes = fitted(model)
+    said = "\n".join(changes)
+    for part in ("solver is Newton, no PGS", "flag energy is disabled", "noslip_iterations is 0, no 2",
+                 "geom 'can' is a capsule, no cylinder: MJX cannot collide it with geom 'f'",
+                 "geom 'egg' is a capsule, no ellipsoid",
+                 "margin of geom 'rock' is 0, no 0.01"):  # fmt: skip
+        assert part in said
+    assert len(changes) == 6
+    assert model.geom("can").type == mujoco.mjtGeom.mjGEOM_CYLINDER
+    np.testing.assert_array_equal(ours.body_inertia, model.body_inertia)
+    np.testing.assert_allclose(ours.geom("can").size[:2], [0.1, 0.1])
+    # The longest axis of the ellipsoid is its y.
+    axis = np.zeros(9)
+    mujoco.mju_quat2Mat(axis, ours.geom("egg").quat)
+    assert abs(axis.reshape(3, 3)[1, 2]) == pytest.approx(1.0)
+    assert ours.geom("egg").size[:2].sum() == pytest.approx(0.3)
+    assert fitted(ours)[1] == []
+
+
+def test_what_cannot_be_made_fit_is_said() -> None:
+    model = model_of(HINGE, '<actuator><adhesion body="b" ctrlrange="0 1" gain="1"/></actuator>')
+    with pytest.raises(ValueError, match=r"^MJX refuses the model also after 0 changes: .*mjTRN_BODY"):
+        fitted(model)
+
+
+#: Models that MJX refuses as they are; they come with `pip install dm_control`.
+ANIMALS = (
+    "locomotion/walkers/assets/rodent.xml",
+    "locomotion/walkers/assets/dog_v2/dog.xml",
+    "suite/dog.xml",
+    "suite/fish.xml",
+)
+
+
+@pytest.mark.long
+def test_animals_are_made_fit_for_mjx() -> None:
+    """They are put, and the fish, which touches nothing, moves as in C."""
+    home = Path(
+        pytest.importorskip("dm_control", reason="needs the models of dm_control: pip install dm_control").__file__
+    ).parent
+    for path in ANIMALS:
+        model = mujoco.MjModel.from_xml_path(str(home / path))
+        with pytest.raises(NotImplementedError):
+            mjx.put_model(model)
+        ours, changes = fitted(model)
+        assert changes
+        assert not_simulated(ours) == []
+    data = mujoco.MjData(ours)
+    device = mjx.put_model(ours)
+    after = jax.jit(step)(device, mjx.make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
+    data.ctrl[:] = 0.3
+    mujoco.mj_step(ours, data)
+    np.testing.assert_allclose(after.qvel, data.qvel, atol=1e-5)
