@@ -190,11 +190,11 @@ def test_a_model_that_was_put_before_is_refused() -> None:
         step(early, mjx.make_data(early))
 
 
-SMALL = """<mujoco><option solver="PGS" noslip_iterations="2"><flag energy="enable"/></option><asset><mesh name="m"
-vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody><geom name="f" type="box" size="1 1 .1"/><body pos="0 0 .3">
-<freejoint/><geom name="can" type="cylinder" size=".1 .2"/></body><body pos="1 0 .3"><freejoint/><geom name="egg" type="ellipsoid"
-size=".1 .3 .05"/></body><body pos="2 0 .3"><freejoint/><geom name="rock" type="mesh" mesh="m" margin=".01"/></body>
-</worldbody></mujoco>"""
+SMALL = """<mujoco><option solver="PGS" noslip_iterations="2"><flag energy="enable"/></option><asset>
+<mesh name="m" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody><geom name="f" type="box" size="1 1 .1"/>
+<body pos="0 0 .3"><freejoint/><geom name="can" type="cylinder" size=".1 .2"/></body>
+<body pos="1 0 .3"><freejoint/><geom name="egg" type="ellipsoid" size=".1 .3 .05"/></body>
+<body pos="2 0 .3"><freejoint/><geom name="rock" type="mesh" mesh="m" margin=".01"/></body></worldbody></mujoco>"""
 
 
 def test_a_model_is_made_fit_for_mjx() -> None:
