@@ -28,8 +28,10 @@ STAGES = {
     "step": ["forward", "euler", "rungekutta4", "implicit"],
 }  # fmt: skip
 #: What stands in place of it here, under names of its own; `passive` and `rne` do not see each other.
-OURS = {"fwd_position": stages.position, "fwd_velocity": stages.velocity, "forward": differentiable.forward}
-RENAMED = {f"fwd_{name}": name for name in ("position", "velocity", "actuation", "acceleration")}
+OURS = {"fwd_position": stages.position, "fwd_velocity": stages.velocity, "forward": differentiable._forward}
+RENAMED = {f"fwd_{name}": name for name in ("position", "velocity", "actuation", "acceleration")} | {
+    "tendon_armature": "with_tendon_inertia"
+}
 UNORDERED = {"passive", "rne"}
 
 

@@ -11,7 +11,7 @@ Constraint model").
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,11 +21,21 @@ from jaxtyping import Float, Int
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Dofs, Efc
 
+#: Multiple of a number's precision that sums of some dozens of terms lose.
+ROUNDING: Final = 4.0
+
 
 def gradient(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
     """g(a), zero at the solution."""
     force = forces(layout, problem, residual(problem, qacc))
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
+
+
+def rounding(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
+    """The size of g(a) that is left where it should vanish: the rounding of its terms."""
+    force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
+    terms = jnp.abs(problem.inertia) @ jnp.abs(qacc) + jnp.abs(problem.smooth) + jnp.abs(problem.jacobian).T @ force
+    return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 
 def hessian(layout: Layout, problem: Problem, qacc: Dofs) -> Float[Array, "nv nv"]:
@@ -57,7 +67,7 @@ def forces(layout: Layout, problem: Problem, residual: Efc) -> Efc:
     """
     springs, loss = _simple(layout, problem, residual)
     spring = -problem.stiffness * residual
-    simple = jnp.where(springs, spring, jnp.clip(spring, -loss, loss))
+    simple = jnp.where(springs, spring, jnp.sign(spring) * loss)
     parts = [simple[: _first_cone(layout, residual)]]
     parts += [jax.vmap(_cone)(*contact).ravel() for _, _, *contact in _contacts(layout, problem, residual)]
     return jnp.concatenate(parts)
@@ -77,9 +87,8 @@ def _simple(layout: Layout, problem: Problem, residual: Efc) -> tuple[Array, Arr
     """For rows outside cones: whether each is a spring, and otherwise its constant force in either direction."""
     row = np.arange(residual.shape[0])
     dry = (row >= layout.equality) & (row < layout.equality + layout.frictionloss)
-    # MuJoCo treats a row of dry friction without loss, which a batch may contain, as a spring.
     loss = jnp.where(dry, problem.frictionloss, 0.0)
-    holds = (loss <= 0.0) | (jnp.abs(problem.stiffness * residual) < loss)
+    holds = (row < layout.equality) | (jnp.abs(problem.stiffness * residual) < loss)
     return jnp.where(row < layout.equality + layout.frictionloss, holds, residual < 0.0), loss
 
 

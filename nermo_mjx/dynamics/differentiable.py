@@ -26,8 +26,9 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from nermo_mjx.dynamics import constraint, rows, solver, stages
 from nermo_mjx.dynamics.checkpointing import KEPT
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import Model, mjx
 from nermo_mjx.dynamics.precision import full_precision
+from nermo_mjx.dynamics.preparing import prepared
 from nermo_mjx.dynamics.rows import Layout, Problem
 from nermo_mjx.shapes import Array, Dofs
 
@@ -60,7 +61,8 @@ def step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     Raises:
         ValueError: a model or data of another kind, an integrator that MJX lacks, a model without joints, a batch.
     """
-    after = integrate(model, forward(model, data), forward)
+    model = _checked(model, data)
+    after = integrate(model, _forward(model, data), _forward)
     return after.replace(qacc_warmstart=jax.lax.stop_gradient(after.qacc_warmstart))
 
 
@@ -74,15 +76,18 @@ def forward(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     Raises:
         ValueError: as `step`.
     """
-    _check(model, data)
+    return _forward(_checked(model, data), data)
+
+
+def _forward(model: Model, data: mjx.Data) -> mjx.Data:
     data = mjx.sensor_pos(model, stages.position(model, data))
     data = mjx.sensor_vel(model, stages.velocity(model, data))
     data = stages.acceleration(model, stages.actuation(model, data))
     return mjx.sensor_acc(model, solve(model, data))
 
 
-def _check(model: mjx.Model, data: mjx.Data) -> None:
-    """Reject, at trace time, inputs that would fail deep inside MJX."""
+def _checked(model: mjx.Model, data: mjx.Data) -> Model:
+    """The model as the stages take it. Rejects, at trace time, what is not simulated or would fail deep inside MJX."""
     for name, given, kind, maker in (
         ("model", model, mjx.Model, "mjx.put_model"), ("data", data, mjx.Data, "mjx.make_data or mjx.put_data"),
     ):  # fmt: skip
@@ -104,6 +109,12 @@ def _check(model: mjx.Model, data: mjx.Data) -> None:
             raise ValueError(
                 f"{name} has the shape {shape}: allowed is {(size,)}, that of one world; use jax.vmap for a batch."
             )
+    if not isinstance(model, Model):
+        raise ValueError(
+            "the model was put before nermo_mjx was imported, and MJX does not say what it has left out: "
+            "put it again, with mjx.put_model."
+        )
+    return prepared(model)
 
 
 def solve(model: mjx.Model, data: mjx.Data) -> mjx.Data:

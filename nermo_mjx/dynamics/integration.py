@@ -1,8 +1,12 @@
-"""MJX's integrators with derivatives that are also correct for a body that does not rotate.
+"""MuJoCo's integrators with derivatives that are also correct for a body that does not rotate.
 
 MJX normalises the angular velocity to turn a quaternion. Its safe norm is constant at zero, so in the derivative a body
 at rest would keep its orientation under any torque. The positions are integrated here instead, with the
 exponential map, whose derivative is smooth; the values are the same to rounding.
+
+`implicitfast` is that of MuJoCo C: forces at their limits, muscles, polynomial dampers and drag have their derivatives
+by
+velocity, and a free body without children that of its gyroscopic forces.
 """
 
 from __future__ import annotations
@@ -15,8 +19,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from nermo_mjx.dynamics import rows, spatial
+from nermo_mjx.dynamics.actuation import force_slopes
+from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.linear import solve_definite
-from nermo_mjx.dynamics.mjx_import import mjx
+from nermo_mjx.dynamics.mjx_import import Model, mjx
+from nermo_mjx.dynamics.passive import damping, drag_slope
 from nermo_mjx.shapes import Array, Dofs
 
 #: Integrators that `integrate` supports; MJX's enumeration also has DISCRETE, with which it cannot step.
@@ -41,11 +49,9 @@ def integrate(model: mjx.Model, data: mjx.Data, forward: Forward) -> mjx.Data:
     """
     if model.opt.integrator == mjx.IntegratorType.RK4:
         return _runge_kutta(model, data, forward)
-    if model.opt.integrator == mjx.IntegratorType.EULER:
-        after, qacc = mjx.euler(model, data), _damped_acceleration(model, data)
-        after = after.replace(qvel=data.qvel + model.opt.timestep * qacc)
-    else:
-        after = mjx.implicit(model, data)
+    accelerate = _damped_acceleration if model.opt.integrator == mjx.IntegratorType.EULER else _implicit_acceleration
+    after, qacc = mjx.euler(model, data), accelerate(model, data)
+    after = after.replace(qvel=data.qvel + model.opt.timestep * qacc)
     return after.replace(qpos=positions(model, data.qpos, model.opt.timestep * after.qvel))
 
 
@@ -54,8 +60,57 @@ def _damped_acceleration(model: mjx.Model, data: mjx.Data) -> Dofs:
     if model.opt.disableflags & mjx.DisableBit.EULERDAMP:
         qacc: Array = data.qacc
         return qacc
-    matrix = mjx.full_m(model, data) + jnp.diag(model.opt.timestep * model.dof_damping)
+    slope = damping(model.dof_damping, model.dof_dampingpoly, data.qvel)
+    matrix = mjx.full_m(model, data) + jnp.diag(model.opt.timestep * slope)
     return solve_definite(matrix, data.qfrc_smooth + data.qfrc_constraint)
+
+
+@with_point_jacobians
+def _implicit_acceleration(model: Model, data: mjx.Data) -> Dofs:
+    """Acceleration implicit in velocity: (M - h D) a = q + J^T f, D the derivative of q by v, without that of the bias.
+
+    D has the entries of the tree's inertia matrix only, as in MuJoCo C.
+    """
+    slope = -jnp.diag(damping(model.dof_damping, model.dof_dampingpoly, data.qvel))
+    if model.ntendon:
+        arms = rows.tendon_jacobian(data)
+        held = damping(model.tendon_damping, model.tendon_dampingpoly, rows.tendon_velocity(data))
+        slope -= arms.T @ (held[:, None] * arms)
+    if model.nu and not model.opt.disableflags & mjx.DisableBit.ACTUATION:
+        moment = rows.actuator_moment(data)
+        slope += moment.T @ (force_slopes(model, data)[:, None] * moment)
+    both = mjx.DisableBit.SPRING | mjx.DisableBit.DAMPER
+    if model.opt._impl.has_fluid_params and model.opt.disableflags & both != both:
+        slope += drag_slope(model, data)
+    matrix = mjx.full_m(model, data) - model.opt.timestep * jnp.where(rows.within_branches(model), slope, 0.0)
+    force = data.qfrc_smooth + data.qfrc_constraint
+    qacc = solve_definite(matrix, force)
+    for body, first in _lone_bodies(model):
+        of = slice(first, first + 6)
+        turned = jax.jacfwd(lambda turn, body=body: _lone_bias(model, data, body, turn))(
+            data.qvel[first + 3 : first + 6]
+        )
+        own = matrix[of, of] + model.opt.timestep * jnp.concatenate([jnp.zeros((6, 3), turned.dtype), turned], 1)
+        qacc = qacc.at[of].set(jnp.linalg.solve(own, force[of]))
+    return qacc
+
+
+def _lone_bodies(model: Model) -> list[tuple[int, int]]:
+    """Bodies with a free joint alone and without children, and the first degree of freedom of each."""
+    parents, bodies = np.asarray(model.body_parentid), np.asarray(model.jnt_bodyid)
+    return [
+        (int(body), int(model.jnt_dofadr[joint])) for joint, body in enumerate(bodies)
+        if model.jnt_type[joint] == mjx.JointType.FREE and np.sum(bodies == body) == 1 and body not in parents
+    ]  # fmt: skip
+
+
+def _lone_bias(model: Model, data: mjx.Data, body: int, turn: Float[Array, " 3"]) -> Float[Array, " 6"]:
+    """Bias force of a free body at an angular velocity in its frame, without gravity."""
+    axes, own = data.ximat[body], data.xmat[body]
+    rate, offset = own @ turn, data.xipos[body] - data.xpos[body]
+    force = model.body_mass[body] * spatial.cross(rate, spatial.cross(rate, offset))
+    torque = spatial.cross(rate, axes @ (model.body_inertia[body] * (axes.T @ rate)))
+    return jnp.concatenate([force, own.T @ (spatial.cross(offset, force) + torque)])
 
 
 def _runge_kutta(model: mjx.Model, start: mjx.Data, forward: Forward) -> mjx.Data:

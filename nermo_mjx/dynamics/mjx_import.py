@@ -1,9 +1,47 @@
-"""MJX, imported once and quietly: on import it prints to stdout that warp is missing, which would spoil `--json`."""
+"""MJX, imported once and quietly: on import it prints to stdout that warp is missing, which would spoil `--json`.
 
+A model put after this import also has what MJX leaves out and the step brings back, and says what the step does not.
+"""
+
+# No `from __future__ import annotations`: MJX reads the types of a class's fields.
 import contextlib
-import io
+import io as standard_io
 
-with contextlib.redirect_stdout(io.StringIO()):
+import jax
+import mujoco
+
+from nermo_mjx.dynamics.coverage import not_simulated
+
+with contextlib.redirect_stdout(standard_io.StringIO()):
     from mujoco import mjx
+    from mujoco.mjx._src import io
 
-__all__ = ["mjx"]
+__all__ = ["Model", "mjx"]
+
+
+class Model(mjx.Model):
+    """A model of MJX with more of MuJoCo's fields, of the same names and shapes.
+
+    Attributes:
+        actuator_armature, actuator_damping, actuator_dampingpoly: that actuators give their joints and tendons.
+        not_simulated: what the step leaves out, see `coverage.not_simulated`.
+    """
+
+    actuator_armature: jax.Array
+    actuator_damping: jax.Array
+    actuator_dampingpoly: jax.Array
+    not_simulated: tuple[str, ...]
+
+
+_put = io._put_model_jax
+
+
+def _put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model:
+    """As MJX's `_put_model_jax`, which every `mjx.put_model` calls."""
+    ours = _put(model, device)
+    fields = {field.name: getattr(ours, field.name) for field in mjx.Model.fields()}
+    more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}
+    return Model(**fields, **jax.device_put(more, device), not_simulated=tuple(not_simulated(model)))
+
+
+io._put_model_jax = _put_model

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.shapes import Array, Dofs, Efc
@@ -55,21 +55,6 @@ class Problem(NamedTuple):
     cone: Float[Array, "ncone 6"]
 
 
-class ContactRows(NamedTuple):
-    """The inputs of the contacts' rows, the last n rows of the problem.
-
-    Attributes:
-        distance: of the contact, less its margin; negative when it touches [m].
-        pushes: whether the row acts on the distance, which the friction rows of an elliptic cone do not.
-        solref, solimp: of the row, as MuJoCo's XML has them.
-    """
-
-    distance: Float[Array, " n"]
-    pushes: np.ndarray
-    solref: Float[Array, "n 2"]
-    solimp: Float[Array, "n 5"]
-
-
 def is_unconstrained(data: mjx.Data) -> bool:
     """Whether the model has no constraint rows at all."""
     rows: Any = data._impl
@@ -90,7 +75,7 @@ def read(model: mjx.Model, data: mjx.Data) -> tuple[Layout, Problem]:
     cones = tuple((int(dim), int(count)) for dim, count in zip(*np.unique(chosen, return_counts=True), strict=True))
     friction = contact.friction[len(dims) - len(chosen) :]
     mu = friction[:, :1] / jnp.sqrt(model.opt.impratio)
-    return Layout(int(rows.ne), int(rows.nf), cones), Problem(
+    return Layout(*_counts(model), cones), Problem(
         inertia=mjx.full_m(model, data), smooth=data.qfrc_smooth, jacobian=rows.efc_J, aref=rows.efc_aref,
         stiffness=rows.efc_D, frictionloss=rows.efc_frictionloss, cone=jnp.concatenate([mu, friction], axis=1),
     )  # fmt: skip
@@ -100,6 +85,20 @@ def tendon_jacobian(data: mjx.Data) -> Float[Array, "ntendon nv"]:
     """How the tendons' lengths change with each velocity."""
     inner: Any = data._impl
     found: Array = inner.ten_J
+    return found
+
+
+def tendon_velocity(data: mjx.Data) -> Float[Array, " ntendon"]:
+    """Rates of change of the tendons' lengths."""
+    inner: Any = data._impl
+    found: Array = inner.ten_velocity
+    return found
+
+
+def actuator_velocity(data: mjx.Data) -> Float[Array, " nu"]:
+    """Rates of change of the actuators' lengths."""
+    inner: Any = data._impl
+    found: Array = inner.actuator_velocity
     return found
 
 
@@ -142,6 +141,25 @@ def with_joint_inertia(model: mjx.Model, data: mjx.Data, lower: Float[Array, "nv
     return changed
 
 
+def with_tendon_inertia(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """Data with the tendons' armatures in its inertia, as in MuJoCo C not between joints of different branches."""
+    inner: Any = data._impl
+    added = inner.ten_J.T @ (model.tendon_armature[:, None] * inner.ten_J)
+    if inner.M.ndim == 1:
+        added = added[np.repeat(np.arange(model.nv), model.M_rownnz), np.asarray(model.M_colind)]
+    else:
+        added = jnp.where(within_branches(model), added, 0.0)
+    changed: mjx.Data = data.tree_replace({"_impl.M": inner.M + added})
+    return changed
+
+
+def within_branches(model: mjx.Model) -> Bool[np.ndarray, "nv nv"]:
+    """The entries of a joint-space inertia matrix: those of two joints of which one is an ancestor of the other."""
+    stored = np.zeros((model.nv, model.nv), bool)
+    stored[np.repeat(np.arange(model.nv), model.M_rownnz), np.asarray(model.M_colind)] = True
+    return stored | stored.T
+
+
 def with_velocities(data: mjx.Data) -> mjx.Data:
     """Data with the rates of change of its actuators' and tendons' lengths, the first part of `mjx.fwd_velocity`."""
     inner: Any = data._impl
@@ -167,23 +185,6 @@ def solver_rounds(data: mjx.Data) -> Array:
     return rounds
 
 
-def contact_rows(model: mjx.Model, data: mjx.Data) -> ContactRows | None:
-    """The rows of all contacts, after collision; None where the model has none."""
-    rows: Any = data._impl
-    contact, dims = _in_row_order(rows.contact)
-    if not len(dims):
-        return None
-    counts = np.where(dims == 1, 1, dims if _elliptic(model) else 2 * (dims - 1))
-    owner = np.repeat(np.arange(len(dims)), counts)
-    offset = np.concatenate([np.arange(count) for count in counts])
-    pushes = (offset == 0) | (not _elliptic(model))
-    given = ~pushes[:, None] & jnp.any(contact.solreffriction[owner] != 0.0, axis=1, keepdims=True)
-    return ContactRows(
-        distance=(contact.dist - contact.includemargin)[owner], pushes=pushes,
-        solref=jnp.where(given, contact.solreffriction[owner], contact.solref[owner]), solimp=contact.solimp[owner],
-    )  # fmt: skip
-
-
 def with_contact_solimp(data: mjx.Data, solimp: Array) -> mjx.Data:
     """Data with other impedances of its contacts, (ncon, 5)."""
     changed: mjx.Data = data.tree_replace({"_impl.contact.solimp": solimp})
@@ -207,6 +208,26 @@ def with_row_arrays(data: mjx.Data, stiffness: Array, aref: Array) -> mjx.Data:
     """Data with another D and aref of its rows."""
     changed: mjx.Data = data.tree_replace({"_impl.efc_D": stiffness, "_impl.efc_aref": aref})
     return changed
+
+
+def with_addresses(data: mjx.Data) -> mjx.Data:
+    """Data after its rows were made, with its contacts' addresses among them, which follow all other rows."""
+    rows: Any = data._impl
+    more = len(rows.efc_J) - rows.nefc
+    if not (more and rows.ncon and len(rows.efc_J)):
+        return data
+    changed: mjx.Data = data.tree_replace({"_impl.contact.efc_address": rows.contact.efc_address + more})
+    return changed
+
+
+def _counts(model: mjx.Model) -> tuple[int, int]:
+    """Numbers of rows of equalities and of dry friction."""
+    kinds, off = np.asarray(model.eq_type), model.opt.disableflags
+    sizes = {mjx.EqType.CONNECT: 3, mjx.EqType.WELD: 6}
+    equality = sum(sizes.get(mjx.EqType(kind), 1) for kind in kinds)
+    inner: Any = model._impl
+    dry = int(inner.dof_hasfrictionloss.sum() + inner.tendon_hasfrictionloss.sum())
+    return equality * (not off & mjx.DisableBit.EQUALITY), dry * (not off & mjx.DisableBit.FRICTIONLOSS)
 
 
 def _in_row_order(contact: Any) -> tuple[Any, np.ndarray]:

@@ -101,6 +101,9 @@ def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, 
     # the way: beyond the change the next step may be longer. A world with NaNs, which compare as false, need not
     # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
+    # At rest the acceleration itself is rounding, and no step is small beside it.
+    weight = 1.0 / jnp.diagonal(problem.inertia)
+    small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, qacc) ** 2
     full = small | (slopes[-1] <= -ACCEPTED * before)
     return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
 

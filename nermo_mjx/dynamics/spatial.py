@@ -68,6 +68,24 @@ def normalized(q: Quaternion) -> Quaternion:
     return jnp.where(is_zero, none, q / jnp.sqrt(jnp.where(is_zero, 1.0, square)))
 
 
+def rotation_vector(q: Quaternion) -> Vector:
+    """The rotation vector of a unit quaternion, of at most half a turn [rad]; it has a derivative at the identity."""
+    w, u = q[..., :1], q[..., 1:]
+    square = jnp.sum(u * u, -1, keepdims=True)
+    small = square < 1e-8
+    sine = jnp.sqrt(jnp.where(small, 1.0, square))
+    angle = 2.0 * jnp.arctan2(sine, jnp.where(small, 1.0, w))
+    angle = jnp.where(angle > jnp.pi, angle - 2.0 * jnp.pi, angle)
+    near = jnp.where(small, w, 1.0)
+    return u * jnp.where(small, 2.0 / near * (1.0 - square / (3.0 * near * near)), angle / sine)
+
+
+def turn_between(q: Quaternion, p: Quaternion) -> Vector:
+    """The rotation vector from one orientation to another, in the frame of the first [rad]."""
+    conjugate = np.array([1.0, -1.0, -1.0, -1.0])
+    return rotation_vector(product(q * conjugate.astype(q.dtype), normalized(p)))
+
+
 def inertia_about(moments: Vector, axes: Matrix, offset: Vector, mass: Float[Array, "*#n"]) -> Inertia:
     """The spatial inertia of a body about a point.
 

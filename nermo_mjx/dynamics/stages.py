@@ -6,52 +6,46 @@ there are none; for this robot that is a third of the operations. XLA cannot kno
 
 from __future__ import annotations
 
-import jax
-import numpy as np
-
-from nermo_mjx.dynamics import rows, tree
+from nermo_mjx.dynamics import equality, rows, tree
+from nermo_mjx.dynamics.actuation import actuated
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.jacobians import with_point_jacobians
 from nermo_mjx.dynamics.linear import solve_definite
-from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.shapes import Array
+from nermo_mjx.dynamics.mjx_import import Model, mjx
+from nermo_mjx.dynamics.passive import passive
+from nermo_mjx.dynamics.preparing import is_zero
 
 
 @with_point_jacobians
-def position(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+def position(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_position`, with constraint rows whose derivatives are finite (see `impedance`)."""
     data = mjx.camlight(model, tree.com_pos(model, tree.kinematics(model, data)))
     data = tree.crb(model, mjx.tendon(model, data))
     if not is_zero(model.tendon_armature):
-        data = mjx.tendon_armature(model, data)
+        data = rows.with_tendon_inertia(model, data)
     if model.opt.solver == mjx.SolverType.CG:  # Newton's method never reads the factors
         data = mjx.factor_m(model, data)
     return mjx.transmission(model, make_constraint(model, mjx.collision(model, data)))
 
 
 @with_point_jacobians
-def velocity(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.fwd_velocity`."""
-    data = tree.com_vel(model, rows.with_velocities(data))
-    data = tree.rne(model, mjx.passive(model, data))
+def velocity(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `equality`)."""
+    data = equality.with_rates(model, tree.com_vel(model, rows.with_velocities(data)))
+    data = tree.rne(model, passive(model, data))
     return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
 
 
 @with_point_jacobians
-def actuation(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.fwd_actuation`."""
-    return mjx.fwd_actuation(model, data)
+def actuation(model: Model, data: mjx.Data) -> mjx.Data:
+    """As `mjx.fwd_actuation`, with early activations, and a derivative where a tendon's force is zero."""
+    return actuated(model, data)
 
 
-def acceleration(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+def acceleration(model: Model, data: mjx.Data) -> mjx.Data:
     """As `mjx.fwd_acceleration`: the sum of all forces but the constraints', and the acceleration they would give."""
     if is_zero(data.xfrc_applied):
         force = data.qfrc_passive - data.qfrc_bias + data.qfrc_actuator + data.qfrc_applied
     else:
         force = mjx.fwd_acceleration(model, data).qfrc_smooth
     return data.replace(qfrc_smooth=force, qacc_smooth=solve_definite(mjx.full_m(model, data), force))
-
-
-def is_zero(array: Array | np.ndarray) -> bool:
-    """Whether an array is known to be zero: it is concrete and all zeros."""
-    return not isinstance(array, jax.core.Tracer) and not np.any(np.asarray(array))

@@ -19,6 +19,7 @@ from mujoco.batch import Batch
 
 from nermo_mjx.dynamics import differentiable, rows
 from nermo_mjx.dynamics.checkpointing import keeping_little
+from nermo_mjx.dynamics.coverage import not_simulated
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.solver import ROUNDS
@@ -27,7 +28,7 @@ from nermo_mjx.physics.engine import Loop, Trace
 from nermo_mjx.physics.reading import read_entries, with_sensors
 from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses, without_play
 from nermo_mjx.physics.variation import DERIVED_FIELDS, moves_constants, vary
-from nermo_mjx.robot import Robot
+from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array, Count, Dofs, Truth
 
@@ -89,7 +90,16 @@ class MjxEngine:
         self.record = jax.jit(self._record, donate_argnums=2, static_argnums=3, compiler_options=options)
 
     def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
-        """The model for MJX, and data of a single world."""
+        """The model for MJX, and data of a single world.
+
+        Raises:
+            ParameterError: a scene has something that MJX does not simulate.
+        """
+        missing = not_simulated(model)
+        if missing:
+            raise ParameterError(
+                f"engine is 'mjx', which does not simulate all of the scene, as 'c' does: {missing[0]}"
+            )
         ours = mjx.put_model(model)
         return ours, mjx.make_data(ours)
 

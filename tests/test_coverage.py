@@ -1,0 +1,255 @@
+"""What MJX leaves out of a model is brought back, refused in a sentence, or has no effect, and nothing is forgotten."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from mujoco.mjx._src import io
+
+from nermo_mjx.dynamics import fitted, forward, mjx_import, not_simulated, step
+from nermo_mjx.dynamics.mjx_import import Model, mjx
+
+#: Fields of MuJoCo's model that MJX's lacks, or that no line of MJX reads, and that our code brings back.
+IMPLEMENTED = [
+    "actuator_armature",
+    "actuator_damping",
+    "actuator_dampingpoly",
+    "actuator_actearly",
+    "jnt_stiffnesspoly",
+    "dof_dampingpoly",
+    "tendon_stiffnesspoly",
+    "tendon_dampingpoly",
+]
+#: Those with which a model is refused.
+REFUSED = [
+    "actuator_delay",
+    "actuator_plugin",
+    "actuator_ctrlnum",
+    "actuator_outnum",
+    "actuator_group",
+    "body_plugin",
+    "flg_surfacevel",
+    "geom_adhesion",
+    "geom_fluid",
+    "geom_plugin",
+    "geom_surfacevel",
+    "jnt_springyield",
+    "pair_adhesion",
+    "sensor_delay",
+    "sensor_interval",
+    "sensor_plugin",
+    "tendon_springyield",
+    "opt.noslip_iterations",
+    "opt.disableactuator",
+]
+#: The others, by the reason why they have no effect on `step`: patterns of whole names.
+HARMLESS = {
+    "sizes and addresses of what is refused or counted elsewhere": r"n[A-Za-z0-9_]+|\w+_\w*adr|\w+_\w*num|paths",
+    "matrices' sparsity, which MJX has in its own form": r"[BDM]_\w+|map\w+|ten_J_\w+|flex\w+_J_\w+|efm[0C]\w*",
+    "derived by C, and by MJX or not needed": r"""body_(simple|sameframe|treeid|contype|conaffinity
+        |margin|jntnum)|dof_(M0|simplenum|treeid|length)|geom_(aabb|sameframe)|site_sameframe|pair_signature
+        |tree_\w+|tendon_tree\w+
+        |tendon_type|stat|jnt_actuatorid|tendon_actuatorid|flg_adhesion|eq_active0|actuator_length0
+        |mesh_\w+|bvh_\w+|oct_\w+""",
+    "of history and plugins, which are refused": r"(actuator|sensor)_history|plugin\w*|actuator_ctrlspec",
+    "MJX refuses flexes": r"flex\w+",
+    "MJX refuses slider-cranks": "actuator_cranklength",
+    "pictures": r"(cam|light|mat|tex|skin)_\w+|vis|geom_castshadow|(site|tendon)_(matid|rgba|width)|site_dataid",
+    "users' own, keyframes and groups": r"\w+_user|key_\w+|numeric_size|text_\w+|tuple_\w+|(jnt|site|tendon)_group",
+    "noise is the user's to add": "sensor_noise",
+    "a contact within the gap has no force, in MJX as in C": r"(geom|pair)_gap",
+    "C's collision detection, not MJX's": r"opt\.(ccd_iterations|ccd_tolerance|sdf_iterations)",
+    "without the flag sleep, which is refused, or noslip": r"opt\.(sleep_tolerance|noslip_tolerance)",
+}
+
+
+def unread() -> set[str]:
+    """Fields of `MjModel` and `MjOption` that `mjx.Model` lacks, or that no line of MJX's step reads."""
+    home = Path(io.__file__).parent
+    others = ("types", "render", "render_util", "bvh", "test_util", "io", "inverse")
+    text = "".join(
+        each.read_text() for each in home.glob("*.py") if not each.stem.endswith("_test") and each.stem not in others
+    )
+
+    def fields(kind: type) -> set[str]:
+        return {name for name in vars(kind) if not name.startswith("_") and not callable(getattr(kind, name))}
+
+    has = {field.name for field in mjx.Model.fields()}
+    read = {name for name in has if re.search(rf"\b{name}\b", text)}
+    options = {field.name for field in mjx.Option.fields()}
+    read |= {f"opt.{name}" for name in options} | {"opt.o_margin", "opt.o_solref", "opt.o_solimp", "opt.o_friction"}
+    every = fields(mujoco.MjModel) | {f"opt.{name}" for name in fields(mujoco.MjOption)}
+    return every - read - {"opt.sdf_initpoints"}
+
+
+def test_no_field_of_mujoco_is_forgotten() -> None:
+    """A new MuJoCo with a new field fails here: implement it, refuse it, or say why it has no effect."""
+    harmless = re.compile("|".join(re.sub(r"\s+", "", pattern) for pattern in HARMLESS.values()))
+    known = {*IMPLEMENTED, *REFUSED}
+    assert sorted(name for name in unread() - known if not harmless.fullmatch(name)) == []
+
+
+def test_every_flag_of_mujoco_is_known() -> None:
+    """Flags that MJX neither refuses nor reads: with one of them off or on, C moves no model otherwise, or we refuse
+    it."""
+    kinds = (mujoco.mjtDisableBit, mjx.DisableBit), (mujoco.mjtEnableBit, mjx.EnableBit)
+    disable, enable = (
+        {name for name, flag in theirs.__members__.items() if name[:3] != "mjN" and int(flag) not in set(ours)}
+        for theirs, ours in kinds
+    )
+    assert disable <= {f"mjDSBL_{name}" for name in ("MIDPHASE", "AUTORESET", "NATIVECCD", "ISLAND", "MULTICCD")}
+    assert all(
+        f"mjENBL_{flag.name}" in enable | {"mjENBL_INVDISCRETE", "mjENBL_SLEEP", "mjENBL_IPC"} for flag in mjx.EnableBit
+    )
+
+
+HINGE = '<body name="b"><joint name="j" axis="0 1 0"/><geom name="g" size=".05" pos="0 0 -.3"/><site name="s"/></body>'
+BALL = '<geom name="f" type="plane" size="1 1 .1"/><body pos="0 0 .1"><freejoint/><geom name="g" size=".1" {}/></body>'
+
+
+def model_of(inside: str, rest: str = "", option: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(f"<mujoco>{option}<worldbody>{inside}</worldbody>{rest}</mujoco>")
+
+
+PID = """<extension><plugin plugin="mujoco.pid"><instance name="p"><config key="kp" value="10"/></instance></plugin>
+</extension>"""
+CABLE = '<extension><plugin plugin="mujoco.elasticity.cable"/></extension>'
+ROPE = """<composite prefix="c" type="cable" curve="s" count="4 1 1" size="1" initial="none"><plugin
+plugin="mujoco.elasticity.cable"><config key="twist" value="1e7"/><config key="bend" value="4e6"/></plugin><joint
+kind="main"/>
+<geom type="capsule" size=".02" contype="0" conaffinity="0"/></composite>"""
+REFUSALS: dict[str, tuple[Any, str]] = {
+    "delayed actuator": (
+        (HINGE, '<actuator><motor name="a" joint="j" delay=".01" '
+        'nsample="4"/></actuator>'), "actuator 'a' has a delay"),
+    "delayed sensor": ((HINGE, '<sensor><jointpos name="p" joint="j" delay=".01" '
+    'nsample="4"/></sensor>'), "sensor 'p' has a delay"),
+    "sensor at an interval": (
+        (HINGE, '<sensor><jointpos joint="j" interval=".01" '
+        'nsample="2"/></sensor>'), "sensor 0 is read at an interval"),
+    "conveyor": ((BALL.format('surfacevel="1 0 0"'),), "geom 'g' has a surface velocity"),
+    "magnet": ((BALL.format('adhesion="1"'),), "geom 'g' is adhesive"),
+    "magnetic pair": (
+        (BALL.format(""), '<contact><pair geom1="f" geom2="g" adhesion="2"/></contact>'), "pair 0 is adhesive"
+    ),
+    "swimmer": ((BALL.format('fluidshape="ellipsoid"'), "", '<option '
+    'viscosity=".1"/>'), "geom 'g' has fluidshape='ellipsoid'"),
+    "PID": ((HINGE, '<actuator><plugin name="a" joint="j" plugin="mujoco.pid" '
+    'instance="p"/></actuator>', PID), "actuator 'a' is run by"),
+    "cable": ((ROPE, "", CABLE), "body 'cB_first' is run by a plugin"),
+    "disabled group": (
+        (HINGE, '<actuator><motor name="a" joint="j" group="2"/></actuator>', '<option actuatorgroupdisable="2"/>'),
+        "actuator 'a' is in a disabled group"),
+    "noslip": ((HINGE, "", '<option noslip_iterations="3"/>'), "noslip_iterations is 3"),
+    "sleep": ((HINGE, "", '<option><flag sleep="enable"/></option>'), "flag sleep is enabled"),
+    "range of a cylinder": (
+        (HINGE + '<geom name="c" type="cylinder" size=".1 .1" contype="0" '
+        'conaffinity="0"/>', '<sensor><rangefinder site="s"/></sensor>'),
+        "geom 'c' is not seen by rangefinders"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_what_is_not_simulated_is_said_of_the_element(name: str) -> None:
+    """By the function for a model of MuJoCo's, and by the step and the forward dynamics of MJX's."""
+    given, said = REFUSALS[name]
+    model = model_of(*given)
+    assert not_simulated(model)[0].startswith(said)
+    device = mjx.put_model(model)
+    for function in (step, forward):
+        with pytest.raises(ValueError, match=f"^{re.escape(said)}"):
+            function(device, mjx.make_data(device))
+
+
+def test_what_is_simulated_is_not_refused() -> None:
+    """The same words without an effect: ellipsoids without a fluid, a group that is not disabled."""
+    still = model_of(BALL.format('fluidshape="ellipsoid"'))
+    other = model_of(HINGE, '<actuator><motor joint="j" group="3"/></actuator>', '<option actuatorgroupdisable="2"/>')
+    assert not_simulated(still) == not_simulated(other) == []
+
+
+def test_a_fluid_that_comes_later_is_refused_as_well() -> None:
+    device = mjx.put_model(model_of(BALL.format('fluidshape="ellipsoid"')))
+    thick = device.tree_replace({"opt.density": jnp.asarray(1000.0)})
+    with pytest.raises(ValueError, match=r"^density or viscosity is not known to be 0, and a geom"):
+        step(thick, mjx.make_data(device))
+
+
+def test_a_model_that_was_put_before_is_refused() -> None:
+    """MJX does not say what it has left out; a model put after the import does, whoever puts it."""
+    early = mjx_import._put(model_of(HINGE))
+    assert isinstance(io.put_model(model_of(HINGE)), Model)
+    with pytest.raises(ValueError, match=r"^the model was put before nermo_mjx was imported.*: put it again"):
+        step(early, mjx.make_data(early))
+
+
+SMALL = """<mujoco><option solver="PGS" noslip_iterations="2"><flag energy="enable"/></option><asset>
+<mesh name="m" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/></asset><worldbody><geom name="f" type="box" size="1 1 .1"/>
+<body pos="0 0 .3"><freejoint/><geom name="can" type="cylinder" size=".1 .2"/></body>
+<body pos="1 0 .3"><freejoint/><geom name="egg" type="ellipsoid" size=".1 .3 .05"/></body>
+<body pos="2 0 .3"><freejoint/><geom name="rock" type="mesh" mesh="m" margin=".01"/></body></worldbody></mujoco>"""
+
+
+def test_a_model_is_made_fit_for_mjx() -> None:
+    """Each change is named, the model that was given stays as it is, and so do masses and what nobody collides with."""
+    model = mujoco.MjModel.from_xml_string(SMALL)
+    ours, changes = fitted(model)
+    said = "\n".join(changes)
+    for part in ("solver is Newton, no PGS", "flag energy is disabled", "noslip_iterations is 0, no 2",
+                 "geom 'can' is a capsule, no cylinder: MJX cannot collide it with geom 'f'",
+                 "geom 'egg' is a capsule, no ellipsoid",
+                 "margin of geom 'rock' is 0, no 0.01"):  # fmt: skip
+        assert part in said
+    assert len(changes) == 6
+    assert model.geom("can").type == mujoco.mjtGeom.mjGEOM_CYLINDER
+    np.testing.assert_array_equal(ours.body_inertia, model.body_inertia)
+    np.testing.assert_allclose(ours.geom("can").size[:2], [0.1, 0.1])
+    # The longest axis of the ellipsoid is its y.
+    axis = np.zeros(9)
+    mujoco.mju_quat2Mat(axis, ours.geom("egg").quat)
+    assert abs(axis.reshape(3, 3)[1, 2]) == pytest.approx(1.0)
+    assert ours.geom("egg").size[:2].sum() == pytest.approx(0.3)
+    assert fitted(ours)[1] == []
+
+
+def test_what_cannot_be_made_fit_is_said() -> None:
+    model = model_of(HINGE, '<actuator><adhesion body="b" ctrlrange="0 1" gain="1"/></actuator>')
+    with pytest.raises(ValueError, match=r"^MJX refuses the model also after 0 changes: .*mjTRN_BODY"):
+        fitted(model)
+
+
+#: Models that MJX refuses as they are; they come with `pip install dm_control`.
+ANIMALS = (
+    "locomotion/walkers/assets/rodent.xml",
+    "locomotion/walkers/assets/dog_v2/dog.xml",
+    "suite/dog.xml",
+    "suite/fish.xml",
+)
+
+
+@pytest.mark.long
+def test_animals_are_made_fit_for_mjx() -> None:
+    """They are put, and the fish, which touches nothing, moves as in C."""
+    home = Path(
+        pytest.importorskip("dm_control", reason="needs the models of dm_control: pip install dm_control").__file__
+    ).parent
+    for path in ANIMALS:
+        model = mujoco.MjModel.from_xml_path(str(home / path))
+        with pytest.raises(NotImplementedError):
+            mjx.put_model(model)
+        ours, changes = fitted(model)
+        assert changes
+        assert not_simulated(ours) == []
+    data = mujoco.MjData(ours)
+    device = mjx.put_model(ours)
+    after = jax.jit(step)(device, mjx.make_data(device).replace(ctrl=jnp.full(ours.nu, 0.3)))
+    data.ctrl[:] = 0.3
+    mujoco.mj_step(ours, data)
+    np.testing.assert_allclose(after.qvel, data.qvel, atol=1e-5)
