@@ -47,7 +47,7 @@ def command(
     the ensemble over a cluster's machines, which need no access to DIR.
     """
     with stdout_reserved():
-        from nermo_mjx.experiments.identification.run import run_identification
+        from nermo_mjx.experiments.identification import run_identification
 
         say = sayer("identify", quiet)
         progress = Progress("identify", quiet=quiet, compiles=workers == "local")
@@ -62,7 +62,7 @@ def command(
 
 
 def _print(content: dict[str, Any], out: Path) -> None:
-    from nermo_mjx.experiments.identification.run import (
+    from nermo_mjx.experiments.identification import (
         PARAMETER_HEADINGS,
         TARGET_HEADINGS,
         parameter_rows,
