@@ -49,13 +49,12 @@ AS_PUBLISHED: Final = {
     "tracking.foot_gain": tracking_share(PUBLISHED_RATE), "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO,
     "pilot.error_gain": 25.0, "pilot.change_gain": 200.0, "pilot.guidance": 0.0,
 }  # fmt: skip
-#: His body, from his model of the same days, which does not change until February 2022 but for its colours and a camera:
-#: torque limit, damping, the mass in front and behind as compiled, and MuJoCo's default friction of the tail. His
-#: servos have a gain of 200 and 300 N m/rad, which at 2 ms only their limit of 0.4 N m keeps stable; 60 follows
-#: as closely. Slack stands for the give of his spine's tendons: at a servo angle of 0.4 rad his joints bend by 0.0915
-#: rad (measured on his model at rest), these by 0.1027 without it.
+#: His body, from his model of the same days, whose physics no later commit of that year changes: torque limits of legs
+#: (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's default friction of
+#: the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque limit keeps stable;
+#: 60 with 0.05 N m s/rad follows as closely.
 AS_PUBLISHED_BODY: Final = {
-    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.speed": 100.0,
+    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.spine_torque": 0.157 / 0.4, "servo.speed": 100.0,
     "damping.knee": 0.005, "damping.ankle": 0.005, "damping.spine": 0.01,
     "mass.front": 0.2122, "mass.rear": 0.1257, "contact.tail_friction": 1.0,
 }  # fmt: skip
