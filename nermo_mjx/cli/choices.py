@@ -58,7 +58,7 @@ PARAMETERS = (
     "pilot.turn_rate", "pilot.radius", "pilot.direction", "head.pan", "head.tilt", "head.into_turn", "head.gain",
     "head.bandwidth", "head.lead", "tail.angle", "tail.swing_amplitude", "tail.swing_gain", "tail.swing_phase",
     "tail.yaw_gain", "tail.roll_gain", "tail.bandwidth", "tracking.foot_gain", "tracking.clock_ratio", "servo.kp",
-    "servo.kv", "servo.torque_limit", "servo.speed",
+    "servo.kv", "servo.torque_limit", "servo.spine_torque", "servo.speed",
     "servo.supply_voltage", "servo.back_emf", "servo.dead_band", "servo.backlash", "servo.idle_current",
     "servo.stall_current", "battery.capacity", "battery.electronics_current", "contact.friction",
     "contact.tail_friction", "contact.trunk_friction", "contact.obstacle_friction",

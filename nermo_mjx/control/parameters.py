@@ -110,7 +110,7 @@ class Pilot:
     grip: Any = quantity(0.525, "1", 0.1, 2.0, "turn that the guidance expects of the robot, over that without slip")
     error_gain: Any = quantity(0.0, "1/m", 0.0, 1000.0, "PD: turn rate per metre of cross-track error")
     change_gain: Any = quantity(
-        0.0, "1/m", 0.0, 10000.0, "PD: turn rate per metre of its change per 1/50 s of the controller's clock"
+        0.0, "1/m", 0.0, 10000.0, "PD: turn rate per metre of its change per 1/100 s of the controller's clock"
     )
     output_limit: Any = quantity(1.0, "1", 0.0, 1.0, "largest turn rate")
     turn_rate: Any = quantity(0.0, "1", -1.0, 1.0, "turn rate held by the pilot 'open_loop'")
@@ -127,7 +127,7 @@ class Tracking:
         "1",
         0.0,
         1.0,
-        "share of the foot error closed per 1/80 s of the controller's clock; 1 is exact",
+        "share of the foot error closed per 1/100 s of the controller's clock; 1 is exact",
         open_low=True,
     )
     clock_ratio: Any = quantity(1.0, "1", 0.05, 2.0, "simulated seconds per second of the controller's clock")
