@@ -378,9 +378,9 @@ def test_a_robot_beside_its_line_is_steered_back_without_a_kick_at_the_start():
     np.testing.assert_allclose(states.turn_rate, 0.4, atol=1e-6)
 
 
-@pytest.mark.parametrize(("profile", "ticks"), [("exact", 1.0), ("as_published", 2.5)])
+@pytest.mark.parametrize(("profile", "ticks"), [("exact", 2.0), ("as_published", 5.0)])
 def test_the_change_of_the_error_is_counted_per_published_pilot_tick(profile, ticks):
-    """300 per metre and 1/50 s of the controller's clock, of which a pilot tick at clock ratio 0.4 takes 2.5."""
+    """300 per metre and 1/100 s of the controller's clock, of which a pilot tick of 20 ms takes 2, or 5 at 0.4."""
     params, controller = control_parameters(profile=profile, **PUBLISHED_GAINS), published_controller(control_rate=50.0)
     state = program(controller, "init")(params, sensors_at())
     state, _ = program(controller, "update")(params, state, sensors_at((1e-3, 0.0, 0.05)))

@@ -59,6 +59,9 @@ class Spine:
     max_servo_angle: Any = quantity(0.4, "rad", 0.01, 0.6, "q_max, servo limit of the fusion (5.45)")
     fusion_exponent: Any = quantity(1.0, "1", 0.1, 10.0, "s, how turning fades the other mode (5.46)")
     offset_compensation: Any = quantity(0.0, "1", 0.0, 1.0, "share of the hip's rise taken by the rear legs (5.31)")
+    offset_at_feet: Any = quantity(
+        0.0, "1", 0.0, 1.0, "what rises: 0 the hips, as in (5.31), 1 the rear feet, as in the author's code"
+    )
     balance_lift: Any = quantity(0.009, "m", 0.0, 0.03, "d_lift, wanted distance of the COM inside the triangle")
     sagittal_amplitude: Any = quantity(
         0.3, "rad", 0.0, 0.6, "vertical servo's amplitude, spine mode 'sagittal_extension'"

@@ -37,9 +37,10 @@ def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
     return 1.0 - left ** (rate / PUBLISHED_RATE)
 
 
-#: The published simulation: what the author's repository (a-rohr/mouse_controller) held while he tested, at every commit
-#: from c66c3df (2 August 2021, the maze) over 0a07c54 (3 August, the turns) and 583a152 (5 August) to 736e7ec (8 August).
-#: That the tests ran with these commits is inferred from the scenes and gains that they add; the thesis gives no dates.
+#: The published simulation: what the author's repository (a-rohr/mouse_controller) held while he tested, at every
+#: commit from c66c3df (2 August 2021, the maze) over 0a07c54 (3 August, the turns) and 583a152 (5 August) to 736e7ec
+#: (8 August). That the tests ran with these commits is inferred from the scenes and gains that they add; the thesis
+#: gives no dates.
 #: The neutral feet stood so from 19 July (5a98d92) to 2 September (03fdad3); those of Table A.7, the default of
 #: `Stance`, enter on 26 September (a99147f; erratum 23). His pilot, a PD from the cross-track error to the turn rate,
 #: turns the spine whatever its mode. Its gains are those of c66c3df; 30 and 300 (583a152) and 40 and 300 (736e7ec)
@@ -47,15 +48,15 @@ def tracking_share(rate: float, closed: float = PUBLISHED_TRACKING) -> float:
 AS_PUBLISHED: Final = {
     "stance.front_y": -0.005, "stance.front_z": -0.038, "stance.rear_y": 0.010, "stance.rear_z": -0.042,
     "tracking.foot_gain": tracking_share(PUBLISHED_RATE), "tracking.clock_ratio": PUBLISHED_CLOCK_RATIO,
-    "pilot.error_gain": 25.0, "pilot.change_gain": 200.0, "pilot.guidance": 0.0,
+    "spine.offset_at_feet": 1.0, "pilot.error_gain": 25.0, "pilot.change_gain": 200.0, "pilot.guidance": 0.0,
 }  # fmt: skip
 #: His body, from his model of the same days, whose physics no later commit of that year changes: torque limits of legs
 #: (0.4 N m) and spine (0.157), damping, the masses in front and behind as compiled, and MuJoCo's default friction of
-#: the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque limit keeps stable;
-#: 60 with 0.05 N m s/rad follows as closely.
+#: the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque limits keep stable.
+#: Here they have 60 with 0.05 N m s/rad, with which his own model is 3 % faster (docs/published_set_up.md).
 AS_PUBLISHED_BODY: Final = {
-    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.spine_torque": 0.157 / 0.4, "servo.speed": 100.0,
-    "damping.knee": 0.005, "damping.ankle": 0.005, "damping.spine": 0.01,
+    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.spine_torque": 0.157 / 0.4,
+    "servo.speed": 100.0, "damping.knee": 0.005, "damping.ankle": 0.005, "damping.spine": 0.01,
     "mass.front": 0.2122, "mass.rear": 0.1257, "contact.tail_friction": 1.0,
 }  # fmt: skip
 #: Weights (leg, spine) of the three published turning strategies.
@@ -79,8 +80,8 @@ def steering_of(profile: str) -> ProfileSteering:
 #: constant turn rates with expected radii of 0.5 and 1 m: mean over three gaits, three frequencies and strides
 #: of 0.8 and 1.0 (docs/experiments.md has the spread).
 GRIP: dict[str, float] = {"leg": 0.525, "spine": 1.13, "mix": 1.04}
-#: The robot as it was built, by the hardware's figures (docs/experiments.md has what was fitted and what chosen), at the
-#: stride that its straight line ran (Table 6.1), with the author's foot tracking in real time, at the 80 Hz of his loop
+#: The robot as it was built, by the hardware's figures (docs/experiments.md has what was fitted and what chosen), at
+#: the stride of its straight line (Table 6.1), with the author's foot tracking in real time, at the 80 Hz of his loop
 #: from 27 August 2021 (192674c) on.
 AS_BUILT = {"tracking.foot_gain": tracking_share(80.0), "spine.max_servo_angle": 0.3, "stride": 0.8}
 AS_BUILT_BODY = {"build.spine_slack": 0.0006, "build.asymmetry": 0.1, "stiffness.spine": 0.9}
