@@ -27,6 +27,7 @@ Examples:
 @options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
 @options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
+@options.choice("--profile", ("exact", "as_published"), "Set-up of the walks.")
 @options.workers
 @options.accept_new_code
 @options.engine

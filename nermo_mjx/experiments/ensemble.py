@@ -74,6 +74,9 @@ UNCERTAIN: Final[dict[str, Free]] = {
 }
 #: The space of the ensemble.
 ALL: Final = FREE | UNCERTAIN
+_STIFF: Final = Free(("servo.kp",), 5.0, 120.0, "to the gain at which the author's servos tremble at his time step")
+#: What is searched in the set-up of the published tests, whose servos are stiffer.
+FREE_IN: Final = {"exact": FREE, "as_published": FREE | {"kp": _STIFF}}
 
 #: To four significant digits, as their decimal text reads, so that printed and shipped values are the simulated ones.
 _rounded: Final = np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])
@@ -321,11 +324,12 @@ def find_bodies(
     sweeps: int,
     tolerance: float,
     seed: int,
+    space: Mapping[str, Free] = ALL,
 ) -> Bodies:
     """Sample the bodies within the tolerance.
 
     Args:
-        evaluate: objective of points (n, d) of the space `ALL`.
+        evaluate: objective of points (n, d) of the space.
         best: result of the search, at the default frictions, and its objective; becomes the first body.
         near: the search's points within the tolerance, (k, d of the search); the first sweep also starts around them.
         defaults: of all parameters.
@@ -333,7 +337,6 @@ def find_bodies(
     """
     friction = point_of(defaults, UNCERTAIN)
     seeds = np.hstack([near, np.tile(friction, (len(near), 1))])
-    space = ALL
     found = sample(evaluate, len(space), tolerance=tolerance, size=bodies, sweeps=sweeps, seed=seed,
                    seeds=seeds)  # fmt: skip
     first = objective <= tolerance
@@ -356,10 +359,10 @@ QUANTILES: Final = (0.05, 0.5, 0.95)
 _WORTH: Final = 0.3
 
 
-def ensemble_content(bodies: Bodies) -> dict[str, Any]:
+def ensemble_content(bodies: Bodies, space: Mapping[str, Free] = ALL) -> dict[str, Any]:
     """An ensemble for identification.json; parameters that share a value are represented by the first."""
     size = len(bodies.objective)
-    shown = {free.names[0]: bodies.values[free.names[0]] for free in ALL.values()}
+    shown = {free.names[0]: bodies.values[free.names[0]] for free in space.values()}
     content: dict[str, Any] = {
         "size": size,
         "tolerance": bodies.tolerance,
@@ -372,7 +375,7 @@ def ensemble_content(bodies: Bodies) -> dict[str, Any]:
         "better_than_default": int(np.sum(bodies.objective < bodies.objective[0])) if size else 0,
         "parameters": {
             free.names[0]: {"low": free.low, "high": free.high, "why": free.why, "names": list(free.names)}
-            for free in ALL.values()
+            for free in space.values()
         },
     }
     if size:
