@@ -6,11 +6,22 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.experiments.balance.experiment import run
-from nermo_mjx.experiments.balance.measures import TOUCH, centre_of_mass, inside, tip_angle, verdict
-from nermo_mjx.experiments.balance.protocol import PHASES, BalanceLoop, BalanceParameters
-from nermo_mjx.experiments.balance.start import PLACE, TURN, nudge, start_pose
-from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.experiments.balance import (
+    PHASES,
+    PLACE,
+    TOUCH,
+    TURN,
+    BalanceLoop,
+    BalanceParameters,
+    centre_of_mass,
+    inside,
+    nudge,
+    run,
+    start_pose,
+    tip_angle,
+    verdict,
+)
+from nermo_mjx.experiments.cases import Settings
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 
 pytestmark = pytest.mark.compiles

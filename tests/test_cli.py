@@ -405,8 +405,8 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
+    from nermo_mjx.experiments import plots
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.experiments.plots import figures as plots
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
@@ -490,7 +490,7 @@ def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
 @pytest.fixture
 def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """An identification that returns its start; records its arguments."""
-    from nermo_mjx.experiments.identification import search as identification
+    from nermo_mjx.experiments import identification
     from nermo_mjx.rollout import Setup
 
     asked: dict[str, Any] = {}
@@ -501,16 +501,17 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         asked.update(vars(wanted))
         progress(1.0)
         defaults = Setup().defaults()
-        names = [name for free in identification.FREE.values() for name in free.names]
+        names = [name for free in identification.FREE_IN["exact"].values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
         return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
 
-    monkeypatch.setattr("nermo_mjx.experiments.identification.run.identify", identify)
+    monkeypatch.setattr("nermo_mjx.experiments.identification.identify", identify)
     return asked
 
 
 def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp_path: Path) -> None:
-    from nermo_mjx.experiments.identification.search import FREE, TARGETS
+    from nermo_mjx.experiments.ensemble import FREE
+    from nermo_mjx.experiments.identification import TARGETS
 
     out = tmp_path / "out"
     result = json_of("identify", "--out", out, "--samples", "3", "--seed", "4", "--engine", "c")

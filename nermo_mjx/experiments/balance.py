@@ -434,11 +434,11 @@ class Lift:
         return {"profile": self.profile, **body, "leg": LIMBS[self.limb], "sbc": self.sbc, "repeat": self.repeat}
 
     def values(self, settings: Settings) -> dict[str, float]:
-        """Its parameters of body and spine: the body's own, the profile's, and those set for all worlds."""
+        """Its parameters of body and spine: the profile's, those set for all worlds, and the body's own."""
         built = {name: AS_BUILT[name] for name in SPINE_NAMES if name in AS_BUILT}
         drawn = {name: float(of[self.body - 1]) for name, of in (settings.bodies or {}).items()}
         own = body_values(self.profile) | (built if self.profile == "as_built" else {})
-        return {"spine.offset_compensation": OFFSET_COMPENSATION} | drawn | own | dict(settings.values)
+        return {"spine.offset_compensation": OFFSET_COMPENSATION} | own | dict(settings.values) | drawn
 
 
 def run(settings: Settings, scene: str = "balance_stand") -> Outcome:

@@ -153,8 +153,8 @@ class Settings:
         values: parameters for all worlds, by name.
         controller: what walks instead of the published controller; None is that.
         engine: of the simulations.
-        bodies: parameter name -> (n,) values of n bodies, each of which runs all cases; they override `values`, but not
-            what the profile says of the body, and no run is recorded.
+        bodies: parameter name -> (n,) values of n bodies, each of which runs all cases; they override `values` and the
+            profile's, and no run is recorded.
         progress: called with the share done.
 
     Raises:
@@ -284,14 +284,11 @@ def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Setti
         shifts = [_shift(settings.seed, body + repeat) for repeat in range(settings.repeats)]
         for profile in settings.profiles:
             built = AS_BUILT if profile == "as_built" else {}
-            own = body_values(profile)
-            # What the profile itself says of the body is known, not identified.
-            unknown = {name: value for name, value in drawn.items() if name not in own}
             for case in cases:
                 if profile not in case.profiles:
                     continue
                 named = published_values(case.gait, steering=case.steering, profile=profile)
-                given = {**own, **named, **settings.values, **unknown, **case.values, **built}
+                given = {**body_values(profile), **named, **settings.values, **drawn, **case.values, **built}
                 for repeat, shift in enumerate(shifts):
                     numbered = {BODY: body + 1} if count else {}
                     labels.append({"profile": profile, **numbered, **case.labels, "repeat": repeat})

@@ -182,8 +182,8 @@ def run_experiments(
         return ExperimentsResult(directory.out, tuple(results), directory.report(work.written))
 
 
-def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
-    """Members of the identified ensemble: parameter name -> (bodies,) values.
+def draw(bodies: int, seed: int) -> dict[str, dict[str, np.ndarray]]:
+    """Bodies that walk as published in the set-up of each profile: profile -> parameter name -> (bodies,) values.
 
     Raises:
         ParameterError: not a whole number of at least 1, or there are fewer.
@@ -191,7 +191,8 @@ def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
     from nermo_mjx.robot import identified
 
     check_whole("bodies", bodies, 1)
-    return identified.choose(bodies, seed)
+    own, published = (identified.choose(bodies, seed, profile) for profile in ("exact", "as_published"))
+    return {"exact": own, "as_published": published, "as_built": own}
 
 
 def _check_applicable(chosen: Sequence[Experiment], settings: Settings) -> None:
@@ -216,7 +217,8 @@ class Part:
     Attributes:
         name: of the experiment.
         run: simulates it; settings: its settings, except for the engine.
-        begin, bodies: the first of these bodies, and their total number; both 0 for the experiment's own.
+        begin, bodies: the first of these bodies, and their number; both 0 for the experiment's own.
+        before, total: bodies of all profiles before these, and in all.
         drawn: fingerprint of all of them.
     """
 
@@ -225,6 +227,8 @@ class Part:
     settings: Settings
     begin: int = 0
     bodies: int = 0
+    before: int = 0
+    total: int = 0
     drawn: str = ""
 
     @property
@@ -234,24 +238,29 @@ class Part:
 
     def share(self, done: float) -> float:
         """Share of all bodies that is finished, given the share of these."""
-        return (self.begin + done * body_count(self.settings.bodies)) / self.bodies if self.bodies else done
+        return (self.before + done * body_count(self.settings.bodies)) / self.total if self.bodies else done
 
 
-def of_bodies(chosen: Experiment, bodies: Mapping[str, np.ndarray], settings: Settings) -> list[Part]:
+def of_bodies(
+    chosen: Experiment, bodies: Mapping[str, Mapping[str, np.ndarray]], settings: Settings
+) -> list[Part]:  # fmt: skip
     """An experiment of every body, once each in the profiles in which its figures are judged, in batches."""
     judged = {figure.profile for figure in chosen.figures}
-    once = settings.but(profiles=[name for name in settings.profiles if name in judged] or settings.profiles, repeats=1)
-    count, drawn = body_count(bodies), fingerprint(bodies)
-    return [
-        Part(chosen.name, chosen.run, once.but(bodies={name: of[k : k + AT_ONCE] for name, of in bodies.items()},
-                                               seed=settings.seed + k), k, count, drawn)
-        for k in range(0, count, AT_ONCE)
-    ]  # fmt: skip
+    profiles = [name for name in settings.profiles if name in judged] or list(settings.profiles)
+    count, drawn, parts = body_count(bodies[profiles[0]]), fingerprint(bodies), []
+    for number, profile in enumerate(profiles):
+        for k in range(0, count, AT_ONCE):
+            some = {name: of[k : k + AT_ONCE] for name, of in bodies[profile].items()}
+            once = settings.but(profiles=[profile], repeats=1, seed=settings.seed + k, bodies=some)
+            before, total = number * count + k, len(profiles) * count
+            parts.append(Part(chosen.name, chosen.run, once, k, count, before, total, drawn))
+    return parts
 
 
-def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
-    """Hash of bodies, to identify those in a directory."""
-    content = {name: np.asarray(values, float).tolist() for name, values in sorted(bodies.items())}
+def fingerprint(bodies: Mapping[str, Mapping[str, np.ndarray]]) -> str:
+    """Hash of bodies by profile, to identify those in a directory."""
+    content = {profile: {name: np.asarray(of, float).tolist() for name, of in sorted(values.items())}
+               for profile, values in sorted(bodies.items())}  # fmt: skip
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
 
 
@@ -292,19 +301,21 @@ def simulate(
     for key, found in workers.results(tasks(), tell):
         part = parts[key]
         several = came[part.label]
-        several[part.begin] = found
+        several[key] = found
         bodies[part.label] += body_count(part.settings.bodies)
         # Remote workers do not report progress.
-        progress(part.label, bodies[part.label] / part.bodies if part.bodies else 1.0)
+        progress(part.label, bodies[part.label] / part.total if part.bodies else 1.0)
         if len(several) == sum(each.label == part.label for each in parts):
-            outcome = _numbered({k: each for k, (each, _) in several.items()}) if part.bodies else found[0]
+            outcome = found[0]
+            if part.bodies:
+                outcome = _numbered([(parts[k].begin, several[k][0]) for k in sorted(several)])
             yield Simulated(part, outcome, sessions[part.label], sum(seconds for _, seconds in several.values()))
 
 
-def _numbered(parts: Mapping[int, Outcome]) -> Outcome:
-    """Results of all bodies, from batches keyed by the position of their first body; `BODY` distinguishes them."""
+def _numbered(parts: Sequence[tuple[int, Outcome]]) -> Outcome:
+    """Results of all bodies, from batches with the position of their first body; `BODY` distinguishes them."""
     several = []
-    for begin, part in sorted(parts.items()):
+    for begin, part in parts:
         columns = {name: column + begin if name == BODY else column for name, column in part.columns.items()}
         several.append(dataclasses.replace(part, columns=columns, recordings={}))
     return joined(several)
@@ -341,7 +352,7 @@ class _Work:
     directory: Directory
     settings: Settings
     code: CodeStamp
-    bodies: Mapping[str, np.ndarray] | None
+    bodies: Mapping[str, Mapping[str, np.ndarray]] | None
     again: bool
     video: bool
     progress: Callable[[str, float], None]
@@ -366,7 +377,10 @@ class _Work:
         if self.bodies is None:
             return parts
         # Values set for all worlds also apply to the bodies.
-        bodies = {name: of for name, of in self.bodies.items() if name not in self.settings.values}
+        bodies = {
+            profile: {name: of for name, of in values.items() if name not in self.settings.values}
+            for profile, values in self.bodies.items()
+        }
         held = self.directory.load(chosen.name, bodies=True)
         fits = held is not None and held.about["drawn"] == fingerprint(bodies)
         if fits and not (parts and self._outdated(held)):
