@@ -261,8 +261,13 @@ def saturates(x: Sequence[float], y: Sequence[float]) -> bool:
     return bool((np.diff(np.diff(y) / np.diff(x)) < 0.0).all())
 
 
+def _largest(values: Iterable[float]) -> float:
+    """NaN without any."""
+    return builtins.max(values, default=math.nan)
+
+
 _CONSTANTS: Final = {
     "F": FREQUENCIES, "GAITS": GAITS, "SPINE_GAITS": SPINE_GAITS, "LIMBS": LIMBS, "LINEAR": LINEAR,
     "farthest": farthest, "falls": falls, "on_a_line": on_a_line, "saturates": saturates, "average": np.mean,
-    "all": lambda values: builtins.all(list(values)), "max": max, "min": min, "abs": abs,
+    "all": lambda values: builtins.all(list(values)), "max": _largest, "abs": abs,
 }  # fmt: skip
