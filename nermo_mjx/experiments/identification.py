@@ -158,9 +158,10 @@ class Walking:
     def __call__(
         self, values: Mapping[str, np.ndarray], progress: Callable[[float], None] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Speed of worlds with these parameters, and whether their walks were completed, (n,) each."""
+        """Speed of worlds on the controller's clock, and whether their walks were completed, (n,) each."""
         result = self._simulator.run(values, Run(cycles=_CYCLES))
-        return result.metrics["speed"], np.asarray(result.status) == "ok"
+        speed = result.metrics["speed"] * values.get("tracking.clock_ratio", 1.0)
+        return speed, np.asarray(result.status) == "ok"
 
 
 class CandidateFile:

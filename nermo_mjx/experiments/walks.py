@@ -39,8 +39,8 @@ from nermo_mjx.robot import Robot
 from nermo_mjx.rollout import History, Run, Simulator
 
 HARDWARE_STRIDE: Final = 0.8
-#: Paths are followed by this project's pilot in all profiles. None of the author's gains (25 and 200 on 2 August 2021, 40
-#: and 300 on the 8th) is known to be that of a test; with the former no circle of 0.5 m is followed within 25 mm.
+#: Paths are followed by this project's pilot in all profiles. None of the author's gains (25 and 200 on 2 August 2021,
+#: 40 and 300 on the 8th) is known to be that of a test; with the former no circle of 0.5 m is followed within 25 mm.
 _GUIDED: Final = {"pilot.guidance": 1.0, "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
 _BUILT: Final = ("as_built",)
 
