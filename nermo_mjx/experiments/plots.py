@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from nermo_mjx.control.published import PROFILES
+from nermo_mjx.control.published import PROFILES, SIMULATED
 from nermo_mjx.experiments import stands, walks
 from nermo_mjx.experiments.cases import Outcome
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
@@ -106,6 +106,8 @@ def figures(out: Path) -> Figures:
 LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
 _TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0", "author": "#444444"}
+#: Right ends of the columns of numbers, in widths of the table.
+_COLUMNS: Final = {"published": 0.2, "author": 0.4, "as_published": 0.62, "exact": 0.8, "as_built": 1.0}
 
 
 def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
@@ -133,10 +135,8 @@ def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
     ax.spines["left"].set_visible(False)
     table.axis("off")
     table.set_xlim(0, 1)
-    columns = ("published", "author", *PROFILES)
-    places = dict(zip(columns, np.linspace(0.2, 1.0, len(columns)), strict=True))
-    for name, x in places.items():
-        table.text(x, -0.75, shown(name), ha="right", va="center", fontsize=8, fontweight="bold", color=MUTED)
+    for name, x in _COLUMNS.items():
+        table.text(x, -0.75, shown(name), ha="right", va="center", fontsize=7.5, fontweight="bold", color=MUTED)
     handles: list[Artist] = [published_entry()]
     handles += [stroke(shown(name), colour, ls="none", marker="o", ms=6.5) for name, colour in _TONES.items()]
     handles += [swatch(f"within {AGREES:.0%}".replace("%", " %"), _NEAR)]
@@ -173,14 +173,13 @@ def _agreement_row(ax: Axes, table: Axes, y: int, line: Line) -> None:
     ax.scatter(1, y, s=34, marker="D", fc="white", ec="black", lw=1.2, zorder=4, gid="published")
     for profile in reversed(_TONES):
         value = _number(getattr(line, profile))
-        if value is None:
+        if value is None or (line.judged_in == "as_built" and profile in SIMULATED):
             continue
         share = (value - _neutral(line)) / reference
         place = min(max(share, LEAST), MOST)
         marker = "o" if share == place else (">" if share > place else "<")
         ax.scatter(place, y, s=46, marker=marker, color=_TONES[profile], ec="white", lw=0.6, zorder=5, gid=profile)
-    columns = ("published", "author", *PROFILES)
-    for name, x in zip(columns, np.linspace(0.2, 1.0, len(columns)), strict=True):
+    for name, x in _COLUMNS.items():
         value = getattr(line, name)
         if isinstance(value, list):
             text = f"{min(value):.3g} to {max(value):.3g} {line.unit}".rstrip()
