@@ -228,7 +228,7 @@ def test_published_numbers_come_from_the_report():
         "straight-line": [plots.SPEED, plots.GAIN, plots.OVER_LATERAL, plots.LARGEST_ROLL,
                           *plots.COMPENSATION.values()],
         "turning": [*plots.TIME.values(), *plots.RADIUS.values()],
-        "maze": [f"{column.replace('_', ' ')} {which} spine" for column in plots._TITLES for which in ("with", "without")],
+        "maze": [f"{column.replace('_', ' ')} {which}" for column in plots._TITLES for which in plots.WITH.values()],
     }  # fmt: skip
     for experiment, names in used.items():
         assert set(names) <= {figure.figure for figure in figures(experiment)}
