@@ -160,6 +160,22 @@ def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pr
     assert np.ptp(np.log(bodies.values["servo.kv"])) > 0.8 * np.log(30)  # what does not matter is not known
 
 
+def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publications_clock(pretended):
+    """The pretended trot walks at 0.9 of its theory in one clock, and so at 0.36 of it in the other."""
+    asked = []
+    pretended.run = lambda self, values, run, inherited=pretended.run: (
+        asked.append(values),
+        inherited(self, values, run),
+    )[1]
+    found = identify(Search(**SMALL, bodies=0, profile="as_published"))
+    first = {name: float(values[0]) for name, values in asked[0].items()}
+    assert (first["servo.kp"], first["damping.spine"], first["stance.rear_z"]) == (60.0, 0.01, -0.042)
+    assert (first["tracking.clock_ratio"], first["pilot.error_gain"], first["servo.torque_limit"]) == (0.4, 0.0, 0.4)
+    assert found.start_figures["trt, 0.8 Hz, over theory"][0] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
+    with pytest.raises(ParameterError, match="profile is 'as_built'"):
+        Search(profile="as_built")
+
+
 def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
     """A tolerance that nothing meets: the search's result stands, there is no ensemble.csv, and the report says so."""
     content = identification.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
@@ -287,13 +303,13 @@ def test_another_engine_does_not_go_on_and_auto_is_the_one_begun_with(pretended,
     assert identification.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
 
 
-def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(pretended, tmp_path):
-    """Its first line has engine, versions and model, too; its candidates are of no known code."""
+def test_a_search_of_unknown_code_goes_on_when_it_is_accepted(pretended, tmp_path):
+    """Its candidates name no code, and the last line was being written when it was killed."""
     settings = killed(pretended, tmp_path)
     (tmp_path / "run.json").unlink()
     path = tmp_path / "candidates.jsonl"
     first, *rest = (json.loads(line) for line in path.read_text().splitlines())
-    rows = [first | {"engine": "c", "jax": "0.0", "model": "a"}, *({**row, "code": None} for row in rest)]
+    rows = [first, *rest]
     for row in rows:
         row.pop("code", None)
     path.write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"points": [[0.1, 0')
