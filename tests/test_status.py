@@ -133,19 +133,19 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     with pytest.raises(ExperimentsInterrupted):
         run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
     content = said(tmp_path)
-    assert known(content) == ("experiments", None, 12, False)
+    assert known(content) == ("experiments", None, 18, False)
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
     text = status(tmp_path).stdout
     assert "maze is not finished." in text
     assert f"resume   nermo-mjx experiment all --out {tmp_path} --no-video\n" in text
     fakes["maze"].error = None
     run_experiments(["turning", "maze"], tmp_path, video=False)
-    assert known(said(tmp_path)) == ("experiments", 24, 24, True)
+    assert known(said(tmp_path)) == ("experiments", 36, 36, True)
     assert f"figures  nermo-mjx plot {tmp_path}\n" in status(tmp_path).stdout
     # As the previous release left it.
     (tmp_path / "run.json").unlink()
     content = said(tmp_path)
-    assert known(content) == ("experiments", 24, 24, True)
+    assert known(content) == ("experiments", 36, 36, True)
     assert (content["engine"], content["code"]) == ("c", [])
 
 
@@ -159,10 +159,10 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
         drawing.setattr(plots, "figures_of", killed)
         with pytest.raises(ExperimentsInterrupted):
             run_experiments(["turning"], tmp_path, engine="c", video=False)
-    assert known(said(tmp_path)) == ("experiments", None, 12, False)
+    assert known(said(tmp_path)) == ("experiments", None, 18, False)
     assert "turning is not finished." in status(tmp_path).stdout
     run_experiments(["turning"], tmp_path, video=False)
-    assert known(said(tmp_path)) == ("experiments", 12, 12, True)
+    assert known(said(tmp_path)) == ("experiments", 18, 18, True)
     assert len(fakes["turning"].asked) == 1
 
 

@@ -235,7 +235,7 @@ def _parts(outcome: Outcome, bodies: Outcome | None) -> list[Outcome]:
 
 
 def _line(outcome: Outcome, figure: Figure, parts: Sequence[Outcome]) -> Line:
-    values = {profile: figure.measured(outcome, profile) for profile in PROFILES}
+    values: dict[str, Any] = {profile: figure.measured(outcome, profile) for profile in PROFILES}
     own = values[figure.profile]
     spread = [figure.measured(part, figure.profile) for part in parts]
     low, high = _interval(spread)

@@ -52,7 +52,7 @@ class Words:
             return value if isinstance(value, str) else bool(value)
         return float(value) if math.isfinite(value) else None
 
-    def mean(self, column: str, **case: Any) -> np.float64:
+    def mean(self, column: str, **case: Any) -> np.floating[Any]:
         """Mean of a column over the repeats of a case, in SI units and simulated time."""
         value = self._outcome.mean(column, profile=self._profile, **case)
         self._missing |= not math.isfinite(value)
@@ -67,42 +67,46 @@ class Words:
     def walk(
         self, column: str, gait: str, frequency: float, spine: bool = False, stride: float | None = None,
         compensated: bool = False,
-    ) -> np.float64:  # fmt: skip
+    ) -> np.floating[Any]:  # fmt: skip
         """A column of a straight walk, at the profile's own stride if none is named; angles in degrees."""
         value = self.mean(column, gait=gait, frequency=frequency, spine=spine, compensated=compensated,
                           stride=self._stride if stride is None else stride)  # fmt: skip
         return np.degrees(value) if _ANGLE.fullmatch(column) else value
 
-    def speed(self, gait: str, frequency: float, spine: bool = False, stride: float | None = None) -> np.float64:
+    def speed(self, gait: str, frequency: float, spine: bool = False, stride: float | None = None) -> np.floating[Any]:
         """Speed [mm/s]."""
         return 1e3 * clock(self._profile) * self.walk("speed", gait, frequency, spine, stride)
 
-    def theory_speed(self, gait: str, frequency: float, spine: bool = False, stride: float | None = None) -> np.float64:
+    def theory_speed(
+        self, gait: str, frequency: float, spine: bool = False, stride: float | None = None
+    ) -> np.floating[Any]:
         """Speed without slip [mm/s]."""
         return 1e3 * clock(self._profile) * self.walk("theory_speed", gait, frequency, spine, stride)
 
-    def over_theory(self, gait: str) -> np.float64:
+    def over_theory(self, gait: str) -> np.floating[Any]:
         """Speed over its theory, mean of the frequencies."""
         return np.mean([self.speed(gait, f) / self.theory_speed(gait, f) for f in FREQUENCIES])
 
-    def gain(self, gait: str, frequency: float) -> np.float64:
+    def gain(self, gait: str, frequency: float) -> np.floating[Any]:
         """Speed with the spine over that without."""
         return self.speed(gait, frequency, True) / self.speed(gait, frequency)
 
-    def ratio(self, column: str, gait: str = "trt", frequency: float = 0.8) -> np.float64:
+    def ratio(self, column: str, gait: str = "trt", frequency: float = 0.8) -> np.floating[Any]:
         """A column with the spine over that without."""
         return self.walk(column, gait, frequency, True) / self.walk(column, gait, frequency)
 
-    def compensated(self, column: str) -> np.float64:
+    def compensated(self, column: str) -> np.floating[Any]:
         """A column with offset compensation over that without, trot at 0.67 Hz with the spine."""
         return self.walk(column, "trt", 0.67, True, compensated=True) / self.walk(column, "trt", 0.67, True)
 
-    def amplitude(self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False) -> np.float64:
+    def amplitude(
+        self, angle: str, gait: str, frequency: float, spine: bool, compensated: bool = False
+    ) -> np.floating[Any]:
         """Half the range of an angle [deg]."""
         low, high = (self.walk(f"{angle}_{end}", gait, frequency, spine, None, compensated) for end in ("min", "max"))
         return 0.5 * (high - low)
 
-    def largest_roll(self, spine: bool) -> np.float64:
+    def largest_roll(self, spine: bool) -> np.floating[Any]:
         """Largest roll to either side, trot at 0.8 Hz [deg]."""
         return max(abs(self.walk(f"roll_{end}", "trt", 0.8, spine)) for end in ("min", "max"))
 
@@ -128,20 +132,20 @@ class Words:
 
     # turning
 
-    def turn(self, column: str, gait: str, frequency: float, radius: float, strategy: str) -> np.float64:
+    def turn(self, column: str, gait: str, frequency: float, radius: float, strategy: str) -> np.floating[Any]:
         """A column of a turn to the left."""
         return self.mean(column, side="left", gait=gait, frequency=frequency, radius=radius, strategy=strategy,
                          stride=self._stride)  # fmt: skip
 
-    def turn_time(self, strategy: str) -> np.float64:
+    def turn_time(self, strategy: str) -> np.floating[Any]:
         """Time for the quarter circle of 0.5 m, trot at 0.67 Hz [s]."""
         return self.turn("time", "trt", 0.67, 0.5, strategy) / clock(self._profile)
 
-    def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> np.float64:
+    def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> np.floating[Any]:
         """Smallest radius: that of the path at full lock [m]."""
         return self.turn("turning_radius", gait, frequency, FULL_LOCK, strategy)
 
-    def theory_lock(self, strategy: str, column: str = "theory_radius") -> np.float64:
+    def theory_lock(self, strategy: str, column: str = "theory_radius") -> np.floating[Any]:
         """The same without slip [m]."""
         return self.turn(column, "trt", 0.67, FULL_LOCK, strategy)
 
@@ -161,7 +165,7 @@ class Words:
                  if not self.followed(strategy, gait, f, radius)]  # fmt: skip
         return ("; ".join(names) or "none") if circles else None
 
-    def compared(self, *strategies: str) -> list[tuple[np.float64, ...]]:
+    def compared(self, *strategies: str) -> list[tuple[np.floating[Any], ...]]:
         """Speeds of strategies on every quarter circle that all of them followed; none unmeasures the figure."""
         found = [
             tuple(self.turn("speed", *circle, strategy) for strategy in strategies)
@@ -210,15 +214,15 @@ class Words:
         passed = self.mean("passed", leg=limb, sbc=sbc)
         return {1.0: "pass", 0.0: "fail"}.get(float(passed), f"{passed:.0%} pass")
 
-    def lift(self, column: str, limb: str, sbc: bool) -> np.float64:
+    def lift(self, column: str, limb: str, sbc: bool) -> np.floating[Any]:
         """A column of a lift."""
         return self.mean(column, leg=limb, sbc=sbc)
 
-    def rest(self, pair: str, sbc: bool) -> np.float64:
+    def rest(self, pair: str, sbc: bool) -> np.floating[Any]:
         """Size of the resting pitch, mean of left and right [rad]."""
         return np.mean([abs(self.lift("pitch_rest", f"{pair}_{side}", sbc)) for side in ("left", "right")])
 
-    def force(self, foot: str, lifted: str, sbc: bool) -> np.float64:
+    def force(self, foot: str, lifted: str, sbc: bool) -> np.floating[Any]:
         """Force of a foot [N] on four feet, just before a leg is lifted; mean of the case and its mirror image."""
         swap = {"left": "right", "right": "left"}
         mirror = [f"{pair}_{swap[side]}" for pair, side in (limb.split("_") for limb in (foot, lifted))]
@@ -227,7 +231,7 @@ class Words:
 
     # maze
 
-    def maze(self, column: str, spine: bool) -> np.float64:
+    def maze(self, column: str, spine: bool) -> np.floating[Any]:
         """A column of the maze; time [s], mean_speed [mm/s] and angles [deg]."""
         value = self.mean(column, spine=spine)
         if column == "time":
@@ -236,7 +240,7 @@ class Words:
             return 1e3 * clock(self._profile) * value
         return np.degrees(value) if column.endswith("_std") else value
 
-    def maze_ratio(self, column: str) -> np.float64:
+    def maze_ratio(self, column: str) -> np.floating[Any]:
         """With the spine over without."""
         return self.maze(column, True) / self.maze(column, False)
 

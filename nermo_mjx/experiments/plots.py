@@ -709,7 +709,7 @@ def _maze(outcome: Outcome, lines: Lines) -> Drawn:
         labels = run.metadata.get("labels", {})
         if {"profile", "spine"} <= set(labels):
             runs.setdefault(str(labels["profile"]), {})[bool(labels["spine"])] = run
-    ordered = {name: runs[name] for name in ("as_published", "exact", "as_built") if name in runs}
+    ordered = {name: runs[name] for name in (*reversed(SIMULATED), "as_built") if name in runs}
     yield "ways", _ways(outcome, ordered) if ordered else None
     yield "sway", _sway(outcome, ordered) if ordered else None
     yield "walk", _maze_walk(outcome, lines)

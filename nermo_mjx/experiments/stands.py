@@ -195,7 +195,7 @@ def _dimensions() -> dict[str, float]:
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     visible = (model.geom_bodyid > 0) & (model.geom_group == VISUAL_GROUP)
-    corners = np.array([_outline(model, data, geom) for geom in np.flatnonzero(visible)])
+    corners = np.array([_outline(model, data, geom) for geom in np.flatnonzero(visible).tolist()])
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     soles = [model.geom(f"{limb}_sole") for limb in LIMBS]
     ground = min(data.geom_xpos[sole.id, 2] - sole.size[0] for sole in soles)

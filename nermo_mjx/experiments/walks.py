@@ -179,7 +179,7 @@ def turn_cases(quick: bool = False) -> tuple[Case, ...]:
     gaits, frequencies = (("trt",), (0.67,)) if quick else (GAITS, FREQUENCIES)
     radii = (0.5, FULL_LOCK) if quick else (*RADII, FULL_LOCK)
     left = [_turn(*case) for case in itertools.product(gaits, frequencies, radii, STRATEGIES)]
-    right = [_turn(*case, side="right") for case in itertools.product(gaits[:2], (0.67,), radii, STRATEGIES)]
+    right = [_turn(*case) for case in itertools.product(gaits[:2], (0.67,), radii, STRATEGIES, ("right",))]
     built = [_turn("trt", 0.67, 0.5, name, stride=HARDWARE_STRIDE, profiles=_BUILT) for name in STRATEGIES]
     return (*left, *right, *built)
 
@@ -214,7 +214,9 @@ def walk_turns(settings: Settings) -> Outcome:
         before += share
         if not locked and settings.bodies is None:
             stride = HARDWARE_STRIDE if settings.profiles[0] == "as_built" else 1.0
-            shown = [_turn("trt", 0.67, 0.5, name, stride=stride, profiles=settings.profiles) for name in STRATEGIES]
+            shown = [
+                _turn("trt", 0.67, 0.5, name, stride=stride, profiles=tuple(settings.profiles)) for name in STRATEGIES
+            ]
             one = worlds(shown, defaults, settings.of_one_run())
             names = [f"trt, 0.67 Hz, R = 0.5 m, {case.labels['strategy']}" for case in shown]
             recordings = recorded(simulator, one, _turn_length(one.all_values(defaults), one.labels["radius"]), names)
