@@ -117,19 +117,24 @@ def test_the_published_robot_stands_with_its_nose_up():
     assert -0.8 < np.degrees(found.metrics["pitch_mean"][0]) < -0.3
 
 
-def test_trots_agree_with_the_authors_model_where_nobody_published():
-    """Trot at 0.5 and 0.8 Hz, four strides, with and without spine, on the clock of the tests: medians."""
-    tests = GRID[(GRID["stance"] == "tests") & (GRID["clock"] == 0.4) & (GRID["gait"] == "trt")]
-    rows = tests[tests["frequency"].isin([0.5, 0.8])]
+def test_walks_agree_with_the_authors_model_where_nobody_published():
+    """All 64 of the stance and the clock of the tests: two gaits, four frequencies, four strides, spine off and on.
+
+    Bounds in the median are those that were asked for before: speed 4 %, roll 8 %. Pitch is at its own, 15 %: between
+    14.4 and 15.2 %, as a batch rounds (docs/published_set_up.md).
+    """
+    rows = GRID[(GRID["stance"] == "tests") & (GRID["clock"] == 0.4)]
     setup = Setup(profile="as_published", pilot="open_loop", spine="stride_extension")
-    values = {"frequency": rows["frequency"].to_numpy(), "stride": rows["stride"].to_numpy(),
-              "spine.amplitude": 0.4 * rows["spine"].to_numpy()}  # fmt: skip
+    each = [published_values(gait, profile="as_published") for gait in rows["gait"]]
+    values = {name: np.array([row[name] for row in each]) for name in each[0]}
+    values |= {name: rows[name].to_numpy() for name in ("frequency", "stride")}
+    values |= {"spine.amplitude": 0.4 * rows["spine"].to_numpy()}
     found = Simulator(setup, engine="c").run(values, Run(cycles=11.0, warmup_cycles=4.0)).metrics
     speed, his = 400.0 * np.asarray(found["speed"]), rows["speed_mm_s"].to_numpy()
-    roll = np.degrees(found["roll_std"]) / rows["roll_std_deg"].to_numpy()
-    assert np.median(np.abs(speed / his - 1.0)) < 0.04
-    assert np.corrcoef(speed, his)[0, 1] > 0.98
-    assert np.median(np.abs(roll - 1.0)) < 0.08
+    assert len(rows) == 64
+    assert np.corrcoef(speed, his)[0, 1] >= 0.98
+    assert np.median(np.abs(speed / his - 1.0)) <= 0.04
+    assert np.median(np.abs(np.degrees(found["roll_std"]) / rows["roll_std_deg"].to_numpy() - 1.0)) <= 0.08
 
 
 def test_the_profile_is_what_his_repository_held():

@@ -55,7 +55,7 @@ AS_PUBLISHED: Final = {
 #: the tail. His servos have gains of 200 and 300 N m/rad without damping, which only their torque limits keep stable.
 #: Here they have 60 with 0.05 N m s/rad, with which his own model is 3 % faster (docs/published_set_up.md).
 AS_PUBLISHED_BODY: Final = {
-    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.spine_torque": 0.157 / 0.4,
+    "servo.kp": 60.0, "servo.kv": 0.05, "servo.torque_limit": 0.4, "servo.spine_torque": 0.3925,
     "servo.speed": 100.0, "damping.knee": 0.005, "damping.ankle": 0.005, "damping.spine": 0.01,
     "mass.front": 0.2122, "mass.rear": 0.1257, "contact.tail_friction": 1.0,
 }  # fmt: skip

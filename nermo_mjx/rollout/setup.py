@@ -134,6 +134,9 @@ class Setup:
                  if self._applies(field.name)}  # fmt: skip
         named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
         given |= {"metrics": named} if named else {}
+        given |= (
+            {"steering": str(self.steering)} if "steering" in given else {}
+        )  # without the type that YAML cannot write
         return {name: value if value is None or isinstance(value, (str, int, float, tuple)) else type(value).__name__
                 for name, value in given.items()}  # fmt: skip
 
