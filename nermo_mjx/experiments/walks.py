@@ -66,8 +66,7 @@ def _line(
     labels: dict[str, Label] = {
         "gait": gait, "frequency": frequency, "stride": stride, "spine": spine, "compensated": compensated,
     }  # fmt: skip
-    # Without the author's PD pilot, whose weaving no gain of his makes smaller without the spine than with it, as the
-    # publication has the yaw on this line. The guidance of the other profiles has no such gains.
+    # Without the author's PD pilot, as his own model beside it. The guidance of the other profiles has no such gains.
     values = {"frequency": frequency, "stride": stride, "spine.amplitude": AMPLITUDE * spine,
               "spine.offset_compensation": float(compensated),
               "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}  # fmt: skip
