@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control.published import SIMULATED
 from nermo_mjx.experiments.balance import (
     PHASES,
     PLACE,
@@ -39,7 +40,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def outcome():
-    return run(Settings(repeats=REPEATS, engine="c"))
+    return run(Settings(SIMULATED, repeats=REPEATS, engine="c"))
 
 
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
@@ -263,7 +264,7 @@ def test_bodies_do_all_cases_and_what_is_theirs_arrives():
     assert several.columns["body"].tolist() == [1] * 8 + [2] * 8
     assert not several.recordings
     assert list(several.columns) == list(several.about)
-    light, heavy = (several.of_body(body) for body in (1, 2))
+    light, heavy = (several.only(body=body) for body in (1, 2))
     weight = [sum(each.columns[f"force_stand_{limb}"].mean() for limb in LIMBS) / GRAVITY for each in (light, heavy)]
     assert weight[1] - weight[0] == pytest.approx(0.0347, rel=0.1)
     margin = [each.mean("com_margin_stand", leg="rear_left", sbc=False) for each in (light, heavy)]
