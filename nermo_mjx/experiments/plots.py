@@ -107,7 +107,7 @@ LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
 _TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0", "author": "#444444"}
 #: Right ends of the columns of numbers, in widths of the table.
-_COLUMNS: Final = {"published": 0.2, "author": 0.4, "as_published": 0.66, "exact": 0.82, "as_built": 1.0}
+_COLUMNS: Final = {"published": 0.2, "author": 0.4, "as_published": 0.62, "exact": 0.8, "as_built": 1.0}
 
 
 def _agreement(outcome: Outcome, lines: Lines) -> Drawn:
@@ -187,7 +187,7 @@ def _agreement_row(ax: Axes, table: Axes, y: int, line: Line) -> None:
             number = _number(value)
             text = "–" if number is None else f"{number:.3g} {line.unit}".rstrip().replace("-", "−")
         wrong = name == line.judged_in and line.holds is False
-        table.text(x, y, text, ha="right", va="center", fontsize=7.5, color=BEST if wrong else INK)
+        table.text(x, y, text, ha="right", va="center", fontsize=7, color=BEST if wrong else INK)
 
 
 # --- straight line
