@@ -103,7 +103,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 #: Modules that make simulators by this name.
 MAKERS = (
     "rollout", "sweep.forecast", "sweep.keeping", "sweep.replay", "sweep.simulating", "tune.simulated",
-    "learn.evaluation", "experiments.straight_line", "experiments.turning", "experiments.maze",
+    "learn.evaluation", "experiments.walks",
 )  # fmt: skip
 
 

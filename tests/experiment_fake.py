@@ -6,16 +6,14 @@ import dataclasses
 
 import numpy as np
 
+from nermo_mjx.experiments.cases import BODY, Column, Outcome, Settings
 from nermo_mjx.experiments.catalogue import Experiment
-from nermo_mjx.experiments.judgement import Effect, Number, Range, Same
-from nermo_mjx.experiments.line import Figure
-from nermo_mjx.experiments.outcome import BODY, Column, Outcome
-from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.experiments.lines import Figure
 from nermo_mjx.robot import load_robot
 from nermo_mjx.view import Recording
 
 ABOUT = {
-    "profile": Column("1", "exact or as_published"),
+    "profile": Column("1", "exact, as_published or as_built"),
     "gait": Column("1", "the gait"),
     "frequency": Column("Hz", "gait cycles per second"),
     "repeat": Column("1", "index of the repeat"),
@@ -27,7 +25,7 @@ ABOUT = {
 #: Name of its recording.
 RUN = "trt, 0.8 Hz, with spine"
 #: Speeds [m/s] of the trot at 0.5 and 0.8 Hz, in each profile.
-SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07)}
+SPEEDS = {"exact": (0.05, 0.08), "as_published": (0.045, 0.07), "as_built": (0.04, 0.06)}
 
 
 @dataclasses.dataclass
@@ -67,17 +65,17 @@ class Fake:
         """As the catalogue has one: a figure that holds, one that does not, a trend, and one that is not measured."""
         figures = (
             Figure(
-                "speed at 0.8 Hz", "predicted", Number(80.0),
-                lambda o, p: 1e3 * o.mean("speed", profile=p, frequency=0.8), "mm/s", "6.2",
+                "speed at 0.8 Hz", "predicted", "number", '1e3 * mean("speed", frequency=0.8)', 80.0, unit="mm/s",
+                section="6.2", author=84.9, settings="tests",
             ),
-            Figure("ratio of speeds", "fitted", Effect(1.2), lambda o, p: 1.6, source="6.2"),
-            Figure("faster | at 0.8 Hz", "chosen", Same(True), lambda o, p: True),
-            Figure("word", "predicted", Same("pass"), lambda o, p: "fail"),
-            Figure("interval", "theory", Range(0.25, 0.30), lambda o, p: float("nan")),
+            Figure("ratio of speeds", "fitted", "effect", "1.6", 1.2, section="6.2", sentence="faster by 20 %"),
+            Figure("faster | at 0.8 Hz", "chosen", "outcome", "True", True),
+            Figure("word", "predicted", "outcome", "'fail'", "pass", reason="the feet are round."),
+            Figure("interval", "theory", "range", 'mean("nothing")', [0.25, 0.30]),
         )  # fmt: skip
         return Experiment(
-            self.name, self.run, figures, SETTABLE, f"The {self.name}", "What is done.", quick="little",
-            metrics=("speed", "theory_speed", "followed"),
+            self.name, self.run, SETTABLE, f"The {self.name}", "What is done.", quick="little",
+            metrics=("speed", "theory_speed", "followed"), own_figures=figures,
         )  # fmt: skip
 
 

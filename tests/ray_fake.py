@@ -122,7 +122,7 @@ def identify(out):
     os.environ.update(ray_workers.QUIET | ray_workers.LOOPBACK)
     from ray.cluster_utils import Cluster
 
-    from nermo_mjx.experiments.identification.run import run_identification
+    from nermo_mjx.experiments.identification import run_identification
 
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
     cluster.add_node(num_cpus=1)

@@ -6,11 +6,23 @@ import numpy as np
 import pytest
 
 from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.experiments.balance.experiment import run
-from nermo_mjx.experiments.balance.measures import TOUCH, centre_of_mass, inside, tip_angle, verdict
-from nermo_mjx.experiments.balance.protocol import PHASES, BalanceLoop, BalanceParameters
-from nermo_mjx.experiments.balance.start import PLACE, TURN, nudge, start_pose
-from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.control.published import SIMULATED
+from nermo_mjx.experiments.balance import (
+    PHASES,
+    PLACE,
+    TOUCH,
+    TURN,
+    BalanceLoop,
+    BalanceParameters,
+    centre_of_mass,
+    inside,
+    nudge,
+    run,
+    start_pose,
+    tip_angle,
+    verdict,
+)
+from nermo_mjx.experiments.cases import Settings
 from nermo_mjx.robot import LIMBS, ParameterError, load_robot
 
 pytestmark = pytest.mark.compiles
@@ -28,7 +40,7 @@ def robot():
 
 @pytest.fixture(scope="module")
 def outcome():
-    return run(Settings(repeats=REPEATS, engine="c"))
+    return run(Settings(SIMULATED, repeats=REPEATS, engine="c"))
 
 
 @pytest.mark.parametrize("profile", ["exact", "as_published"])
@@ -252,7 +264,7 @@ def test_bodies_do_all_cases_and_what_is_theirs_arrives():
     assert several.columns["body"].tolist() == [1] * 8 + [2] * 8
     assert not several.recordings
     assert list(several.columns) == list(several.about)
-    light, heavy = (several.of_body(body) for body in (1, 2))
+    light, heavy = (several.only(body=body) for body in (1, 2))
     weight = [sum(each.columns[f"force_stand_{limb}"].mean() for limb in LIMBS) / GRAVITY for each in (light, heavy)]
     assert weight[1] - weight[0] == pytest.approx(0.0347, rel=0.1)
     margin = [each.mean("com_margin_stand", leg="rear_left", sbc=False) for each in (light, heavy)]

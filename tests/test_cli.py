@@ -406,8 +406,8 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 @pytest.fixture
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
+    from nermo_mjx.experiments import plots
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.experiments.plots import figures as plots
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():
@@ -435,11 +435,11 @@ def test_experiment_json_is_the_report_and_nothing_else(fakes: dict[str, Fake], 
 
 
 def test_experiment_prints_figures_side_by_side_and_where_things_are(fakes: dict[str, Fake], tmp_path: Path) -> None:
-    result = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "exact")
+    result = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "as_published")
     assert result.exit_code == 0, "a figure that does not hold is no failure"
     for line in (
-        r"^figure +kind +published +as published +exact +ratio +holds +ensemble$",
-        r"^speed at 0\.8 Hz \[mm/s\] +predicted +80 +– +81\.0 +1\.01 +yes +–$",
+        r"^figure +kind +published +author's model +as published +exact +as built +90 % +in it +holds$",
+        r"^speed at 0\.8 Hz \[mm/s\] +predicted +80 +84\.9 +71\.0 +– +– +– +– +yes$",
     ):
         assert re.search(line, result.stdout, re.MULTILINE)
     assert "turning: 2 of 4 figures hold, 1 not judged or measured (6 runs in " in result.stdout
@@ -447,7 +447,9 @@ def test_experiment_prints_figures_side_by_side_and_where_things_are(fakes: dict
     assert "Only predicted lines count as evidence." in result.stdout
     assert str(tmp_path / "out" / "report.md") in result.stdout
     assert "videos" not in result.stdout
-    quiet = call("experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "exact", "--quiet")
+    quiet = call(
+        "experiment", "turning", "--out", tmp_path / "out", "--no-video", "--profile", "as_published", "--quiet"
+    )
     assert (quiet.exit_code, quiet.stdout, quiet.stderr) == (0, "", "")
 
 
@@ -491,7 +493,7 @@ def test_experiments_in_use_or_of_other_code_are_refused_by_exit_code(
 @pytest.fixture
 def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """An identification that returns its start; records its arguments."""
-    from nermo_mjx.experiments.identification import search as identification
+    from nermo_mjx.experiments import identification
     from nermo_mjx.rollout import Setup
 
     asked: dict[str, Any] = {}
@@ -502,16 +504,17 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         asked.update(vars(wanted))
         progress(1.0)
         defaults = Setup().defaults()
-        names = [name for free in identification.FREE.values() for name in free.names]
+        names = [name for free in identification.FREE_IN["exact"].values() for name in free.names]
         figures = dict.fromkeys(identification.TARGETS, (1.1, 0.5))
         return identification.Identified({n: defaults[n] for n in names}, 0.5, 0.9, figures, figures, (0.9, 10.0, 0.5))
 
-    monkeypatch.setattr("nermo_mjx.experiments.identification.run.identify", identify)
+    monkeypatch.setattr("nermo_mjx.experiments.identification.identify", identify)
     return asked
 
 
 def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp_path: Path) -> None:
-    from nermo_mjx.experiments.identification.search import FREE, TARGETS
+    from nermo_mjx.experiments.ensemble import FREE
+    from nermo_mjx.experiments.identification import TARGETS
 
     out = tmp_path / "out"
     result = json_of("identify", "--out", out, "--samples", "3", "--seed", "4", "--engine", "c")

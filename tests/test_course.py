@@ -13,7 +13,7 @@ from published_maze import clearance
 
 from nermo_mjx.control.course import AHEAD, BEHIND, Course, course_through, locate
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.experiments.maze_course import MAZE_COURSE, maze_course
+from nermo_mjx.experiments.walks import MAZE_COURSE, maze_course
 from nermo_mjx.robot.quantity import ParameterError
 
 #: From the origin along -y, as the robot starts.

@@ -17,7 +17,7 @@ from nermo_mjx.control.path import arc
 from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.learn import SENTENCES, Environment, Modulation, Outcome, Residual, Targets, Task, Term
 from nermo_mjx.learn.acting import Acted, Acting
-from nermo_mjx.learn.observing import Observer, Sensing, Told
+from nermo_mjx.learn.observing import SENSED, Observer, Sensing, Told
 from nermo_mjx.learn.rewards import chosen_terms
 from nermo_mjx.learn.task import Episodes
 from nermo_mjx.robot import Sensors
@@ -179,6 +179,16 @@ def test_what_falls_ends_its_episode_with_that_sentence_and_stands_up_again(envi
     after = environment.step(state, np.zeros((3, 9)))
     assert not after.terminated.any()
     np.testing.assert_allclose(after.episode["duration"], [0.02, 0.01, 0.02], rtol=1e-5)
+
+
+@pytest.mark.compiles
+def test_a_policy_sees_the_servos_currents():
+    """By the data sheet: 8 mA at rest, 0.8 A at the stall torque of 0.157 N m, whichever way it acts."""
+    observer = Observer(("servo_current",), (), (), False, False, delayed=0, noisy=False, dt=0.01)
+    torque = jnp.zeros(10).at[:3].set(jnp.asarray([0.157, -0.157, 0.0785]))
+    found = observer.readings(sensors(servo_torque=torque)) * SENSED["servo_current"].scale
+    np.testing.assert_allclose(found, [0.8, 0.8, 0.404, *[0.008] * (len(found) - 3)], rtol=1e-5)
+    assert all(name.startswith("servo_current.") for name in observer.names)
 
 
 @pytest.mark.compiles

@@ -3,21 +3,20 @@
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments import body
-from nermo_mjx.experiments.line import compare
-from nermo_mjx.experiments.published import FIGURES
-from nermo_mjx.experiments.settings import Settings
+from nermo_mjx.experiments import stands
+from nermo_mjx.experiments.cases import Settings
+from nermo_mjx.experiments.lines import compare
 from nermo_mjx.robot import ParameterError
 
 
 @pytest.fixture(scope="module")
 def outcome():
-    return body.run(Settings())
+    return stands.run_body(Settings())
 
 
 def test_a_row_a_profile_and_the_same_in_both(outcome):
-    assert outcome.columns["profile"].tolist() == ["exact", "as_published"]
-    for name in body.ABOUT:
+    assert outcome.columns["profile"].tolist() == ["exact", "as_published", "as_built"]
+    for name in stands.BODY_ABOUT:
         assert outcome.columns[name][0] == outcome.columns[name][1], name
     assert set(outcome.columns) <= set(outcome.about)
 
@@ -32,7 +31,7 @@ def test_springs_bend_by_torque_over_stiffness(outcome, column, angle):
 
 
 def test_another_spring_bends_otherwise():
-    stiff = body.run(Settings(("exact",), values={"stiffness.front_knee": 0.27}))
+    stiff = stands.run_body(Settings(("exact",), values={"stiffness.front_knee": 0.27}))
     assert stiff.mean("bend_front_knee", profile="exact") == pytest.approx(0.125 / 0.27, rel=1e-3)
 
 
@@ -46,19 +45,19 @@ def test_the_published_dimensions_are_the_robots(outcome):
 
 
 def test_every_line_of_the_body_is_measured_and_none_is_called_a_prediction(outcome):
-    lines = compare(outcome, FIGURES["body"], {})
+    lines = compare(outcome)
     assert all(line.exact is not None for line in lines)
     assert {line.kind for line in lines} == {"chosen"}
 
 
 def test_bodies_have_their_own_rows():
     masses = np.array([0.16, 0.17])
-    several = body.run(Settings(("exact",), bodies={"mass.front": masses}))
+    several = stands.run_body(Settings(("exact",), bodies={"mass.front": masses}))
     assert several.columns["body"].tolist() == [1, 2]
     np.testing.assert_allclose(np.diff(several.columns["mass"]), 0.01)
-    assert "body" not in several.of_body(1).columns
+    assert "body" not in stands.run_body(Settings(("exact",))).columns
 
 
 def test_what_is_no_parameter_of_the_body_is_refused():
     with pytest.raises(ParameterError, match="frequency"):
-        body.run(Settings(values={"frequency": 0.5}))
+        stands.run_body(Settings(values={"frequency": 0.5}))

@@ -13,12 +13,10 @@ import pytest
 from experiment_fake import Fake
 
 from nermo_mjx import Setup
-from nermo_mjx.experiments import straight_line, turning
+from nermo_mjx.experiments import plots, walks
+from nermo_mjx.experiments.cases import Settings, Substitute
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.plots import figures as plots
 from nermo_mjx.experiments.run import run_experiment
-from nermo_mjx.experiments.settings import Settings
-from nermo_mjx.experiments.substitute import Substitute
 from nermo_mjx.learn import PPO, Environment, Policy, Task
 from nermo_mjx.robot import ParameterError
 
@@ -51,10 +49,10 @@ def settings(where=None):
 @pytest.mark.compiles
 def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_another_does_not(files, monkeypatch):
     """Every case with its own gait, frequency, stride and spine: as without a policy, where its actions are zero."""
-    chosen = (straight_line._case("trt", 0.8, spine=True), straight_line._case("lat", 0.5, spine=False))
-    monkeypatch.setattr(straight_line, "cases", lambda quick: chosen)
-    monkeypatch.setattr(straight_line, "_recordings", lambda simulator, settings: {})
-    published, none, some = (straight_line.run(settings(files.get(name))).columns for name in (None, "none", "some"))
+    chosen = (walks._line("trt", 0.8, spine=True), walks._line("lat", 0.5, spine=False))
+    monkeypatch.setattr(walks, "line_cases", lambda quick: chosen)
+    monkeypatch.setattr(walks, "recorded", lambda *_: {})
+    published, none, some = (walks.walk_line(settings(files.get(name))).columns for name in (None, "none", "some"))
     assert not np.allclose(published["speed"][0], published["speed"][1], rtol=0.1)
     for name in MEASURED:
         np.testing.assert_allclose(none[name], published[name], rtol=1e-6, err_msg=name)
@@ -64,13 +62,13 @@ def test_a_policy_that_does_nothing_walks_as_the_published_controller_and_anothe
 @pytest.mark.compiles
 def test_full_lock_is_left_out_for_a_policy_that_needs_a_path(files, monkeypatch):
     """Circles are walked, and full lock by a policy that observes no path."""
-    chosen = tuple(turning._case("trt", 0.67, radius, "leg", "left") for radius in (0.5, turning.FULL_LOCK))
-    monkeypatch.setattr(turning, "cases", lambda quick: chosen)
-    monkeypatch.setattr(turning, "_recordings", lambda simulator, settings: {})
-    monkeypatch.setattr(turning, "_LOCK_CYCLES", 3.0)
-    monkeypatch.setattr(turning, "_SLOWEST", 2.0)
-    assert turning.run(settings(files["none"])).columns["radius"].tolist() == [0.5]
-    assert turning.run(settings(files["blind"])).columns["radius"].tolist() == [0.5, turning.FULL_LOCK]
+    chosen = tuple(walks._turn("trt", 0.67, radius, "leg") for radius in (0.5, walks.FULL_LOCK))
+    monkeypatch.setattr(walks, "turn_cases", lambda quick: chosen)
+    monkeypatch.setattr(walks, "recorded", lambda *_: {})
+    monkeypatch.setattr(walks, "_LOCK_CYCLES", 3.0)
+    monkeypatch.setattr(walks, "_IN_TIME", 2.0)
+    assert walks.walk_turns(settings(files["none"])).columns["radius"].tolist() == [0.5]
+    assert walks.walk_turns(settings(files["blind"])).columns["radius"].tolist() == [0.5, walks.FULL_LOCK]
 
 
 @pytest.mark.compiles

@@ -11,18 +11,10 @@ import pytest
 from matplotlib.collections import PathCollection, PolyCollection
 from matplotlib.image import imread
 
-from nermo_mjx.experiments import maze, straight_line, turning
-from nermo_mjx.experiments.balance import measures as balance_measures
-from nermo_mjx.experiments.line import Line
-from nermo_mjx.experiments.outcome import Column, Outcome
-from nermo_mjx.experiments.plots import balance as plot_balance
-from nermo_mjx.experiments.plots import figures
-from nermo_mjx.experiments.plots import maze as plot_maze
-from nermo_mjx.experiments.plots import orientation as plot_orientation
-from nermo_mjx.experiments.plots import straight_line as plot_straight_line
-from nermo_mjx.experiments.plots import turning as plot_turning
-from nermo_mjx.experiments.plots.figures import DRAWERS
-from nermo_mjx.experiments.published import FIGURES
+from nermo_mjx.experiments import balance, plots, walks
+from nermo_mjx.experiments.cases import Column, Outcome
+from nermo_mjx.experiments.catalogue import EXPERIMENTS as CATALOGUE
+from nermo_mjx.experiments.lines import Figure, Line, compare, figures
 from nermo_mjx.plotting.files import lay_out, write_figures
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.recording import Recording
@@ -31,7 +23,7 @@ from nermo_mjx.rollout import METRICS
 
 pytestmark = pytest.mark.draws
 
-BOTH = ("exact", "as_published")
+BOTH = ("as_published", "exact")
 PHASES = {"stand": [0.0, 1.0], "shift": [1.0, 2.0], "lift": [2.0, 3.0], "swing": [3.0, 6.0]}
 EXPERIMENTS = ("straight-line", "turning", "balance", "maze")
 UNIT = re.compile(r"\[(deg|mm|mm/s|N|s|Hz|1)\]$")
@@ -61,7 +53,7 @@ def recorded(duration, labels, *, roll=0.0, position=None, **sensors):
 
 ABOUT = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
 ABOUT |= {"theory_speed": Column("m/s", ""), "theory_radius": Column("m", ""), "time": Column("s", "")}
-ABOUT |= {"mean_speed": Column("m/s", ""), **balance_measures.ABOUT}
+ABOUT |= {"mean_speed": Column("m/s", ""), **balance.ABOUT}
 SWAY = {f"{angle}_{what}": 0.1 for angle in ("roll", "pitch", "yaw") for what in ("mean", "std", "max")}
 SWAY |= {f"{angle}_min": -0.1 for angle in ("roll", "pitch", "yaw")}
 
@@ -72,7 +64,7 @@ def walked(profiles=BOTH, repeats=2, quick=False, **changed):
         labels = {"profile": profiles[0], "gait": "trt", "frequency": 1.0, "spine": spine}
         runs[f"spine {spine}"] = recorded(5.02, {"labels": labels}, roll=np.radians(6.0 + spine))
     measured = SWAY | {"speed": lambda row: 0.08 + 0.01 * row["repeat"], "theory_speed": 0.1, "status": "ok"} | changed
-    cases = [case.labels for case in straight_line.cases(quick)]
+    cases = [case.labels for case in walks.line_cases(quick) if "exact" in case.profiles]
     return outcome_of("straight-line", cases, measured, ABOUT, runs, profiles, repeats)
 
 
@@ -82,13 +74,13 @@ def turned(profiles=BOTH, repeats=2, quick=False, **changed):
         return np.stack([0.5 - 0.5 * np.cos(angle), -0.5 * np.sin(angle), 0 * time], axis=-1)
 
     labels = {"profile": profiles[0], "gait": "trt", "frequency": 0.67, "radius": 0.5, "side": "left"}
-    runs = {name: recorded(10.0, {"labels": labels | {"strategy": name}}, position=arc) for name in turning.STRATEGIES}
+    runs = {name: recorded(10.0, {"labels": labels | {"strategy": name}}, position=arc) for name in walks.STRATEGIES}
     measured = {
         "speed": 0.05, "time": 12.0, "followed": lambda row: row["strategy"] != "spine", "status": "ok",
         "turning_radius": lambda row: 0.15 if row["radius"] == 0 else np.nan,
         "theory_radius": lambda row: 0.14 if row["radius"] == 0 else np.nan,
     }  # fmt: skip
-    cases = [case.labels for case in turning.cases(quick)]
+    cases = [case.labels for case in walks.turn_cases(quick) if "exact" in case.profiles]
     return outcome_of("turning", cases, measured | changed, ABOUT, runs, profiles, repeats)
 
 
@@ -100,7 +92,7 @@ def balanced(profiles=BOTH, repeats=2, quick=False, **changed):
         time = np.arange(0.01, 6.0, 0.01)
         shown = {"pitch": 0.01 * time, "com_margin": 0.005 - 0.001 * time, "foot_force": np.ones((len(time), 4))}
         runs[f"{case}"] = recorded(6.0, data, **shown)
-    measured = dict.fromkeys(balance_measures.ABOUT, 0.5) | {"passed": True}
+    measured = dict.fromkeys(balance.ABOUT, 0.5) | {"passed": True}
     return outcome_of("balance", cases, measured | changed, ABOUT, runs, profiles, repeats)
 
 
@@ -112,41 +104,29 @@ def mazed(profiles=BOTH, repeats=2, quick=False, **changed):
     for profile, spine in itertools.product(profiles, (False, True)):
         runs[f"{profile} {spine}"] = recorded(30.0, {"labels": {"profile": profile, "spine": spine}}, position=ahead)
     measured = SWAY | {"time": 25.0, "mean_speed": 0.06, "status": "ok"}
-    cases = [case.labels for case in maze.cases()]
+    cases = [case.labels for case in walks.maze_cases() if "exact" in case.profiles]
     return outcome_of("maze", cases, measured | changed, ABOUT, runs, profiles, repeats)
 
 
 MADE = {"straight-line": walked, "turning": turned, "balance": balanced, "maze": mazed}
 
 
+def line(experiment: str, figure: Figure, **measured) -> Line:
+    """A line of the report with a made-up measurement."""
+    nothing = Outcome(experiment, {"profile": np.array(["none"]), "repeat": np.array([0])}, {}, {})
+    return dataclasses.replace(compare(nothing, None, [figure])[0], **measured)
+
+
 def lines_of(experiment, exact=None):
     """The report's lines with what was published, and the same made-up measurement in each."""
-    return [
-        Line(
-            experiment,
-            figure.name,
-            figure.kind,
-            figure.reported.name,
-            figure.reported.published,
-            None,
-            exact,
-            None,
-            None,
-            None,
-            figure.unit,
-            figure.source,
-            None,
-            "",
-        )
-        for figure in FIGURES[experiment]
-    ]
+    return [line(experiment, figure, exact=exact) for figure in figures(experiment)]
 
 
 def pictures(outcome, lines):
     """The figures by the names of their pictures, in the house's style and laid out as in files."""
     with matplotlib.rc_context(STYLE):
         drawn = {
-            name.removeprefix(f"{outcome.experiment}-"): figure for name, figure in figures.figures_of(outcome, lines)
+            name.removeprefix(f"{outcome.experiment}-"): figure for name, figure in plots.figures_of(outcome, lines)
         }
         for figure in drawn.values():
             lay_out(figure)
@@ -184,7 +164,7 @@ def entries(figure):
 def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
     """Both files of each, named after the experiment, and nothing else; the PNG is not blank."""
     outcome = MADE[experiment](quick=True)
-    files = write_figures(figures.figures_of(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
+    files = write_figures(plots.figures_of(outcome, lines_of(experiment, exact=1.0)), tmp_path / "plots")
     assert {path.suffix for path in files} == {".png", ".svg"}
     assert sorted(files) == sorted((tmp_path / "plots").iterdir())
     assert all(path.name.startswith(f"{experiment}-") for path in files)
@@ -197,17 +177,17 @@ def test_each_picture_is_a_png_and_an_svg(experiment, tmp_path):
 def test_the_same_outcome_gives_the_same_bytes(tmp_path):
     """Drawn twice, every file is the same."""
     outcome = mazed(profiles=("exact",))
-    written = [write_figures(figures.figures_of(outcome, []), tmp_path / name) for name in "ab"]
+    written = [write_figures(plots.figures_of(outcome, []), tmp_path / name) for name in "ab"]
     once, again = ({path.name: path.read_bytes() for path in paths} for paths in written)
     assert once == again
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_one_profile_is_enough(experiment):
-    """With `as_published` alone, the same pictures are drawn, and no legend speaks of profiles."""
+    """With `exact` alone, the same pictures are drawn, and no legend speaks of profiles."""
     alone = figures_of(MADE[experiment](profiles=BOTH[1:], repeats=1))
     assert set(alone) >= set(whole(experiment)) - {"report"}
-    assert all("exact" not in entries(figure) for name, figure in alone.items() if name != "report")
+    assert all("as published" not in entries(figure) for name, figure in alone.items() if name != "report")
 
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
@@ -245,16 +225,14 @@ def test_axes_carry_their_units(experiment):
 def test_published_numbers_come_from_the_report():
     """Every name by which a picture looks for a published number is a figure of the report."""
     used = {
-        "straight-line": [plot_straight_line.SPEED, plot_straight_line.GAIN, plot_straight_line.OVER_LATERAL,
-                          plot_orientation.LARGEST_ROLL, *plot_orientation.COMPENSATION.values()],
-        "turning": [*plot_turning.TIME.values(), *plot_turning.RADIUS.values()],
-        "balance": [plot_balance.verdict_figure(leg, sbc, hardware=hardware)
-                    for leg in LIMBS for sbc in (False, True) for hardware in (False, True)],
-        "maze": [*plot_maze.NUMBERS.values()],
+        "straight-line": [plots.SPEED, plots.GAIN, plots.OVER_LATERAL, plots.LARGEST_ROLL,
+                          *plots.COMPENSATION.values()],
+        "turning": [*plots.TIME.values(), *plots.RADIUS.values()],
+        "maze": [f"{column.replace('_', ' ')} {which}" for column in plots._TITLES for which in plots.WITH.values()],
     }  # fmt: skip
     for experiment, names in used.items():
-        assert set(names) <= {figure.name for figure in FIGURES[experiment]}
-    assert set(DRAWERS) == set(FIGURES)
+        assert set(names) <= {figure.figure for figure in figures(experiment)}
+    assert set(plots._DRAWERS) == set(CATALOGUE)
 
 
 def test_published_speeds_stand_where_they_say():
@@ -285,7 +263,7 @@ def test_bars_show_the_mean_and_the_spread_in_shown_units():
     """Means of the repeats in mm/s; those of `as_published` on the controller's clock, 2.5 times slower."""
     figure = whole("straight-line")["speed"]
     heights = [height for _, height in bars(figure.axes[0])]
-    assert heights == pytest.approx([85.0, 34.0] * (len(heights) // 2))
+    assert heights == pytest.approx([34.0, 85.0] * (len(heights) // 2))
     assert len([c for c in figure.axes[0].containers if type(c).__name__ == "ErrorbarContainer"]) == len(heights)
     theory = [line for line in figure.axes[0].lines if line.get_gid() == "theory"]
     assert {round(line.get_ydata()[0], 6) for line in theory} == {100.0, 40.0}
@@ -353,11 +331,11 @@ def test_the_maze_is_seen_from_above():
 
 
 def test_verdicts_say_what_was_published_and_what_differs():
-    """A tile a source; where ours is not as in the published simulation, it is framed."""
+    """A tile a source; where ours is not as published, it is framed."""
     outcome = balanced(passed=lambda row: row["sbc"] or (row["leg"] != "front_left" and row["repeat"] == 0))
     without, with_it = figures_of(outcome)["verdicts"].axes
     texts = [text.get_text() for text in without.texts]
-    assert texts[:4] == ["pass", "fail", "fail", "fail"]  # front left: published, exact, as_published, hardware
+    assert texts[:4] == ["pass", "fail", "fail", "fail"]  # front left: published, exact, as published, hardware
     assert texts[4:8] == ["pass", "1 of 2", "1 of 2", "fail"]
     assert [text.get_text() for text in with_it.texts] == ["pass"] * 16
     assert sum(patch.get_gid() == "differs" for patch in without.patches) == 8
@@ -378,18 +356,17 @@ def test_the_report_shows_numbers_as_shares_of_the_published():
     A ratio that is an effect stands at the share of its effect: 1.3 of 1.2 is 1.5, and 0.9 is -0.5.
     """
 
-    def line(name, judged, published, as_published, exact, holds, unit="s"):
-        return Line(
-            "maze", name, "predicted", judged, published, as_published, exact, None, holds, None, unit, "", None, ""
-        )
+    def row(name, rule, published, as_published, exact, holds, unit="s"):
+        made = Figure(name, "predicted", rule, "1", published, unit=unit)
+        return line("maze", made, as_published=as_published, exact=exact, holds=holds)
 
     lines = [
-        line("a", "number", 2.0, None, 3.0, False),
-        line("b", "range", (1.0, 3.0), 20.0, 2.0, True),
-        line("c", "number", 2.0, None, None, None),
-        line("d", "outcome", True, True, True, True, ""),
-        line("e", "effect", 1.2, 0.9, 1.3, False, ""),
-        line("f", "gain", 0.4, None, 0.2, False, ""),
+        row("a", "number", 2.0, None, 3.0, False),
+        row("b", "range", [1.0, 3.0], 20.0, 2.0, True),
+        row("c", "number", 2.0, None, None, None),
+        row("d", "outcome", True, True, True, True, ""),
+        row("e", "effect", 1.2, 0.9, 1.3, False, ""),
+        row("f", "gain", 0.4, None, 0.2, False, ""),
     ]
     ax, table = pictures(mazed(), lines)["report"].axes
     assert [label.get_text() for label in ax.get_yticklabels()] == ["a", "b", "e", "f"]

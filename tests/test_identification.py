@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.identification import candidates, run
-from nermo_mjx.experiments.identification.ensemble import TOLERANCE
-from nermo_mjx.experiments.identification.search import Search, identify
-from nermo_mjx.experiments.identification.space import ALL, FREE, START, UNCERTAIN, names, parameters_of, point_of
-from nermo_mjx.experiments.identification.targets import CASES, TARGETS, figures, objective
+from nermo_mjx.experiments import identification
+from nermo_mjx.experiments.ensemble import ALL, FREE, TOLERANCE, UNCERTAIN, names, parameters_of, point_of
+from nermo_mjx.experiments.identification import CASES, START, TARGETS, Search, figures, identify, objective
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of
@@ -125,7 +123,7 @@ def pretended(monkeypatch):
     class Fresh(Pretended):
         pass
 
-    monkeypatch.setattr(candidates, "Simulator", Fresh)
+    monkeypatch.setattr(identification, "Simulator", Fresh)
     return Fresh
 
 
@@ -162,9 +160,25 @@ def test_the_ensemble_is_within_tolerance_and_bounds_and_begins_with_the_best(pr
     assert np.ptp(np.log(bodies.values["servo.kv"])) > 0.8 * np.log(30)  # what does not matter is not known
 
 
+def test_the_set_up_of_the_tests_is_searched_from_the_authors_values_in_the_publications_clock(pretended):
+    """The pretended trot walks at 0.9 of its theory in one clock, and so at 0.36 of it in the other."""
+    asked = []
+    pretended.run = lambda self, values, run, inherited=pretended.run: (
+        asked.append(values),
+        inherited(self, values, run),
+    )[1]
+    found = identify(Search(**SMALL, bodies=0, profile="as_published"))
+    first = {name: float(values[0]) for name, values in asked[0].items()}
+    assert (first["servo.kp"], first["damping.spine"], first["stance.rear_z"]) == (60.0, 0.01, -0.042)
+    assert (first["tracking.clock_ratio"], first["pilot.error_gain"], first["servo.torque_limit"]) == (0.4, 0.0, 0.4)
+    assert found.start_figures["trt, 0.8 Hz, over theory"][0] == pytest.approx(0.36 * 60 / 9, rel=1e-3)
+    with pytest.raises(ParameterError, match="profile is 'as_built'"):
+        Search(profile="as_built")
+
+
 def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
     """A tolerance that nothing meets: the search's result stands, there is no ensemble.csv, and the report says so."""
-    content = run.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
+    content = identification.run_identification(tmp_path, engine="c", **SMALL, bodies=16, sweeps=1, tolerance=1e-9)
     assert content["ensemble"]["size"] == 0
     assert not (tmp_path / "ensemble.csv").exists()
     assert "There is no body to draw" in (tmp_path / "identification.md").read_text()
@@ -173,14 +187,14 @@ def test_an_ensemble_of_none_is_told_and_not_written(pretended, tmp_path):
 def test_a_killed_identification_goes_on_and_ends_the_same(pretended, tmp_path):
     """Killed in the search, and again in the ensemble: the same ensemble.csv as without, nothing simulated twice."""
     settings = {**SMALL, "generations": 4, "bodies": 24, "sweeps": 3, "engine": "c"}
-    run.run_identification(tmp_path / "whole", **settings)
+    identification.run_identification(tmp_path / "whole", **settings)
     needed, pretended.calls = pretended.calls, 0
     for pretended.dies_after in (3, needed - 4):
         with pytest.raises(KeyboardInterrupt):
-            run.run_identification(tmp_path / "killed", **settings)
+            identification.run_identification(tmp_path / "killed", **settings)
         pretended.calls -= 1
     pretended.dies_after = None
-    run.run_identification(tmp_path / "killed", **settings)
+    identification.run_identification(tmp_path / "killed", **settings)
     assert pretended.calls == needed
     assert (tmp_path / "killed" / "ensemble.csv").read_text() == (tmp_path / "whole" / "ensemble.csv").read_text()
 
@@ -209,7 +223,7 @@ def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
     """Batches of the even search and of the ensemble are handed out together; the same files in the end."""
     settings, others = {**SMALL, "bodies": 24, "sweeps": 2, "engine": "c"}, Backwards()
     ours, theirs = (
-        run.run_identification(tmp_path / name, **settings, workers=workers)
+        identification.run_identification(tmp_path / name, **settings, workers=workers)
         for name, workers in (("one", None), ("others", others))
     )
     assert {name: ours[name] for name in ("costs", "parameters", "objective", "targets", "ensemble")} == {
@@ -225,11 +239,11 @@ def test_who_walks_the_candidates_and_when_does_not_matter(pretended, tmp_path):
 def test_workers_that_are_lost_leave_what_they_walked(pretended, tmp_path):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
     with pytest.raises(WorkersLost, match=r"no node came within 300 s\. What is finished is kept in .*same command"):
-        run.run_identification(tmp_path / "lost", **settings, workers=Backwards(lost_after=2))
+        identification.run_identification(tmp_path / "lost", **settings, workers=Backwards(lost_after=2))
     assert pretended.calls == 2
-    run.run_identification(tmp_path / "lost", **settings)
+    identification.run_identification(tmp_path / "lost", **settings)
     again, pretended.calls = pretended.calls, 0
-    run.run_identification(tmp_path / "whole", **settings)
+    identification.run_identification(tmp_path / "whole", **settings)
     assert again == pretended.calls, "nothing is walked twice"
 
 
@@ -237,7 +251,7 @@ def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp
     said = []
     (tmp_path / "identification.md").write_text("my plan")
     (tmp_path / "ensemble.csv").write_text("my bodies")
-    run.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, notify=said.append)
+    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5, notify=said.append)
     assert (tmp_path / "identification.md.aside-1").read_text() == "my plan"
     assert (tmp_path / "ensemble.csv.aside-1").read_text() == "my bodies"
     assert said == [
@@ -248,13 +262,13 @@ def test_a_users_files_in_the_way_are_moved_aside_with_a_sentence(pretended, tmp
 
 def test_another_robot_does_not_go_on_with_the_candidates(pretended, tmp_path, monkeypatch):
     settings = {**SMALL, "bodies": 0, "engine": "c"}
-    run.run_identification(tmp_path, **settings)
+    identification.run_identification(tmp_path, **settings)
     (tmp_path / "identification.json").unlink()
-    run.run_identification(tmp_path, **settings)
+    identification.run_identification(tmp_path, **settings)
     (tmp_path / "identification.json").unlink()
     monkeypatch.setattr(Setup, "defaults", lambda self: {"contact.friction": 0.9})
     with pytest.raises(ParameterError, match="other settings: choose another directory"):
-        run.run_identification(tmp_path, **settings)
+        identification.run_identification(tmp_path, **settings)
 
 
 def killed(pretended, out, **options):
@@ -262,7 +276,7 @@ def killed(pretended, out, **options):
     settings = {**SMALL, "generations": 4, "bodies": 0, "engine": "c", **options}
     pretended.dies_after = 3
     with pytest.raises(KeyboardInterrupt):
-        run.run_identification(out, **settings)
+        identification.run_identification(out, **settings)
     pretended.dies_after, pretended.calls = None, 0
     return settings
 
@@ -272,9 +286,9 @@ def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended,
     settings = killed(pretended, tmp_path)
     monkeypatch.setattr("nermo_mjx.runs.code.__version__", "9.9.9")
     with pytest.raises(OtherCode, match=r"made by other code: nermo-mjx .*, not 9\.9\.9; .*--accept-new-code"):
-        run.run_identification(tmp_path, **settings)
+        identification.run_identification(tmp_path, **settings)
     assert not pretended.calls
-    content = run.run_identification(tmp_path, **settings, accept_new_code=True)
+    content = identification.run_identification(tmp_path, **settings, accept_new_code=True)
     codes = [json.loads(line).get("code") for line in (tmp_path / "candidates.jsonl").read_text().splitlines()[1:]]
     former, new = codes_of(tmp_path)
     assert codes == [former] * 3 + [new] * pretended.calls
@@ -285,23 +299,23 @@ def test_candidates_of_other_code_are_refused_until_they_are_accepted(pretended,
 def test_another_engine_does_not_go_on_and_auto_is_the_one_begun_with(pretended, tmp_path):
     settings = killed(pretended, tmp_path, engine="mjx")
     with pytest.raises(OtherCode, match="engine mjx, not c"):
-        run.run_identification(tmp_path, **settings | {"engine": "c"})
-    assert run.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
+        identification.run_identification(tmp_path, **settings | {"engine": "c"})
+    assert identification.run_identification(tmp_path, **settings | {"engine": "auto"})["engine"] == "mjx"
 
 
-def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(pretended, tmp_path):
-    """Its first line has engine, versions and model, too; its candidates are of no known code."""
+def test_a_search_of_unknown_code_goes_on_when_it_is_accepted(pretended, tmp_path):
+    """Its candidates name no code, and the last line was being written when it was killed."""
     settings = killed(pretended, tmp_path)
     (tmp_path / "run.json").unlink()
     path = tmp_path / "candidates.jsonl"
     first, *rest = (json.loads(line) for line in path.read_text().splitlines())
-    rows = [first | {"engine": "c", "jax": "0.0", "model": "a"}, *({**row, "code": None} for row in rest)]
+    rows = [first, *rest]
     for row in rows:
         row.pop("code", None)
     path.write_text("".join(json.dumps(row) + "\n" for row in rows) + '{"points": [[0.1, 0')
     with pytest.raises(OtherCode, match="does not say which code made it"):
-        run.run_identification(tmp_path, **settings)
-    run.run_identification(tmp_path, **settings, accept_new_code=True)
+        identification.run_identification(tmp_path, **settings)
+    identification.run_identification(tmp_path, **settings, accept_new_code=True)
     again = [json.loads(line) for line in path.read_text().splitlines() if not line.endswith("[[0.1, 0")]
     assert again[: len(rows)] == rows, "what was there stays as it was"
     assert len(again) == len(rows) + pretended.calls
@@ -309,10 +323,10 @@ def test_a_search_of_an_earlier_release_goes_on_when_its_code_is_accepted(preten
 
 def test_one_process_identifies_in_a_directory(pretended, tmp_path):
     with RunDirectory(tmp_path, "identification"), pytest.raises(DirectoryError, match="another process works in"):
-        run.run_identification(tmp_path, **SMALL)
+        identification.run_identification(tmp_path, **SMALL)
     (tmp_path / "sweep.yaml").write_text("")
     with pytest.raises(WrongDirectory, match="holds a sweep, and not an identification"):
-        run.run_identification(tmp_path, **SMALL)
+        identification.run_identification(tmp_path, **SMALL)
     assert not pretended.calls
 
 
@@ -320,7 +334,7 @@ def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
     """identification.json, ensemble.csv and the report: the same bodies, quantiles in order, a picture."""
     from nermo_mjx.robot.identified import read_ensemble
 
-    run.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5)
+    identification.run_identification(tmp_path, engine="c", **SMALL, bodies=32, sweeps=5)
     ensemble = json.loads((tmp_path / "identification.json").read_text())["ensemble"]
     lines = (tmp_path / "ensemble.csv").read_text().splitlines()
     stored = read_ensemble(lines)
@@ -342,7 +356,7 @@ def test_the_files_of_an_ensemble_agree(pretended, tmp_path):
 
 def test_quantiles_and_correlations_are_weighted():
     """A body of weight 3 counts as three bodies."""
-    from nermo_mjx.experiments.identification.ensemble_report import correlations, quantiles
+    from nermo_mjx.experiments.ensemble import correlations, quantiles
 
     random = np.random.default_rng(0)
     values, weights = random.uniform(1, 2, 400), random.integers(1, 4, 400)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.identification.sampling import sample, thin
+from nermo_mjx.experiments.ensemble import sample, thin
 
 pytestmark = pytest.mark.compiles
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.identification.ensemble import TOLERANCE
-from nermo_mjx.experiments.identification.space import ALL, names
+from nermo_mjx.experiments.ensemble import ALL, TOLERANCE, names
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities

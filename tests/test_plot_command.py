@@ -19,11 +19,9 @@ from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli.kinds import KINDS, RECORDING, Kind
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.line import compare
-from nermo_mjx.experiments.plots.figures import figures_of
-from nermo_mjx.experiments.published import REASONS
+from nermo_mjx.experiments.lines import compare
+from nermo_mjx.experiments.plots import figures_of
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.lock import hold
@@ -187,7 +185,7 @@ def test_a_directory_of_experiments_is_drawn_again(tmp_path: Path) -> None:
         held.note_session({})
     result = plot(out)
     assert result.exit_code == 0, result.stderr
-    lines = compare(outcome, EXPERIMENTS["straight-line"].figures, REASONS.get("straight-line", {}))
+    lines = compare(outcome)
     made = write_figures(figures_of(outcome, lines), tmp_path / "drawn")
     assert len(made) > 6
     assert content(out / "plots") == content(tmp_path / "drawn")

@@ -22,7 +22,7 @@ from tune_fake import SPEC as TUNING
 from tune_fake import FakeProblem
 
 from nermo_mjx.cli import main
-from nermo_mjx.experiments.identification.run import run_identification
+from nermo_mjx.experiments.identification import run_identification
 from nermo_mjx.experiments.run import run_experiments
 from nermo_mjx.runs.ray_workers import RayWorkers
 from nermo_mjx.runs.workers import LocalWorkers, WorkersLost

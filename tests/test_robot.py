@@ -15,12 +15,13 @@ import pytest
 
 import nermo_mjx
 from nermo_mjx.kinematics import body, leg, spine
+from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, SERVOS, ModelParameters, ParameterError, Robot, RobotConfig, assemble, load_robot
 from nermo_mjx.robot.equipment import TRUNK, servo_joint
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.masses import PARTS, ROBOT_MASSES, TORSO, part_of
 from nermo_mjx.robot.parameters import BODY, FRONT_LEG, REAR_LEG, ROUTINGS, LegGeometry
-from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.quantity import quantities, replace_quantities
 
 #: The published robot.
 ROBOT = Geometry()
@@ -598,3 +599,21 @@ def test_no_mass_and_no_number_of_a_servo_stands_twice():
         if isinstance(node, ast.Constant) and isinstance(node.value, float) and node.value in known
     ]
     assert sorted(value for value, _ in found) == sorted(known), found
+
+
+def test_a_robot_is_loaded_from_its_config():
+    """As from the same fields by name; beside other arguments it is refused, instead of one of them being ignored."""
+    config = RobotConfig(tail="articulated", physics="fast")
+    assert load_robot(config).config == load_robot(tail="articulated", physics="fast").config == config
+    with pytest.raises(ParameterError, match="robot is a RobotConfig beside other arguments"):
+        load_robot(config, hinges=2)
+
+
+def test_the_servo_of_the_spine_has_a_torque_limit_of_its_own():
+    parameters = replace_quantities(ModelParameters(), {"servo.torque_limit": 0.4, "servo.spine_torque": 0.25})
+    model = assemble(parameters=parameters).compile()
+    limits = {model.actuator(i).name: model.actuator(i).forcerange[1] for i in range(model.nu)}
+    assert limits.pop("spine_servo") == pytest.approx(0.1)
+    assert set(limits.values()) == {0.4}
+    varied = compile_model(load_robot(), {"servo.torque_limit": 0.4, "servo.spine_torque": 0.25})
+    np.testing.assert_allclose(varied.actuator_forcerange, model.actuator_forcerange)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from published_maze import BOXES
 
-from nermo_mjx.experiments.maze_course import maze_course
+from nermo_mjx.experiments.walks import maze_course
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.files import mjcf_directory
 from nermo_mjx.robot.scene import scenes

@@ -18,10 +18,9 @@ from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
 
 from nermo_mjx.bench.page import add_run
+from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.identification import candidates, run
-from nermo_mjx.experiments.identification.targets import CASES
-from nermo_mjx.experiments.plots import figures as plots
+from nermo_mjx.experiments.identification import CASES
 from nermo_mjx.experiments.run import ExperimentsInterrupted, run_experiments
 from nermo_mjx.runs import RunDirectory, codes_of, stamp
 from nermo_mjx.sweep import run_sweep
@@ -134,14 +133,14 @@ def test_experiments_are_complete_when_all_that_was_asked_for_is_there(
     with pytest.raises(ExperimentsInterrupted):
         run_experiments(["turning", "maze"], tmp_path, engine="c", video=False)
     content = said(tmp_path)
-    assert known(content) == ("experiments", None, 12, False)
+    assert known(content) == ("experiments", None, 18, False)
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
     text = status(tmp_path).stdout
     assert "maze is not finished." in text
     assert f"resume   nermo-mjx experiment all --out {tmp_path} --no-video\n" in text
     fakes["maze"].error = None
     run_experiments(["turning", "maze"], tmp_path, video=False)
-    assert known(said(tmp_path)) == ("experiments", 24, 24, True)
+    assert known(said(tmp_path)) == ("experiments", 36, 36, True)
     assert f"figures  nermo-mjx plot {tmp_path}\n" in status(tmp_path).stdout
 
 
@@ -155,10 +154,10 @@ def test_an_experiment_that_was_killed_while_it_drew_is_not_complete(
         drawing.setattr(plots, "figures_of", killed)
         with pytest.raises(ExperimentsInterrupted):
             run_experiments(["turning"], tmp_path, engine="c", video=False)
-    assert known(said(tmp_path)) == ("experiments", None, 12, False)
+    assert known(said(tmp_path)) == ("experiments", None, 18, False)
     assert "turning is not finished." in status(tmp_path).stdout
     run_experiments(["turning"], tmp_path, video=False)
-    assert known(said(tmp_path)) == ("experiments", 12, 12, True)
+    assert known(said(tmp_path)) == ("experiments", 18, 18, True)
     assert len(fakes["turning"].asked) == 1
 
 
@@ -177,10 +176,10 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
             speed = np.resize(0.05 + 0.01 * np.arange(len(CASES)), len(values["servo.kp"]))
             return types.SimpleNamespace(metrics={"speed": speed}, status=np.full(len(speed), "ok"))
 
-    monkeypatch.setattr(candidates, "Simulator", Walker)
+    monkeypatch.setattr(identification, "Simulator", Walker)
     settings = {"samples": 8, "generations": 2, "population": 6, "bodies": 0, "engine": "c"}
     with pytest.raises(KeyboardInterrupt):
-        run.run_identification(tmp_path, **settings)
+        identification.run_identification(tmp_path, **settings)
     content = said(tmp_path)
     assert known(content) == ("identification", None, 9, False)
     assert (content["engine"], content["code"]) == ("c", list(codes_of(tmp_path)))
@@ -189,12 +188,12 @@ def test_an_identification_counts_its_candidates(tmp_path: Path, monkeypatch: py
         raise KeyboardInterrupt
 
     with monkeypatch.context() as drawing:
-        drawing.setattr(run, "figures_of", killed)
+        drawing.setattr(identification, "figures_of", killed)
         with pytest.raises(KeyboardInterrupt):
-            run.run_identification(tmp_path, **settings)
+            identification.run_identification(tmp_path, **settings)
     assert known(said(tmp_path)) == ("identification", None, 21, False)
     walked = calls
-    run.run_identification(tmp_path, **settings)
+    identification.run_identification(tmp_path, **settings)
     assert known(said(tmp_path)) == ("identification", 21, 21, True)
     assert calls == walked, "what was found is only drawn"
 

@@ -77,7 +77,7 @@ def test_a_plan_starts_where_the_foot_is():
 
 
 def test_exact_tracking_closes_the_whole_error_and_has_a_finite_derivative():
-    """(1 - g)^0.8 has an infinite slope at g = 1, which a gradient must not meet."""
+    """(1 - g)^n has an infinite slope at g = 1, which a gradient must not meet."""
     tracking = Tracking()
     assert trajectory.share_closed(tracking, 0.01) == 1.0
     slope = jax.grad(lambda t: trajectory.share_closed(t, 0.01))(jax.tree.map(jnp.asarray, tracking))
@@ -87,8 +87,8 @@ def test_exact_tracking_closes_the_whole_error_and_has_a_finite_derivative():
 
 @pytest.mark.parametrize("rate", [50.0, 80.0, 100.0, 500.0])
 def test_the_lag_does_not_depend_on_the_control_rate(rate):
-    """The oracle is the published recursion: 11 % of the error in each tick of 1/80 s of the controller's clock."""
+    """The oracle is the published recursion: 11 % of the error in each tick of 1/100 s of the controller's clock."""
     published = Tracking(foot_gain=np.float32(0.11), clock_ratio=np.float32(0.4))
     closed = float(trajectory.share_closed(published, 1.0 / rate))
     left_after_a_second = (1.0 - closed) ** rate
-    assert left_after_a_second == pytest.approx((1.0 - 0.11) ** (80.0 / 0.4), rel=1e-3)
+    assert left_after_a_second == pytest.approx((1.0 - 0.11) ** (100.0 / 0.4), rel=1e-3)

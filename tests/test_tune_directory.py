@@ -180,6 +180,3 @@ def test_an_earlier_directory_with_an_absolute_path_goes_on_working(tmp_path, go
     assert run_tuning(again, out, problem=FakeProblem(again)).iterations_run == 1
     assert (out / "recording.npz").read_bytes() == b"a walk"
     assert load_tuning(out).recording == (out / "recording.npz").resolve()
-
-
-# --- the previous release

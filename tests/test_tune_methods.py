@@ -146,7 +146,7 @@ def test_wrong_methods_are_said(change, message) -> None:
 def test_a_tuning_reads_back_as_itself(spec) -> None:
     tuning = Tuning.from_dict(spec)
     assert Tuning.from_text(tuning.to_yaml()) == tuning
-    assert ("method" in tuning.resolved()) == ("method" in spec)  # directories of earlier releases stay their own
+    assert ("method" in tuning.resolved()) == ("method" in spec)
 
 
 def test_each_method_says_its_cost_before(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import click
 
 from nermo_mjx.cli import options
 from nermo_mjx.cli.assignments import assigned
-from nermo_mjx.cli.choices import EXPERIMENTS, SIMULATED
+from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
 from nermo_mjx.cli.output import print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Stages, duration
 
@@ -33,7 +33,7 @@ _WIDEST = 72
 @click.command("experiment", epilog=EPILOG)
 @click.argument("name", type=click.Choice((*EXPERIMENTS, ALL)))
 @options.out
-@options.choice("--profile", ("both", *SIMULATED), "Controller as described, or as published.")
+@options.choice("--profile", ("all", *PROFILES), "Set-up: as published, as described, as built.")
 @options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
 @options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
 @options.number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?",
@@ -75,7 +75,7 @@ def command(
         ):
             result = run_experiments(
                 EXPERIMENTS if name == ALL else [name], out, engine=engine,
-                profiles=SIMULATED if profile == "both" else (profile,), repeats=repeats, seed=seed, quick=quick,
+                profiles=PROFILES if profile == "all" else (profile,), repeats=repeats, seed=seed, quick=quick,
                 values=values, controller=controller, bodies=bodies, video=not no_video, again=again,
                 accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
             )  # fmt: skip

@@ -27,6 +27,7 @@ Examples:
 @options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
 @options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
 @options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
+@options.choice("--profile", ("exact", "as_published"), "Set-up of the walks.")
 @options.workers
 @options.accept_new_code
 @options.engine
@@ -47,7 +48,7 @@ def command(
     the ensemble over a cluster's machines, which need no access to DIR.
     """
     with stdout_reserved():
-        from nermo_mjx.experiments.identification.run import run_identification
+        from nermo_mjx.experiments.identification import run_identification
 
         say = sayer("identify", quiet)
         progress = Progress("identify", quiet=quiet, compiles=workers == "local")
@@ -62,7 +63,7 @@ def command(
 
 
 def _print(content: dict[str, Any], out: Path) -> None:
-    from nermo_mjx.experiments.identification.run import (
+    from nermo_mjx.experiments.identification import (
         PARAMETER_HEADINGS,
         TARGET_HEADINGS,
         parameter_rows,

@@ -170,13 +170,13 @@ def gait(function: F) -> F:
         number("--spine-amplitude", "Servo amplitude of the stride extension [rad]."),
         number("--spine-phase", "Phase of the stride extension [rad]."),
         number("--turn-rate", "Turn rate held without feedback, -1 right to 1 left."),
-        choice("--steering", STEERINGS, "What turns the robot."),
+        choice("--steering", STEERINGS, "What turns the robot. Default: leg; in as_published spine.", default=None),
         number("--offset-compensation", "Rear legs compensate the hip's rise: a fraction, or all without a number.",
                is_flag=False, flag_value=1.0, metavar="[X]"),
         choice("--trajectory", TRAJECTORIES, "Shape of the foot path; free: with movable points."),
         choice("--head", HEADS, "gaze: the neck keeps the image still while the torso sways."),
         choice("--tail-motion", TAIL_MOTIONS, "Motion of the articulated tail."),
-        choice("--profile", PROFILES, "Controller as described, or as published; or the robot as built."),
+        choice("--profile", PROFILES, "For design; the published simulation; the robot as built."),
     ]  # fmt: skip
     for option in reversed(listed):
         function = option(function)

@@ -69,7 +69,7 @@ def plan(
     from nermo_mjx.rollout import Setup, all_parameters
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
-    setup = Setup(pilot=pilot, **{name: options[name] for name in SETUP_OPTIONS if name in options})
+    setup = Setup(pilot=pilot, **{name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None})
     known = all_parameters(setup)
     values: dict[str, float] = {} if seed is None else _shifted_start(seed)
     for option, (name, needs) in PARAMETER_OPTIONS.items():

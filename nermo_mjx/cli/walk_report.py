@@ -32,15 +32,23 @@ def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
     metrics, setup = report["metrics"], report["setup"]
     how = setup["controller"] or f"{setup['gait']} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
     what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
-    rows = [["speed", _shown(metrics.get("speed"), 1e3), "mm/s"]]
+    lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
     if math.isfinite(theory := plan.theory):
-        rows.append(["speed in theory", _shown(theory, 1e3), "mm/s"])
-    for name, title, unit, factor in LINES:
-        if name in metrics:
-            rows.append([title, _shown(metrics[name], factor), unit])
-    for own in plan.setup.own_metrics:
-        rows.append([own.name, f"{metrics[own.name]:.4g}", own.unit])
-    print_table(f"Nermo walked: {what}", [("", "left"), ("", "right"), ("", "left")], rows)
+        lines.append(("speed in theory", theory, "mm/s", 1e3))
+    lines += [(title, metrics[name], unit, factor) for name, title, unit, factor in LINES if name in metrics]
+    rows = [[title, _shown(value, factor), unit] for title, value, unit, factor in lines]
+    rows += [[own.name, f"{metrics[own.name]:.4g}", own.unit] for own in plan.setup.own_metrics]
+    headings = [("", "left"), ("", "right"), ("", "left")]
+    ratio = report["parameters"].get("tracking.clock_ratio", 1.0)
+    if ratio != 1.0:
+        # Seconds of the controller's clock, in which frequencies are given, before simulated ones.
+        scaled = {"mm/s": ratio, "s": 1.0 / ratio}
+        for row, (_, value, unit, factor) in zip(rows, lines, strict=False):
+            row.insert(1, _shown(value, factor * scaled.get(unit, 1.0)))
+        for row in rows[len(lines) :]:
+            row.insert(1, "")
+        headings = [("", "left"), ("controller's clock", "right"), ("simulated", "right"), ("", "left")]
+    print_table(f"Nermo walked: {what}", headings, rows)
     degrees = math.degrees(1.0)
     parts = ("mean", "std", "min", "max")
     angles = [[angle, *(_shown(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]

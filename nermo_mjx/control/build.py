@@ -26,7 +26,7 @@ _PATH_POINTS, _STRIDE_STEPS = 9, 41
 
 
 def control_parameters(
-    gait: str = "trt", *, steering: str = "leg", profile: str = "exact", routing: str = "type3", **values: Any
+    gait: str = "trt", *, steering: str | None = None, profile: str = "exact", routing: str = "type3", **values: Any
 ) -> ControlParameters:
     """Checked parameters of a published gait with some values changed.
 
@@ -37,8 +37,8 @@ def control_parameters(
     Args:
         gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a custom gait; the gait factor follows
             the duty factor unless it is given.
-        steering: "leg", "spine" or "mix".
-        profile: "exact" or "as_published".
+        steering: "leg", "spine" or "mix"; by default that of the profile.
+        profile: one of `PROFILES`.
         routing: knee tendon routing, for the check of the workspace.
         values: parameters by name, as `quantities(ControlParameters)` lists them, and lengths and places of the robot
             (`Geometry`); pass names with a dot as `**{"spine.amplitude": 0.3}`. Numbers, or arrays whose axes are

@@ -124,7 +124,7 @@ class Controller:
         pitch = attitude(sensors.orientation)[1]
         vertical = self._vertical(params, gait.phase, drive.turn_rate, pitch, sensors.gyro[0])
         closed = trajectory.share_closed(params.tracking, self.dt)
-        foot = state.foot + closed * (path + self._compensation(params, spine, vertical, path) - state.foot)
+        foot = state.foot + closed * (path + self._compensation(params, spine, vertical, path, state.foot) - state.foot)
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.update(params, state.head, sensors, pace, self.dt)
         tail, tail_angle = self.tail.update(params, state.tail, sensors, pace, self.dt)
@@ -177,7 +177,7 @@ class Controller:
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
         level = jnp.zeros_like(gait.phase)
         vertical = self._vertical(params, gait.phase, drive.turn_rate, level, level)
-        foot = path + self._compensation(params, spine, vertical, path)
+        foot = path + self._compensation(params, spine, vertical, path, path)
         pace = self._pace(params, gait.phase, drive)
         head, head_angles = self.head.start(params, pace)
         tail, tail_angle = self.tail.start(params, pace)
@@ -196,13 +196,18 @@ class Controller:
         return None if self.sagittal is None else self.sagittal(params, phase, turn_rate, pitch, pitch_rate)
 
     def _compensation(
-        self, params: ControlParameters, spine: Scalar, vertical: Scalar | None, path: Float[Array, "4 2"]
+        self,
+        params: ControlParameters,
+        spine: Scalar,
+        vertical: Scalar | None,
+        path: Float[Array, "4 2"],
+        foot: Float[Array, "4 2"],
     ) -> Float[Array, "4 2"]:
         geometry, lifted = geometry_of(params), None
         if vertical is not None:
             bends = joint_angle(spine, geometry), joint_angle(vertical, geometry)
             lifted = rear_foot_rise(bends[0], path, bends[1], geometry)
-        return fusion.compensation(params.spine, spine, geometry, lifted)
+        return fusion.compensation(params.spine, spine, geometry, lifted, foot)
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)

@@ -180,18 +180,29 @@ def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) ->
     return left_over * wanted
 
 
-def compensation(spine: Spine, servo: Scalar, geometry: Geometry, lifted: Planar | None = None) -> Float[Array, "4 2"]:
+def compensation(
+    spine: Spine,
+    servo: Scalar,
+    geometry: Geometry,
+    lifted: Planar | None = None,
+    feet: Float[Array, "4 2"] | None = None,
+) -> Float[Array, "4 2"]:
     """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
 
-    Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise.
+    Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise, and with
+    `offset_at_feet` of their own, which is what the author's code takes.
 
     Args:
-        spine: `offset_compensation`.
+        spine: `offset_compensation`, `offset_at_feet`.
         servo: lateral servo angle [rad].
         geometry: of the robot.
         lifted: rise of both rear feet due to the vertical joints of Nermo 4.1 [m].
+        feet: (y, z) in their legs' frames [m]; None for what the hips rise.
     """
-    rise = hip_height_offset(joint_angle(servo, geometry), geometry)
+    theta_v = joint_angle(servo, geometry)
+    rise = hip_height_offset(theta_v, geometry)
+    if feet is not None:
+        rise = rise + spine.offset_at_feet * (hip_height_offset(theta_v, geometry, feet) - rise)
     rise = spine.offset_compensation * (rise if lifted is None else rise + lifted)
     lowered = jnp.concatenate([jnp.zeros_like(rise), -rise], axis=-1)
     return jnp.stack([jnp.zeros_like(lowered), lowered], axis=-1)

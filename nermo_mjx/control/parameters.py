@@ -59,6 +59,9 @@ class Spine:
     max_servo_angle: Any = quantity(0.4, "rad", 0.01, 0.6, "q_max, servo limit of the fusion (5.45)")
     fusion_exponent: Any = quantity(1.0, "1", 0.1, 10.0, "s, how turning fades the other mode (5.46)")
     offset_compensation: Any = quantity(0.0, "1", 0.0, 1.0, "share of the hip's rise taken by the rear legs (5.31)")
+    offset_at_feet: Any = quantity(
+        0.0, "1", 0.0, 1.0, "what rises: 0 the hips, as in (5.31), 1 the rear feet, as in the author's code"
+    )
     balance_lift: Any = quantity(0.009, "m", 0.0, 0.03, "d_lift, wanted distance of the COM inside the triangle")
     sagittal_amplitude: Any = quantity(
         0.3, "rad", 0.0, 0.6, "vertical servo's amplitude, spine mode 'sagittal_extension'"
@@ -110,7 +113,7 @@ class Pilot:
     grip: Any = quantity(0.525, "1", 0.1, 2.0, "turn that the guidance expects of the robot, over that without slip")
     error_gain: Any = quantity(0.0, "1/m", 0.0, 1000.0, "PD: turn rate per metre of cross-track error")
     change_gain: Any = quantity(
-        0.0, "1/m", 0.0, 10000.0, "PD: turn rate per metre of its change per 1/50 s of the controller's clock"
+        0.0, "1/m", 0.0, 10000.0, "PD: turn rate per metre of its change per 1/100 s of the controller's clock"
     )
     output_limit: Any = quantity(1.0, "1", 0.0, 1.0, "largest turn rate")
     turn_rate: Any = quantity(0.0, "1", -1.0, 1.0, "turn rate held by the pilot 'open_loop'")
@@ -127,7 +130,7 @@ class Tracking:
         "1",
         0.0,
         1.0,
-        "share of the foot error closed per 1/80 s of the controller's clock; 1 is exact",
+        "share of the foot error closed per 1/100 s of the controller's clock; 1 is exact",
         open_low=True,
     )
     clock_ratio: Any = quantity(1.0, "1", 0.05, 2.0, "simulated seconds per second of the controller's clock")

@@ -15,14 +15,12 @@ from nermo_mjx.control import guidance, turning
 from nermo_mjx.control.course import Course, locate
 from nermo_mjx.control.parameters import ControlParameters, Pilot
 from nermo_mjx.control.path import PATHS, PathPoint, straight
+from nermo_mjx.control.published import PUBLISHED_RATE
 from nermo_mjx.kinematics.spine import joint_angle, yaw
 from nermo_mjx.robot.geometry import Geometry, geometry_of
 from nermo_mjx.robot.interface import SERVOS, Sensors
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.shapes import Array, Scalar, Scalars, Truth
-
-#: Rate on the controller's clock for which the published gain on the change of the error holds [Hz].
-PUBLISHED_PILOT_RATE: Final = 50.0
 
 #: A function from simulated time [s] to (speed [m/s of the controller's clock], turn rate in [-1, 1]).
 Command = Callable[[Any], tuple[Any, Any]]
@@ -167,7 +165,7 @@ class Follow(PilotLike):
         curvature = point.curvature + guidance.correction(params.pilot, estimate, walk.speed, point.curvature)
         # Avoids Newton steps for a turn rate that is not used.
         speed, turn_rate = self._guided(params, jnp.where(walk.due, curvature, 0.0))
-        published_ticks = PUBLISHED_PILOT_RATE / (walk.rate * params.tracking.clock_ratio)
+        published_ticks = PUBLISHED_RATE / (walk.rate * params.tracking.clock_ratio)
         change = (point.error - memory.point.error) / published_ticks
         return Beside(point, estimate), Drive(speed, steer(params.pilot, point.error, change, turn_rate))
 
@@ -206,7 +204,7 @@ def steer(
     Args:
         pilot: gains and output limit.
         error: cross-track error, positive to the left of the path [m].
-        change: its change in 1/50 s of the controller's clock [m].
+        change: its change in 1/100 s of the controller's clock [m].
         guided: turn rate of the guidance.
     """
     wanted = guided - (pilot.error_gain * error + pilot.change_gain * change)

@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 
 from nermo_mjx.control.parameters import Stance, Tracking
 from nermo_mjx.control.power import signed_power
-from nermo_mjx.control.published import PUBLISHED_TRACKING
+from nermo_mjx.control.published import PUBLISHED_RATE
 from nermo_mjx.shapes import Array, Broadcastable, PerLimb, PlanarPerLimb, Scalars
 
 #: Weights of (nearer end, mid point, farther end) at u, for one coordinate.
@@ -146,8 +146,8 @@ def _column(value: Array, axis: int) -> Array:
 def share_closed(tracking: Tracking, dt: float) -> Scalars:
     """Share of the foot error closed in one control tick; exactly 1 for `foot_gain` 1 (see `Tracking`).
 
-    The published controller's velocity-space inverse kinematics closes `foot_gain` of the error per tick of 1/80 s of
-    its own clock. A tick of `dt` simulated seconds corresponds to 80 dt / clock_ratio such ticks.
+    `foot_gain` is closed per tick of 1/100 s of the controller's clock (see `published.tracking_share`). A tick of `dt`
+    simulated seconds corresponds to 100 dt / clock_ratio such ticks.
     """
-    ticks = dt * PUBLISHED_TRACKING["rate"] / tracking.clock_ratio
+    ticks = dt * PUBLISHED_RATE / tracking.clock_ratio
     return 1.0 - signed_power(jnp.clip(1.0 - tracking.foot_gain, 0.0, 1.0), ticks, _LAG_LINEAR_BELOW)

@@ -1,29 +1,46 @@
-"""Cases of an experiment, the batch of worlds that they form, and its run."""
+"""What experiments share: their settings, the cases that they simulate, the batch of worlds, and its outcome."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.control.published import AS_BUILT, body_values, published_values
-from nermo_mjx.experiments.outcome import BODY, Column
-from nermo_mjx.experiments.settings import Settings, body_count
+from nermo_mjx.control.loading import controller_digest, load_controller
+from nermo_mjx.control.protocol import ActsUpon
+from nermo_mjx.control.published import AS_BUILT, PROFILES, body_values, published_values
 from nermo_mjx.recording import Recording, recording_of
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.nearest import choice
 from nermo_mjx.robot.quantity import quantities
-from nermo_mjx.rollout import METRICS, Run, RunResult, Simulator
+from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.parameters import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
 
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4
 FREQUENCIES: Final = (0.5, 0.67, 0.8)
+#: Repeats of each case, and of a quick run.
+REPEATS, QUICK_REPEATS = 3, 1
+#: Column that identifies the body, if an outcome has several: 1, 2, ...
+BODY: Final = "body"
 Label = str | float | bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """Unit and meaning of a column of the result table."""
+
+    unit: str
+    doc: str
+
+
 #: Labels that several experiments have.
 LABELS: Final = {
-    "profile": Column("1", "exact or as_published"),
+    "profile": Column("1", "exact, as_published or as_built"),
     "gait": Column("1", "trt: trot, trt1: walking trot, lat: lateral sequence walk"),
     "frequency": Column("Hz", "gait cycles per second of the controller's clock"),
     "repeat": Column("1", "index of the repeat; each starts a little shifted"),
@@ -32,29 +49,212 @@ LABELS: Final = {
 
 
 @dataclasses.dataclass(frozen=True)
+class Outcome:
+    """All worlds of one experiment, all profiles in one table.
+
+    Attributes:
+        experiment: its name, as on the command line.
+        columns: name -> (n,) values; the cases' columns (`profile`, `gait`, ..., `repeat`) first, then the measured
+            ones.
+        about: name -> unit and meaning, for every column.
+        recordings: runs by name, for plots and videos.
+    """
+
+    experiment: str
+    columns: Mapping[str, np.ndarray]
+    about: Mapping[str, Column]
+    recordings: Mapping[str, Recording]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values())))
+
+    def where(self, **wanted: object) -> np.ndarray:
+        """Mask (n,) of the rows whose columns have these values."""
+        mask = np.ones(len(self), bool)
+        for name, value in wanted.items():
+            column = self.columns[name]
+            mask &= np.isclose(column, value) if isinstance(value, float) else column == value
+        return mask
+
+    def mean(self, column: str, **wanted: object) -> float:
+        """Mean over the rows selected by `where`; NaN if there are none, or no such column."""
+        if column not in self.columns:
+            return float("nan")
+        values = np.asarray(self.columns[column], float)[self.where(**wanted)]
+        return float(values.mean()) if len(values) else float("nan")
+
+    def only(self, **wanted: object) -> Outcome:
+        """The rows selected by `where`, without recordings."""
+        rows = self.where(**wanted)
+        columns = {name: values[rows] for name, values in self.columns.items()}
+        return dataclasses.replace(self, columns=columns, recordings={})
+
+
+def joined(parts: Sequence[Outcome]) -> Outcome:
+    """Outcomes of one experiment with the same columns, concatenated."""
+    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+    return dataclasses.replace(parts[0], columns=columns)
+
+
+@dataclasses.dataclass(frozen=True)
+class Substitute:
+    """A controller (a policy) in place of the published one, upon which it acts; the cases set that one's parameters.
+
+    Attributes:
+        acts: the controller.
+        name: of its file, and the hash of its content, as in the settings of a run.
+        content: of its file.
+    """
+
+    acts: ActsUpon
+    name: str
+    content: bytes
+
+    @classmethod
+    def of(cls, where: str) -> Substitute:
+        """The controller that a text names.
+
+        Raises:
+            ParameterError: there is none, or it does not act upon the published controller.
+        """
+        acts = load_controller(where)
+        if not isinstance(acts, ActsUpon):
+            raise ParameterError(
+                f"controller is {where!r}, which has parameters of its own: allowed is a policy FILE.npz, since the "
+                "cases of an experiment set those of the published controller."
+            )
+        return cls(acts, f"{Path(where).name} {controller_digest(where)}", Path(where).read_bytes())
+
+    @property
+    def file(self) -> str:
+        """Name of its copy in a directory of experiments, another for each content."""
+        name, digest = self.name.rsplit(" ", 1)
+        return f"{Path(name).stem}-{digest[:8]}{Path(name).suffix}"
+
+    @property
+    def needs_path(self) -> bool:
+        """Whether it cannot walk without a path."""
+        try:
+            self.acts.upon(pilot="open_loop")
+        except ParameterError:
+            return True
+        return False
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Settings of an experiment; the first six determine its numbers.
+
+    Attributes:
+        profiles: of `PROFILES`, in their order.
+        repeats: worlds of each case, from starts that differ by a seeded shift.
+        seed: of the shifts.
+        quick: fewer cases.
+        values: parameters for all worlds, by name.
+        controller: what walks instead of the published controller; None is that.
+        engine: of the simulations.
+        bodies: parameter name -> (n,) values of n bodies, each of which runs all cases; they override `values` and the
+            profile's, and no run is recorded.
+        progress: called with the share done.
+
+    Raises:
+        ParameterError: an unknown name, or a number out of range.
+    """
+
+    profiles: Sequence[str] = PROFILES
+    repeats: int = REPEATS
+    seed: int = 0
+    quick: bool = False
+    values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    controller: Substitute | None = None
+    engine: str = "auto"
+    bodies: Mapping[str, np.ndarray] | None = None
+    progress: Callable[[float], None] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.profiles, str) or not self.profiles:
+            raise ParameterError(f"profiles is {self.profiles!r}: allowed is a list of {', '.join(PROFILES)}.")
+        named = {choice("profile", profile, PROFILES) for profile in self.profiles}
+        check_whole("repeats", self.repeats, 1)
+        check_whole("seed", self.seed, 0)
+        known = dict(quantities(WorldParameters))
+        for name, value in self.values.items():
+            if isinstance(value, str) or np.ndim(value):
+                raise ParameterError(f"{name} is {value!r}: allowed is one number for all cases.")
+            known[choice("parameter", name, known)].check(name, value)
+        object.__setattr__(self, "profiles", tuple(name for name in PROFILES if name in named))
+        object.__setattr__(self, "values", {name: float(value) for name, value in sorted(self.values.items())})
+
+    def as_dict(self) -> dict[str, Any]:
+        """The settings that determine the numbers, as written to files."""
+        other = {} if self.controller is None else {"controller": self.controller.name}
+        return {"profiles": list(self.profiles), "repeats": self.repeats, "seed": self.seed, "quick": self.quick,
+                "values": dict(self.values), **other}  # fmt: skip
+
+    def setup(self, scene: str, **choices: Any) -> Setup:
+        """The setup of a walk in a scene, with choices of the published controller, upon which another may act.
+
+        Raises:
+            ParameterError: the controller cannot act upon such a one.
+        """
+        if self.controller is None:
+            return Setup(scene=scene, **choices)
+        return Setup(scene=scene, controller=self.controller.acts.upon(**choices))
+
+    def but(self, **other: Any) -> Settings:
+        """The same, except for what is named."""
+        return dataclasses.replace(self, **other)
+
+    def of_one_run(self) -> Settings:
+        """Labels of a run to show: the first profile, and the first start."""
+        return self.but(profiles=self.profiles[:1], repeats=1)
+
+
+def check_whole(name: str, value: Any, least: int) -> None:
+    """Reject what is not a whole number of at least `least`.
+
+    Raises:
+        ParameterError: it is not.
+    """
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise ParameterError(f"{name} is {value!r}: allowed is a whole number of at least {least}.")
+
+
+def body_count(bodies: Mapping[str, np.ndarray] | None) -> int:
+    """Number of bodies; 0 if there is only the default one.
+
+    Raises:
+        ParameterError: parameters with different numbers of values, or without any.
+    """
+    if bodies is None:
+        return 0
+    sizes = {len(values) for values in bodies.values()}
+    if len(sizes) != 1 or sizes == {0}:
+        raise ParameterError(f"bodies has {sorted(sizes)} values of its parameters: allowed is one number, at least 1.")
+    return sizes.pop()
+
+
+@dataclasses.dataclass(frozen=True)
 class Case:
-    """One case before profiles and repeats.
+    """One case before repeats: a named row of an experiment's design.
 
     Attributes:
         labels: what distinguishes it from the others, by column.
-        gait, steering: named choices of `published_values`.
+        gait, steering: named choices of `published_values`; by default the steering is the profile's.
         values: parameters by name, on top of those.
+        profiles: in which it is walked.
     """
 
     labels: Mapping[str, Label]
     gait: str
-    steering: str = "leg"
+    steering: str | None = None
     values: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    profiles: tuple[str, ...] = PROFILES
 
 
 @dataclasses.dataclass(frozen=True)
 class Worlds:
-    """A batch of n worlds.
-
-    Attributes:
-        labels: the cases' columns, and `profile` and `repeat`, (n,) each.
-        values: parameter name -> (n,), for `Simulator.run`.
-    """
+    """A batch of n worlds: the cases' columns with `profile` and `repeat`, and parameter name -> (n,)."""
 
     labels: dict[str, np.ndarray]
     values: dict[str, np.ndarray]
@@ -65,51 +265,37 @@ class Worlds:
         return {name: np.full(n, value) for name, value in defaults.items()} | self.values
 
 
-def worlds(
-    cases: Sequence[Case],
-    defaults: Mapping[str, float],
-    settings: Settings,
-) -> Worlds:
-    """Every case in every profile, `repeats` times from starts that differ by a seeded shift, and for every body.
+def worlds(cases: Sequence[Case], defaults: Mapping[str, float], settings: Settings) -> Worlds:
+    """Every case in each of its profiles, `repeats` times from starts that differ by a seeded shift, for every body.
 
     The shift of a repeat is the same for all cases, so that cases are compared from equal starts; the first repeat is
-    shifted, too.
+    shifted, too. Each body has a start of its own, so that their spread contains that of the starts.
 
     Args:
         cases: all with the same labels.
         defaults: value of every parameter that no case names.
         settings: of the experiment; of several bodies, the column `BODY` numbers them from 1.
-
-    Raises:
-        ParameterError: see `settings.body_count`.
     """
-    shifts, bodies = [_shift(settings.seed, repeat) for repeat in range(settings.repeats)], settings.bodies
     labels: list[dict[str, Label]] = []
     rows: list[dict[str, float]] = []
-    for profile in settings.profiles:
-        for case in cases:
-            named = published_values(case.gait, steering=case.steering, profile=profile)
-            built = {**AS_BUILT, **body_values(profile)} if profile == "as_built" else {}
-            for repeat, shift in enumerate(shifts):
-                labels.append({"profile": profile, **case.labels, "repeat": repeat})
-                rows.append({**shift, **settings.values, **named, **case.values, **built})
+    bodies, count = settings.bodies or {}, body_count(settings.bodies)
+    for body in range(max(count, 1)):
+        drawn = {name: float(values[body]) for name, values in bodies.items()}
+        shifts = [_shift(settings.seed, body + repeat) for repeat in range(settings.repeats)]
+        for profile in settings.profiles:
+            built = AS_BUILT if profile == "as_built" else {}
+            for case in cases:
+                if profile not in case.profiles:
+                    continue
+                named = published_values(case.gait, steering=case.steering, profile=profile)
+                given = {**body_values(profile), **named, **settings.values, **drawn, **case.values, **built}
+                for repeat, shift in enumerate(shifts):
+                    numbered = {BODY: body + 1} if count else {}
+                    labels.append({"profile": profile, **numbered, **case.labels, "repeat": repeat})
+                    rows.append({**shift, **given})
     names = dict.fromkeys(name for row in rows for name in row)
     values = {name: np.array([row.get(name, defaults[name]) for row in rows]) for name in names}
-    batch = Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
-    return batch if bodies is None else _of_bodies(batch, bodies, {name for case in cases for name in case.values})
-
-
-def _of_bodies(batch: Worlds, bodies: Mapping[str, np.ndarray], decided: set[str]) -> Worlds:
-    """All worlds of a batch for each body, identified by the second label; values set by the cases take precedence."""
-    count, size = body_count(bodies), len(next(iter(batch.labels.values())))
-    labels = {name: np.tile(column, count) for name, column in batch.labels.items()}
-    first, *rest = labels
-    numbered = {first: labels[first], BODY: np.repeat(1 + np.arange(count), size)} | {
-        name: labels[name] for name in rest
-    }
-    values = {name: np.tile(column, count) for name, column in batch.values.items()}
-    each = {name: np.repeat(np.asarray(of, float), size) for name, of in bodies.items() if name not in decided}
-    return Worlds(numbered, values | each)
+    return Worlds({name: np.array([row[name] for row in labels]) for name in labels[0]}, values)
 
 
 def _shift(seed: int, repeat: int) -> dict[str, float]:
@@ -118,11 +304,10 @@ def _shift(seed: int, repeat: int) -> dict[str, float]:
 
 
 def settable(cases: Sequence[Case]) -> frozenset[str]:
-    """Parameters that may be set for all worlds of an experiment: those that are set neither by a case nor by a
-    repeat."""
+    """Parameters that may be set for all worlds of an experiment: those that neither a case nor a repeat sets."""
     decided = set(START_SPREAD)
     for case in cases:
-        decided |= {*published_values(case.gait, profile="as_published"), *case.values}
+        decided |= {*published_values(case.gait, profile="exact"), *case.values}
     return frozenset(name for name, _ in quantities(WorldParameters)) - decided
 
 
@@ -130,19 +315,19 @@ def measured(
     simulator: Simulator, batch: Worlds, run: Run, *, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
     """Labels, metrics and status of each world, and what the measured columns mean."""
-    return table_of(batch, simulator.run(batch.values, run, progress=progress))
+    return columns_of(batch, simulator.run(batch.values, run, progress=progress))
+
+
+def columns_of(batch: Worlds, result: RunResult) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
+    """See `measured`."""
+    columns = {**batch.labels, **result.metrics, "status": result.status}
+    about = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
+    return columns, about | {"status": Column("1", "ok, or how the run ended")}
 
 
 def recorded(simulator: Simulator, batch: Worlds, run: Run, names: Sequence[str]) -> dict[str, Recording]:
     """The recording of each world, by the names given."""
     return recordings_of(simulator, batch, simulator.run(batch.values, run, record=True), dict(enumerate(names)))
-
-
-def table_of(batch: Worlds, result: RunResult) -> tuple[dict[str, np.ndarray], dict[str, Column]]:
-    """See `measured`."""
-    columns = {**batch.labels, **result.metrics, "status": result.status}
-    about = {name: Column(metric.unit, metric.doc) for name, metric in METRICS.items()}
-    return columns, about | {"status": Column("1", "ok, or how the run ended")}
 
 
 def recordings_of(

@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import find_peaks
 
-from nermo_mjx.experiments.cases import Worlds
-from nermo_mjx.experiments.outcome import Column
+from nermo_mjx.experiments.cases import Column, Worlds
 from nermo_mjx.kinematics.attitude import attitude
 from nermo_mjx.robot.interface import SERVOS
 from nermo_mjx.robot.parameters import LIMBS

@@ -1,76 +1,577 @@
-"""The share of identified bodies for which a line of the report holds.
+"""The identification's uncertainty: many bodies that match the published speeds about as well as the best one.
 
-The identification yields not one body but many that match the published speeds about equally well
-(`robot.identified`). A line that holds for all of them does not depend on which of them is the default.
+The free parameters are the identified ones and, within plausible ranges, the friction of soles and tail. Prior: uniform
+in the logarithms within the bounds. A body belongs to the ensemble if its objective is within a tolerance that was
+fixed beforehand; within the tolerance, all are equivalent. They are found by a sequential Monte Carlo sampler, adaptive
+multiple importance sampling (Cornuet et al., 2012): a Sobol sample of the prior comes first; then, in each sweep, as
+many proposals from a mixture of normal distributions around the best points, with their covariance, where the level
+decreases to the tolerance as points permit. Every point ever evaluated is weighted by the prior over the mean proposal
+density of all sweeps, so that each one within the tolerance counts, no matter which sweep found it, and the initial
+centres hardly matter. Since the Sobol sample is part of that mean, no weight can exceed the number of sweeps plus one.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FormatStrFormatter, NullLocator
+from scipy.linalg import solve_triangular
+from scipy.spatial.distance import cdist
+from scipy.stats import qmc
 
-from nermo_mjx.experiments.line import Figure, agrees, measured
-from nermo_mjx.experiments.outcome import BODY, Outcome, joined
+from nermo_mjx.experiments.report import number
+from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.style import BAND, BEST, COLOURS, INK, LINE, MUTED, SMALL
+from nermo_mjx.robot.model_parameters import ModelParameters
+from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.runs.text import MISSING, table
 
-#: The profile in which bodies are compared.
-PROFILE: Final = "exact"
-#: Bodies per batch: their recordings in the maze and the balance test take half a gigabyte.
-AT_ONCE: Final = 16
+# --- the space: the free parameters, their physical bounds, and the unit cube that represents them
 
 
 @dataclasses.dataclass(frozen=True)
-class Ensemble:
-    """Results of several bodies.
+class Free:
+    """A free parameter.
 
     Attributes:
-        bodies: number of bodies.
-        shares: figure's name -> share of them in which its line holds; None for a line without a judgement.
+        names: model parameters that share the value.
+        low, high: physical bounds.
+        why: reason for the bounds.
     """
 
-    bodies: int
-    shares: Mapping[str, float | None]
+    names: tuple[str, ...]
+    low: float
+    high: float
+    why: str
 
 
-def draw(bodies: int, seed: int) -> dict[str, np.ndarray]:
-    """Members of the identified ensemble: parameter name -> (bodies,) values.
+#: Searched. The sole's contact is not: it is that of the author's own model (time constant 8 ms, damping ratio 2,
+#: friction 1.4) with a soft onset, the default of `ModelParameters`. The bounds have physical reasons only.
+FREE: Final[dict[str, Free]] = {
+    "kp": Free(
+        ("servo.kp",), 4.5, 20.0, "stall torque at an error of 2 degrees to 0.45, about twice a hobby servo's dead band"
+    ),
+    "kv": Free(("servo.kv",), 0.01, 0.3, "stall torque at 16 to 0.5 rad/s"),
+    "leg_damping": Free(
+        ("damping.knee", "damping.ankle"), 0.002, 0.03, "printed hinges that creep back within a tenth of a second"
+    ),
+    "spine_damping": Free(("damping.spine",), 0.003, 0.1, "the same, ten times as stiff"),
+}
+#: Not searched but uncertain: free in the ensemble, where each body has its own.
+UNCERTAIN: Final[dict[str, Free]] = {
+    "friction": Free(("contact.friction",), 1.0, 1.8, "rubber on a mat, about the author's 1.4"),
+    "tail_friction": Free(("contact.tail_friction",), 0.2, 1.0, "printed plastic on a mat, to the author's 1.0"),
+}
+#: The space of the ensemble.
+ALL: Final = FREE | UNCERTAIN
+_STIFF: Final = Free(("servo.kp",), 5.0, 120.0, "to the gain at which the author's servos tremble at his time step")
+#: What is searched in the set-up of the published tests, whose servos are stiffer.
+FREE_IN: Final = {"exact": FREE, "as_published": FREE | {"kp": _STIFF}}
 
-    Raises:
-        ParameterError: there are fewer.
+#: To four significant digits, as their decimal text reads, so that printed and shipped values are the simulated ones.
+_rounded: Final = np.vectorize(lambda value: float(f"{value:.4g}"), otypes=[float])
+
+
+def parameters_of(point: np.ndarray, space: Mapping[str, Free] = FREE) -> dict[str, Any]:
+    """Model parameters, to four digits, at points (..., d) of the unit cube, whose axes are logarithms in bounds."""
+    values: dict[str, Any] = {}
+    for axis, free in enumerate(space.values()):
+        value = _rounded(free.low * (free.high / free.low) ** np.clip(point[..., axis], 0.0, 1.0))
+        values |= dict.fromkeys(free.names, value)
+    return values
+
+
+def point_of(parameters: Mapping[str, float], space: Mapping[str, Free] = FREE) -> np.ndarray:
+    """Inverse of `parameters_of`, shape (d,)."""
+    return np.array(
+        [
+            np.clip(math.log(parameters[free.names[0]] / free.low) / math.log(free.high / free.low), 0.0, 1.0)
+            for free in space.values()
+        ]
+    )
+
+
+def names(space: Mapping[str, Free] = ALL) -> tuple[str, ...]:
+    """Every model parameter of a space, in order."""
+    return tuple(name for free in space.values() for name in free.names)
+
+
+# --- sampling
+
+#: Minimum number of centres of a mixture, as a fraction of a sweep's points.
+_CENTRES: Final = 1 / 8
+#: Share of the first sweep's proposals around the seeds.
+_SEEDED: Final = 0.25
+#: Number of draws to estimate the share of a mixture that lies in the cube.
+_INSIDE: Final = 20_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Sweep:
+    """One sweep: how many points it proposed, the level its centres lay within, and the share within the tolerance."""
+
+    proposed: int
+    level: float
+    acceptance: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Sample:
+    """Points within the tolerance.
+
+    Attributes:
+        points: in the cube, (m, d).
+        costs: their objective, (m,).
+        weights: of a uniform distribution over the region, (m,); their sum is 1.
+        sweeps: the Sobol sample, and the sweeps after it.
+        share: estimated share of the cube within the tolerance, a few per cent too low if it is small.
+        effective: effective sample size (Kish).
     """
-    from nermo_mjx.robot import identified
 
-    return identified.choose(bodies, seed)
-
-
-def fingerprint(bodies: Mapping[str, np.ndarray]) -> str:
-    """Hash of bodies, to identify those in a directory."""
-    content = {name: np.asarray(values, float).tolist() for name, values in sorted(bodies.items())}
-    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+    points: np.ndarray
+    costs: np.ndarray
+    weights: np.ndarray
+    sweeps: tuple[Sweep, ...]
+    share: float
+    effective: float
 
 
-def numbered(parts: Mapping[int, Outcome]) -> Outcome:
-    """Results of all bodies, from batches keyed by the position of their first body; `BODY` distinguishes them."""
-    several = []
-    for begin, part in sorted(parts.items()):
-        numbers = {BODY: np.asarray(part.columns[BODY]) + begin}
-        # Keep the order of the columns: those before `repeat` distinguish the cases.
-        columns = {name: numbers.get(name, column) for name, column in part.columns.items()}
-        several.append(dataclasses.replace(part, columns=columns, recordings={}))
-    return joined(several)
+class _Mixture:
+    """Normal distributions with a common covariance around centres (k, d), with shares (k,), truncated to the unit
+    cube."""
+
+    def __init__(
+        self, centres: np.ndarray, shares: np.ndarray, covariance: np.ndarray, random: np.random.Generator
+    ) -> None:
+        self.centres, self.shares = centres, shares
+        self.root = np.linalg.cholesky(covariance)
+        self.inside = float(np.mean(_in_cube(self._unbounded(_INSIDE, random))))
+
+    def draw(self, n: int, random: np.random.Generator) -> np.ndarray:
+        """Points (n, d)."""
+        points = np.empty((0, self.centres.shape[1]))
+        while len(points) < n:
+            drawn = self._unbounded(n, random)
+            points = np.vstack([points, drawn[_in_cube(drawn)]])
+        return points[:n]
+
+    def density(self, points: np.ndarray) -> np.ndarray:
+        """Density at points (n, d) of the cube, (n,); at a centre, that of the others, since it would find itself."""
+        white, centres = (solve_triangular(self.root, each.T, lower=True).T for each in (points, self.centres))
+        away = cdist(white, centres, "sqeuclidean")
+        own = away == 0.0
+        density = np.where(own, 0.0, np.exp(-0.5 * away)) @ self.shares / (1.0 - own @ self.shares)
+        volume = (2 * np.pi) ** (points.shape[1] / 2) * np.prod(np.diag(self.root))
+        return density / (volume * self.inside)
+
+    def _unbounded(self, n: int, random: np.random.Generator) -> np.ndarray:
+        chosen = random.choice(len(self.centres), n, p=self.shares)
+        return self.centres[chosen] + random.standard_normal((n, self.centres.shape[1])) @ self.root.T
 
 
-def of_outcome(outcome: Outcome, figures: Sequence[Figure]) -> Ensemble:
-    """The shares of an outcome of several bodies."""
-    slices = [outcome.of_body(int(body)) for body in np.unique(outcome.columns[BODY])]
-    return Ensemble(len(slices), {figure.name: _share(slices, figure) for figure in figures})
+def sample(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    dimension: int,
+    *,
+    tolerance: float,
+    size: int,
+    sweeps: int,
+    seed: int,
+    seeds: np.ndarray | None = None,
+) -> Sample:
+    """Sample the region until the effective sample size reaches `size`, or for the given number of sweeps.
+
+    Args:
+        evaluate: objective of points (n, d), (n,).
+        dimension: d.
+        tolerance: of the objective.
+        size: points per sweep, and requested effective sample size.
+        sweeps: maximum number after the Sobol sample.
+        seed: makes it repeatable.
+        seeds: additional points (k, d) to start from; their origin does not matter.
+    """
+    random = np.random.default_rng((seed, dimension, size))
+    points = qmc.Sobol(dimension, rng=random).random_base2(max(size - 1, 1).bit_length())[:size]
+    fewest = min(max(dimension + 2, int(_CENTRES * size)), size)
+    costs, mixtures, made = evaluate(points), list[_Mixture](), [Sweep(size, np.inf, 0.0)]
+    while True:
+        weights = _weights(points, mixtures)
+        within = costs <= tolerance
+        if len(made) > sweeps or _effective(weights[within]) >= size:
+            break
+        level = max(tolerance, float(np.sort(costs)[fewest - 1]))
+        near = costs <= level
+        mixtures.append(_mixture(points[near], weights[near], seeds if len(made) == 1 else None, random))
+        proposed = mixtures[-1].draw(size, random)
+        points, costs = np.vstack([points, proposed]), np.concatenate([costs, evaluate(proposed)])
+        made.append(Sweep(size, level, 0.0))
+    found = [dataclasses.replace(each, acceptance=float(np.mean(within[i * size : (i + 1) * size])))
+             for i, each in enumerate(made)]  # fmt: skip
+    share = float(np.sum(weights[within]) / len(points))
+    total = weights[within].sum() or 1.0
+    return Sample(points[within], costs[within], weights[within] / total, tuple(found), share,
+                  _effective(weights[within]))  # fmt: skip
 
 
-def _share(bodies: Iterable[Outcome], figure: Figure) -> float | None:
-    """Whether the figure holds; it does not if it could not be measured, because the robot fell or left the path."""
-    holds = [agrees(measured(body, figure, PROFILE), figure) for body in bodies]
-    return None if all(each is None for each in holds) else sum(each is True for each in holds) / len(holds)
+def thin(sample: Sample, n: int, seed: int) -> Sample:
+    """At most n of the points, selected roughly in proportion to weight, so that the remaining weights are similar."""
+    if len(sample.points) <= n:
+        return sample
+    taken = _inclusion(sample.weights, n)
+    random = np.random.default_rng((seed, n))
+    order = random.permutation(len(taken))
+    # Systematic sampling: marks one apart on the line of the shares, from one random start.
+    ends = np.cumsum(taken[order])
+    marks = np.floor(ends - random.uniform())
+    kept = np.sort(order[np.diff(marks, prepend=-1.0) > 0])
+    weights = sample.weights[kept] / taken[kept]
+    return dataclasses.replace(sample, points=sample.points[kept], costs=sample.costs[kept],
+                               weights=weights / weights.sum())  # fmt: skip
+
+
+def _inclusion(weights: np.ndarray, n: int) -> np.ndarray:
+    """Probability that each point is among n, in proportion to its weight but at most 1, (m,)."""
+    certain = np.zeros(len(weights), bool)
+    while True:
+        rest = np.where(certain, 0.0, weights)
+        chance = np.where(certain, 1.0, rest * (n - certain.sum()) / rest.sum())
+        over = (chance > 1.0) & ~certain
+        if not over.any():
+            return chance
+        certain |= over
+
+
+def _mixture(
+    centres: np.ndarray, weights: np.ndarray, seeds: np.ndarray | None, random: np.random.Generator
+) -> _Mixture:
+    """Normal distributions about weighted centres, with the bandwidth of a density estimate (Silverman)."""
+    shares, d = weights / weights.sum(), centres.shape[1]
+    away = centres - shares @ centres
+    covariance = (away.T * shares) @ away + 1e-4 * np.eye(d)
+    width = (4 / ((d + 2) * _effective(weights))) ** (2 / (d + 4))
+    if seeds is not None and len(seeds):
+        centres = np.vstack([centres, seeds])
+        shares = np.concatenate([(1 - _SEEDED) * shares, np.full(len(seeds), _SEEDED / len(seeds))])
+    return _Mixture(centres, shares, width * covariance, random)
+
+
+def _weights(points: np.ndarray, mixtures: list[_Mixture]) -> np.ndarray:
+    """The prior's density, 1, over the mean proposal density; sweeps are of equal size."""
+    proposed = np.ones(len(points))
+    for mixture in mixtures:
+        proposed += mixture.density(points)
+    return (1 + len(mixtures)) / proposed
+
+
+def _effective(weights: np.ndarray) -> float:
+    return float(weights.sum() ** 2 / np.sum(weights**2)) if len(weights) else 0.0
+
+
+def _in_cube(points: np.ndarray) -> np.ndarray:
+    return np.all((points >= 0) & (points <= 1), axis=1)
+
+
+# --- bodies
+
+#: Maximum objective of a body in the ensemble: half of the deviation declared acceptable, at which all targets are off
+#: by one tolerance each.
+TOLERANCE: Final = 0.5
+
+
+@dataclasses.dataclass(frozen=True)
+class Bodies:
+    """An ensemble of n bodies; the first is the default body, if that is within the tolerance.
+
+    Attributes:
+        values: model parameter -> (n,).
+        objective: (n,).
+        weights: (n,); their sum is 1.
+        tolerance: of the objective.
+        sweeps: of the sampler that found them.
+        found: distinct bodies within the tolerance, from which these were selected.
+        effective: effective sample size of those found.
+        share: estimated share of the prior within the tolerance.
+    """
+
+    values: dict[str, np.ndarray]
+    objective: np.ndarray
+    weights: np.ndarray
+    tolerance: float
+    sweeps: tuple[Sweep, ...]
+    found: int
+    effective: float
+    share: float
+
+
+def find_bodies(
+    evaluate: Callable[[np.ndarray], np.ndarray],
+    best: Mapping[str, float],
+    objective: float,
+    near: np.ndarray,
+    *,
+    defaults: Mapping[str, float],
+    bodies: int,
+    sweeps: int,
+    tolerance: float,
+    seed: int,
+    space: Mapping[str, Free] = ALL,
+) -> Bodies:
+    """Sample the bodies within the tolerance.
+
+    Args:
+        evaluate: objective of points (n, d) of the space.
+        best: result of the search, at the default frictions, and its objective; becomes the first body.
+        near: the search's points within the tolerance, (k, d of the search); the first sweep also starts around them.
+        defaults: of all parameters.
+        bodies: requested number; sweeps: maximum number.
+    """
+    friction = point_of(defaults, UNCERTAIN)
+    seeds = np.hstack([near, np.tile(friction, (len(near), 1))])
+    found = sample(evaluate, len(space), tolerance=tolerance, size=bodies, sweeps=sweeps, seed=seed,
+                   seeds=seeds)  # fmt: skip
+    first = objective <= tolerance
+    kept = thin(found, bodies - first, seed)
+    drawn = parameters_of(kept.points, space)
+    values = {name: drawn[name] for name in names(space)}
+    costs, weights = kept.costs, kept.weights
+    if first:
+        values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
+        costs = np.append(objective, costs)
+        # The default body has the average weight of the others.
+        weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
+    return Bodies(values, costs, weights, tolerance, found.sweeps, len(found.points), found.effective, found.share)
+
+
+# --- an ensemble in identification.json, in ensemble.csv, and as a section to read
+
+QUANTILES: Final = (0.05, 0.5, 0.95)
+#: Smallest correlation that is listed.
+_WORTH: Final = 0.3
+
+
+def ensemble_content(bodies: Bodies, space: Mapping[str, Free] = ALL) -> dict[str, Any]:
+    """An ensemble for identification.json; parameters that share a value are represented by the first."""
+    size = len(bodies.objective)
+    shown = {free.names[0]: bodies.values[free.names[0]] for free in space.values()}
+    content: dict[str, Any] = {
+        "size": size,
+        "tolerance": bodies.tolerance,
+        "found": bodies.found,
+        "effective_size": bodies.effective,
+        "share_of_prior": bodies.share,
+        "sweeps": [
+            {"candidates": each.proposed, "level": each.level, "acceptance": each.acceptance} for each in bodies.sweeps
+        ],
+        "better_than_default": int(np.sum(bodies.objective < bodies.objective[0])) if size else 0,
+        "parameters": {
+            free.names[0]: {"low": free.low, "high": free.high, "why": free.why, "names": list(free.names)}
+            for free in space.values()
+        },
+    }
+    if size:
+        for name, column in shown.items():
+            content["parameters"][name]["quantiles"] = quantiles(column, bodies.weights)
+        content["correlations"] = correlations(shown, bodies.weights)
+        content["bodies"] = {name: column.tolist() for name, column in bodies.values.items()} | {
+            "objective": bodies.objective.tolist(),
+            "weight": bodies.weights.tolist(),
+        }
+    return content
+
+
+def quantiles(values: np.ndarray, weights: np.ndarray) -> list[float]:
+    """The 5, 50 and 95 % quantiles of values (n,) with weights (n,)."""
+    order = np.argsort(values, kind="stable")
+    below = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return np.interp(QUANTILES, below / weights.sum(), values[order]).tolist()
+
+
+def correlations(columns: Mapping[str, np.ndarray], weights: np.ndarray) -> dict[str, dict[str, float]]:
+    """Weighted correlations of the logarithms between all columns."""
+    logs = np.array([np.log(column) for column in columns.values()])
+    away = logs - (logs @ weights / weights.sum())[:, None]
+    covariance = (away * weights) @ away.T
+    scale = np.sqrt(np.diag(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        matrix = covariance / np.outer(scale, scale)
+    return {name: dict(zip(columns, row.tolist(), strict=True)) for name, row in zip(columns, matrix, strict=True)}
+
+
+def csv_text(content: Mapping[str, Any]) -> str:
+    """ensemble.csv: its origin, then one body per row; the default body comes first if it is one of them."""
+    ensemble = content["ensemble"]
+    tried = sum(sweep["candidates"] for sweep in ensemble["sweeps"])
+    units = {name: about.unit for name, about in quantities(ModelParameters)}
+    options = " ".join(f"--{name} {value}" for name, value in content["settings"].items())
+    columns = ensemble["bodies"]
+    about = (
+        f"Bodies whose objective on the straight line is at most {ensemble['tolerance']:g}; the first is the default.",
+        f"{ensemble['found']} of {tried} candidates were; these stand for them. Made by: nermo-mjx identify {options}",
+        f"Engine {content['engine']}, MuJoCo {content['versions']['mujoco']}.",
+        "Units: " + ", ".join(f"{name} {units[name]}" for name in columns if units.get(name, "1") != "1"),
+    )
+    rows = zip(*columns.values(), strict=True)
+    texts = {"objective": "{:.4f}", "weight": "{:.6f}"}
+    forms = [texts.get(name, "{:.4g}") for name in columns]
+    lines = [",".join(form.format(value) for form, value in zip(forms, row, strict=True)) for row in rows]
+    return "\n".join([*(f"# {line}" for line in about), ",".join(columns), *lines]) + "\n"
+
+
+def ensemble_section(content: Mapping[str, Any]) -> str:
+    """The ensemble's part of identification.md."""
+    ensemble = content["ensemble"]
+    if ensemble is None:
+        return ""
+    tried = sum(sweep["candidates"] for sweep in ensemble["sweeps"])
+    size, found, tolerance = ensemble["size"], ensemble["found"], ensemble["tolerance"]
+    text = f"""\
+## Ensemble
+
+Bodies whose objective is at most {tolerance:g}. Free are the parameters above and, within their plausible ranges, the
+friction of sole and tail; the prior is even in their logarithms. {found} of {tried} candidates are within it, which is
+{ensemble["share_of_prior"]:.2%} of the prior.
+"""
+    if not size:
+        return f"{text}\nThere is no body to draw.\n\n"
+    better = ensemble["better_than_default"]
+    nearer = f"{better or 'none'} of the others {'come' if better > 1 else 'comes'}"
+    return f"""\
+{text}
+The ensemble has {size} bodies. The first is the default, the best at the default frictions; with frictions of its own,
+{nearer} nearer to the published speeds. The others were taken from those found about as often as they weigh, and keep
+the weight that is left. Those found know as much as {ensemble["effective_size"]:.0f} bodies drawn independently.
+
+{table(["parameter", "5 %", "median", "95 %", "default", "bounds", "why these"], _rows(ensemble), "lrrrrll")}
+Correlations of the logarithms beyond {_WORTH:g}: {_related(ensemble["correlations"])}.
+
+{table(["sweep", "candidates", "begun from bodies within", "within the tolerance"], _sweeps(ensemble), "lrrr")}
+`ensemble.csv` has all bodies.
+
+"""
+
+
+def _rows(ensemble: Mapping[str, Any]) -> list[list[str]]:
+    units = {name: about.unit for name, about in quantities(ModelParameters)}
+    rows = []
+    for name, about in ensemble["parameters"].items():
+        unit = "" if units.get(name, "1") == "1" else f" [{units[name]}]"
+        bounds = f"{about['low']:g} to {about['high']:g}"
+        default = number(ensemble["bodies"][name][0])
+        rows.append([", ".join(about["names"]) + unit, *map(number, about["quantiles"]), default, bounds, about["why"]])
+    return rows
+
+
+def _sweeps(ensemble: Mapping[str, Any]) -> list[list[str]]:
+    return [
+        [str(i) if i else "even", str(sweep["candidates"]), f"{sweep['level']:.2f}" if i else MISSING,
+         f"{sweep['acceptance']:.0%}"]
+        for i, sweep in enumerate(ensemble["sweeps"])
+    ]  # fmt: skip
+
+
+def _related(correlations: Mapping[str, Mapping[str, float]]) -> str:
+    names = list(correlations)
+    pairs = [(correlations[a][b], a, b) for i, a in enumerate(names) for b in names[:i]]
+    told = [f"{a} with {b} {value:+.2f}" for value, a, b in sorted(pairs, key=lambda pair: -abs(pair[0]))
+            if abs(value) > _WORTH]  # fmt: skip
+    return "; ".join(told) or "none"
+
+
+# --- its figure: the distribution of each parameter within its bounds, and pairs
+
+_BINS: Final = 12
+_PANEL: Final = 1.42
+#: Labels of parameters that share a value.
+_SHORT: Final = {"damping.knee": "damping of\nknee, ankle"}
+
+
+def ensemble_figure(content: Mapping[str, Any]) -> Figure:
+    """Marginals on the diagonal, pairs below it; axes are the bounds, logarithmic.
+
+    Args:
+        content: `ensemble` of identification.json, with bodies.
+    """
+    names, bodies = list(content["parameters"]), content["bodies"]
+    values = [np.asarray(bodies[name], float) for name in names]
+    bounds = [(content["parameters"][name]["low"], content["parameters"][name]["high"]) for name in names]
+    objective, weights = np.asarray(bodies["objective"], float), np.asarray(bodies["weight"], float)
+    n, shades = len(names), Normalize(objective.min(), content["tolerance"])
+    page = Page("Bodies that walk as published within the tolerance", (_PANEL * n + 0.9, _PANEL * n + 0.9), n, n)
+    for i, name in enumerate(names):
+        for j in range(n):
+            ax: Axes = page.axes[i, j]
+            if j > i:
+                ax.set_axis_off()
+            elif j == i:
+                _marginal(ax, values[i], weights, bounds[i], content["parameters"][name]["quantiles"])
+            else:
+                order = np.argsort(-objective, kind="stable")  # the best on top
+                ax.scatter(values[j][order], values[i][order], c=objective[order], s=7, lw=0, cmap=COLOURS, norm=shades)
+                ax.plot(values[j][0], values[i][0], marker="+", ms=9, mew=1.6, color=BEST)
+                _scale(ax, bounds[i], "y")
+            _scale(ax, bounds[j], "x")
+            _label(ax, names, i, j)
+    page.figure.align_labels()
+    place = page.axes[0, -1].inset_axes((-2.2, 0.6, 3.0, 0.13))  # in the empty corner, and ignored by the layout
+    place.set_in_layout(False)
+    bar = page.figure.colorbar(ScalarMappable(shades, COLOURS), cax=place, orientation="horizontal")
+    bar.set_label("objective [1]", fontsize=SMALL)
+    bar.outline.set_visible(False)
+    handles = [
+        Patch(color=BAND, label="share of the bodies"), Line2D([], [], color=LINE, ls="--", lw=1, label="5 and 95 %"),
+        Line2D([], [], color=MUTED, lw=1, label="share in the prior"),
+        Line2D([], [], color=BEST, marker="+", ms=9, mew=1.6, lw=1.6, label="default body"),
+    ]  # fmt: skip
+    return page.finish(handles, f"{content['size']} bodies; an axis spans a parameter's bounds.")
+
+
+def _marginal(
+    ax: Axes, values: np.ndarray, weights: np.ndarray, bounds: tuple[float, float], quantiles: list[float]
+) -> None:
+    edges = np.geomspace(*bounds, _BINS + 1)
+    shares, _ = np.histogram(np.clip(values, *bounds), edges, weights=weights)
+    ax.stairs(shares, edges, fill=True, color=BAND)
+    ax.axhline(1 / _BINS, color=MUTED, lw=0.9)
+    for each in (quantiles[0], quantiles[-1]):
+        ax.axvline(each, color=LINE, ls="--", lw=1)
+    ax.axvline(values[0], color=BEST, lw=1.6)
+    ax.set_ylim(0, 1.12 * max(shares.max(), 1 / _BINS))
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
+
+
+def _scale(ax: Axes, bounds: tuple[float, float], axis: str) -> None:
+    """A logarithmic axis over the bounds, with ticks at the bounds and a round value in between."""
+    low, high = bounds
+    middle = float(f"{np.sqrt(low * high):.{1 if high > 2 * low else 2}g}")
+    along = ax.xaxis if axis == "x" else ax.yaxis
+    (ax.set_xscale if axis == "x" else ax.set_yscale)("log")
+    (ax.set_xlim if axis == "x" else ax.set_ylim)(low, high)
+    along.set_major_locator(FixedLocator([low, middle, high]))
+    along.set_major_formatter(FormatStrFormatter("%g"))
+    along.set_minor_locator(NullLocator())
+
+
+def _label(ax: Axes, names: list[str], i: int, j: int) -> None:
+    """Names at the left and at the bottom only."""
+    units = {name: about.unit for name, about in quantities(ModelParameters)}
+
+    def text(name: str) -> str:
+        return "\n".join((_SHORT.get(name, name.replace(".", "\n", 1)), f"[{units.get(name, '1')}]"))
+
+    ax.tick_params(labelsize=SMALL - 1, labelbottom=i == len(names) - 1, labelleft=j == 0 and i > 0)
+    if i == len(names) - 1:
+        ax.set_xlabel(text(names[j]), fontsize=SMALL, color=INK)
+        ax.tick_params(axis="x", rotation=45)
+    if j == 0 and i > 0:
+        ax.set_ylabel(text(names[i]), fontsize=SMALL, color=INK)

@@ -53,12 +53,21 @@ def feet_positions(
     return jnp.concatenate([front, rear], axis=-2)
 
 
-def hip_height_offset(theta_v: ArrayLike, geometry: Geometry) -> Planar:
-    """How much higher each hip is than with a straight spine (5.31).
+def hip_height_offset(theta_v: ArrayLike, geometry: Geometry, feet: ArrayLike | None = None) -> Planar:
+    """How much higher each hip is than with a straight spine (5.31), or each rear foot, which turns with the hip.
 
-    The published code's function returns the hip's rise, which is subtracted from the height of the rear foot: a foot
-    that is lowered by it keeps the hip level. "Added", as its docstring says, doubles the roll (erratum 16).
+    The published code's function returns the rise, which is subtracted from the height of the rear foot: a foot that is
+    lowered by it keeps the hip level. "Added", as its docstring says, doubles the roll (erratum 16). It takes the feet,
+    which are about 0.4 mm lower than the hips on both sides, where (5.31) takes the hips.
+
+    Args:
+        theta_v: of each lateral joint [rad].
+        geometry: of the robot.
+        feet: (y, z) of the four feet from their own axis, shape (..., 4, 2) [m]; None for the hips.
     """
+    if feet is not None:
+        bent, straight = (feet_positions(bend, feet, geometry) for bend in (theta_v, jnp.zeros_like(theta_v)))
+        return bent[..., 2:, 2] - straight[..., 2:, 2]
     return hips(theta_v, geometry)[..., 2] - hips(0.0, geometry)[..., 2]
 
 

@@ -18,6 +18,7 @@ from nermo_mjx.control.pilot import heading
 from nermo_mjx.learn.acting import ACTED
 from nermo_mjx.robot import LIMBS, ParameterError, Sensors
 from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import parameter_tree, quantity
 from nermo_mjx.rollout.metrics import LOADED
 from nermo_mjx.shapes import Array, Scalar
@@ -36,6 +37,7 @@ class Sensing:
     delay: Any = quantity(0.0, "s", 0.0, LONGEST_DELAY, "age of the readings that a policy gets")
     servo_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the servos' angles")
     servo_load_noise: Any = quantity(0.0, "N m", 0.0, 1.0, "of the servos' torques")
+    servo_current_noise: Any = quantity(0.0, "A", 0.0, 1.0, "of the servos' currents")
     knee_angle_noise: Any = quantity(0.0, "rad", 0.0, 1.0, "of the knees' angles")
     gyro_noise: Any = quantity(0.0, "rad/s", 0.0, 10.0, "of the IMU's angular velocity")
     accelerometer_noise: Any = quantity(0.0, "m/s^2", 0.0, 50.0, "of the IMU's acceleration")
@@ -75,7 +77,17 @@ def contact(sensors: Sensors) -> Float[Array, " 4"]:
     return jnp.clip((sensors.foot_force - none) / (full - none), 0.0, 1.0)
 
 
-#: What the robot senses. Loads are the servos' torques.
+def current(sensors: Sensors) -> Float[Array, " k"]:
+    """Current in each servo's motor [A], which rises with its torque's magnitude (`rollout.electrical`).
+
+    The sensor is calibrated with the constants of the published servo, whatever body is drawn; without back-EMF.
+    """
+    servo = ModelParameters().servo
+    per_torque = (servo.stall_current - servo.idle_current) / servo.torque_limit
+    return servo.idle_current + per_torque * jnp.abs(sensors.servo_torque[: len(ACTED)])
+
+
+#: What the robot senses. Loads are the servos' torques, currents what their motors' supply shows of them: no sign.
 SENSED: Final[dict[str, Sensed]] = {
     "servo_angle": Sensed(
         ACTED, lambda s: s.servo_angle[: len(ACTED)], 1.0, "rad", "servo_angle_noise", "angles of the servos"
@@ -83,6 +95,7 @@ SENSED: Final[dict[str, Sensed]] = {
     "servo_load": Sensed(
         ACTED, lambda s: s.servo_torque[: len(ACTED)], 0.1, "N m", "servo_load_noise", "torques of the servos"
     ),
+    "servo_current": Sensed(ACTED, current, 0.5, "A", "servo_current_noise", "currents of the servos' motors"),
     "knee_angle": Sensed(LIMBS, lambda s: s.knee_angle, 1.0, "rad", "knee_angle_noise", "angles of the knees"),
     "foot_contact": Sensed(LIMBS, contact, 1.0, "1", None, "whether a foot bears load"),
     "gyro": Sensed(_AXES, lambda s: s.gyro, 3.0, "rad/s", "gyro_noise", "angular velocity of the torso"),

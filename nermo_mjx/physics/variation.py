@@ -89,6 +89,7 @@ class Variation:
         dampers = {"hip": joints("_hip"), "knee": joints("_knee"), "ankle": joints("_ankle"), "spine": spine}
         dampers["pulley"] = np.concatenate([joints("_pulley"), joints("neck"), joints("head_tilt")])
         self._dampers = {key: np.array([dof[names[i]] for i in ids]) for key, ids in dampers.items()}
+        self._spine_servo = np.array([model.actuator(i).name == "spine_servo" for i in range(model.nu)])
         self._servo_dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
         left = np.array(["left" in names[i] for i in range(model.njnt)])
         knees = np.concatenate([self._springs["front_knee"], self._springs["rear_knee"]])
@@ -113,8 +114,8 @@ class Variation:
         # With explicit dtypes: JAX caches the dtype that it chose for a NumPy array, even across precisions.
         gain = jnp.asarray(model.actuator_gainprm, float).at[:, 0].set(p.servo.kp)
         bias = jnp.asarray(model.actuator_biasprm, float).at[:, 1].set(-p.servo.kp).at[:, 2].set(-p.servo.kv)
-        limit = jnp.asarray(p.servo.stall_torque)
-        force = jnp.broadcast_to(jnp.stack([-limit, limit]), model.actuator_forcerange.shape)
+        share = jnp.where(self._spine_servo, p.servo.spine_torque, 1.0)
+        force = (p.servo.stall_torque * share)[:, None] * jnp.array([-1.0, 1.0])
 
         contact, pairs = p.contact, self._pairs
         friction = jnp.asarray(model.pair_friction, float)

@@ -137,7 +137,7 @@ def add_servos(spec: mujoco.MjSpec, routing: str, parameters: ModelParameters) -
             actuator = spec.add_actuator(name=f"{name}_servo", target=target, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             actuator.set_to_position(kp=float(servo.kp), kv=float(servo.kv))
             actuator.ctrllimited, actuator.ctrlrange = True, np.array(servo_range(name, routing))
-            limit = float(servo.stall_torque)
+            limit = float(servo.stall_torque) * (float(servo.spine_torque) if name == "spine" else 1.0)
             actuator.forcelimited, actuator.forcerange = True, np.array([-limit, limit])
 
 

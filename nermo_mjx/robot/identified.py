@@ -22,6 +22,8 @@ import numpy as np
 from nermo_mjx.robot.quantity import ParameterError
 
 PATH: Final = Path(__file__).with_suffix(".csv")
+#: The files by the set-up in which the bodies walk as published: the default's, and that of the published tests.
+PATHS: Final = {"exact": PATH, "as_published": PATH.with_name("identified_as_published.csv")}
 #: Columns that are not parameters.
 _ABOUT: Final = ("objective", "weight")
 
@@ -54,18 +56,19 @@ class Ensemble:
         return {name: column[index] for name, column in self.values.items()}
 
 
-@functools.lru_cache(maxsize=1)
-def bodies() -> Ensemble:
-    """The ensemble that comes with the package."""
-    return read_ensemble(PATH.read_text(encoding="utf-8").splitlines())
+@functools.lru_cache
+def bodies(profile: str = "exact") -> Ensemble:
+    """The ensemble of a set-up of `PATHS` that comes with the package."""
+    return read_ensemble(PATHS[profile].read_text(encoding="utf-8").splitlines())
 
 
-def choose(n: int, seed: int) -> dict[str, np.ndarray]:
+def choose(n: int, seed: int, profile: str = "exact") -> dict[str, np.ndarray]:
     """Parameters of n different bodies, drawn by weight; all of them, in order, if n is the ensemble's size.
 
     Args:
         n: how many.
         seed: makes the draw repeatable.
+        profile: of `PATHS`.
 
     Returns:
         Model parameter -> (n,), in the parameter's unit.
@@ -73,7 +76,7 @@ def choose(n: int, seed: int) -> dict[str, np.ndarray]:
     Raises:
         ParameterError: n is less than 1, or more than the ensemble has.
     """
-    ensemble = bodies()
+    ensemble = bodies(profile)
     if not 1 <= n <= len(ensemble):
         raise ParameterError(f"bodies is {n}: allowed is 1 to {len(ensemble)}, the size of the identified ensemble.")
     if n == len(ensemble):

@@ -38,6 +38,9 @@ class Servo:
     kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
     kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
+    spine_torque: Any = quantity(
+        1.0, unit="1", low=0.01, high=1.0, doc="torque limit of the lateral spine's servo, over that of the others"
+    )
     speed: Any = quantity(15.0, unit="rad/s", low=0.1, high=1000.0, doc="fastest change of the angle it aims at")
     supply_voltage: Any = quantity(
         NOMINAL_VOLTAGE, unit="V", low=3.0, high=9.0, doc="stall torque and speed are in proportion to it"

@@ -305,7 +305,7 @@ def _ids(model: mujoco.MjModel, geoms: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def load_robot(
-    robot: str = "nermo_lite",
+    robot: str | RobotConfig = "nermo_lite",
     scene: Scene = "flat",
     tail: str = "rigid",
     routing: str = "type3",
@@ -318,12 +318,21 @@ def load_robot(
 
     >>> load_robot(tail="articulated").n_servos
     11
+    >>> load_robot(RobotConfig(tail="articulated")).n_servos
+    11
 
-    Args: see `RobotConfig`.
+    Args: see `RobotConfig`, which `robot` may also be, alone.
 
     Raises:
-        ParameterError: unknown name, unusable scene, or time step out of range.
+        ParameterError: unknown name, unusable scene, time step out of range, or other arguments beside a `RobotConfig`.
     """
+    others = (scene, tail, routing, cone, physics, timestep, hinges)
+    if isinstance(robot, RobotConfig):
+        if others != ("flat", "rigid", "type3", "elliptic", "reference", None, 1):
+            raise ParameterError(
+                "robot is a RobotConfig beside other arguments: change its fields with dataclasses.replace."
+            )
+        return Robot(robot, _compile(robot))
     given = {} if timestep is None else {"timestep": timestep}
     config = RobotConfig(robot, scene, tail, routing, cone, physics, hinges=hinges, **given)
     return Robot(config, _compile(config))

@@ -17,7 +17,7 @@ from nermo_mjx.control.loading import check_form, load_controller
 from nermo_mjx.control.parameters import with_geometry
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
-from nermo_mjx.control.published import body_values, published_values
+from nermo_mjx.control.published import ProfileSteering, body_values, published_values, steering_of
 from nermo_mjx.control.tail import TAIL_MOTIONS
 from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import names_geometry
@@ -55,8 +55,10 @@ class Setup:
         gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
             `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
-        steering: `leg`, `spine` or `mix`.
-        profile: `exact`, `as_published`, or `as_built`, with the body of the built robot.
+        steering: `leg`, `spine` or `mix`; by default `spine` in the profile `as_published`, as its code turns, else
+            `leg`.
+        profile: `exact`, `as_published`, the published simulation with its body, or `as_built`, with the body of the
+            built robot.
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
         waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
@@ -85,7 +87,7 @@ class Setup:
     hinges: int = 1
     gait: str = "trt"
     spine: str = "none"
-    steering: str = "leg"
+    steering: str = steering_of("exact")
     profile: str = "exact"
     pilot: str = "straight"
     waypoints: tuple[tuple[float, float], ...] | None = None
@@ -103,6 +105,8 @@ class Setup:
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
         published_values(self.gait, steering=self.steering, profile=self.profile)
+        if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
+            object.__setattr__(self, "steering", steering_of(self.profile))
         check_spine(self.spine, self.robot)
         if choice("tail_motion", self.tail_motion, TAIL_MOTIONS) != Setup.tail_motion and self.tail == "rigid":
             raise ParameterError(f"tail_motion is {self.tail_motion!r} and tail 'rigid': take the tail 'articulated'.")
@@ -130,6 +134,9 @@ class Setup:
                  if self._applies(field.name)}  # fmt: skip
         named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
         given |= {"metrics": named} if named else {}
+        given |= (
+            {"steering": str(self.steering)} if "steering" in given else {}
+        )  # without the type that YAML cannot write
         return {name: value if value is None or isinstance(value, (str, int, float, tuple)) else type(value).__name__
                 for name, value in given.items()}  # fmt: skip
 

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
+from nermo_mjx.control.published import ProfileSteering
 from nermo_mjx.robot.nearest import did_you_mean
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
@@ -70,6 +71,8 @@ class WalkSpec:
         """
         own, given = self.setup.controller is not None, self.setup.fields()
         data: dict[str, Any] = {name: given[name] for name in SETUP_FIELDS if name in given and name != "controller"}
+        if isinstance(self.setup.steering, ProfileSteering):
+            data.pop("steering", None)  # it follows the profile, which may vary
         data |= {"controller": written_controller(self.setup, folder)} if own else {}
         data["timestep"] = float(self.setup.timestep)
         if not own or self.pilot or self.setup.pilot != Setup.pilot:

@@ -60,8 +60,10 @@ class SetupFields(Fields):
     )
     gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
     spine: str = chosen(Setup.spine, SPINES, "its modes")
-    steering: str = chosen(Setup.steering, STEERING, "what turns the robot")
-    profile: str = chosen(Setup.profile, PROFILES, "as_published moves as published, as_built as the robot")
+    steering: str = chosen(
+        Setup.steering, STEERING, "what turns the robot; in the profile as_published by default spine"
+    )
+    profile: str = chosen(Setup.profile, PROFILES, "as_published is the published simulation, as_built the robot")
     trajectory: str = chosen(
         Setup.trajectory, (*FORMS, FREE), "form of the foot path; free: cubic, with movable points and numbers of limbs"
     )

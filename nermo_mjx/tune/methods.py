@@ -75,7 +75,7 @@ class Method:
         return parameters * (2 if self.scheme == "central" else 1)
 
     def written(self) -> dict[str, Any]:
-        """As written in a tuning file; omitted for `gradient`, as in files of earlier releases."""
+        """As written in a tuning file; omitted for `gradient`."""
         if self.name == "gradient":
             return {}
         names = ("sigma", "population") if self.name == "cma" else ("scheme", "step")

@@ -1,0 +1,102 @@
+"""Walks the grid that the author's model walked (tests/data/author_model_grid.csv), and draws both side by side.
+
+    python docs/author_grid.py
+
+Writes docs/images/author_grid.png and prints the table of docs/published_set_up.md; about three minutes on two cores.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from nermo_mjx import Run, Setup, Simulator
+from nermo_mjx.control.published import published_values
+from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
+
+ROOT = Path(__file__).parents[1]
+#: Columns of his table, and how they are called.
+MEASURES = {
+    "speed_mm_s": "speed [mm/s]",
+    "roll_std_deg": "roll std [°]",
+    "pitch_std_deg": "pitch std [°]",
+    "yaw_std_deg": "yaw std, spine [°]",
+    "front_share": "front share",
+}
+TABLE_A7 = dict(
+    zip(
+        ("stance.front_y", "stance.front_z", "stance.rear_y", "stance.rear_z"),
+        (*FRONT_LEG.neutral_foot, *REAR_LEG.neutral_foot),
+        strict=True,
+    )
+)
+
+
+def walk(rows: pd.DataFrame) -> pd.DataFrame:
+    """The same measures of this twin, with his settings; no pilot."""
+    each = [
+        published_values(row.gait, profile="as_published")
+        | (TABLE_A7 if row.stance == "A.7" else {})
+        | {"tracking.clock_ratio": row.clock, "frequency": row.frequency, "stride": row.stride}
+        | {"spine.amplitude": 0.4 * row.spine}
+        for row in rows.itertuples()
+    ]
+    values = {name: np.array([row[name] for row in each]) for name in each[0]}
+    setup = Setup(profile="as_published", pilot="open_loop", spine="stride_extension")
+    found = Simulator(setup, engine="c").run(values, Run(cycles=11.0, warmup_cycles=4.0)).metrics
+    return pd.DataFrame(
+        {
+            "speed_mm_s": 1e3 * np.asarray(found["speed"]) * rows["clock"].to_numpy(),
+            **{f"{axis}_std_deg": np.degrees(found[f"{axis}_std"]) for axis in ("roll", "pitch", "yaw")},
+            "front_share": np.asarray(found["front_load_share"]),
+        },
+        index=rows.index,
+    )
+
+
+def table(his: pd.DataFrame, ours: pd.DataFrame) -> str:
+    """Agreement by stance and clock, as a table in Markdown."""
+    lines = ["| stance, clock | measure | r | median ratio | median deviation | difference (mean, ±1.96 sd) |"]
+    lines.append("|---|---|---:|---:|---:|---:|")
+    for (stance, clock), rows in his.groupby(["stance", "clock"], sort=False):
+        for name, title in MEASURES.items():
+            of = rows[rows["spine"] == 1] if name == "yaw_std_deg" else rows
+            a, b = of[name].to_numpy(), ours.loc[of.index, name].to_numpy()
+            gap = b - a
+            lines.append(
+                f"| {stance}, {clock:g} | {title} | {np.corrcoef(a, b)[0, 1]:.3f} | {np.median(b / a):.2f} | "
+                f"{np.median(np.abs(b / a - 1)):.1%} | {gap.mean():+.2f} ± {1.96 * gap.std():.2f} |"
+            )
+    return "\n".join(lines)
+
+
+def draw(his: pd.DataFrame, ours: pd.DataFrame) -> None:
+    """Values against each other, and Bland-Altman plots, at the clock of the tests and at one clock."""
+    fig, axes = plt.subplots(2, 4, figsize=(12, 5.6), layout="constrained")
+    shown = [name for name in MEASURES if name != "front_share"]
+    for column, name in enumerate(shown):
+        above, below = axes[:, column]
+        for (stance, clock), rows in his.groupby(["stance", "clock"], sort=False):
+            of = rows[rows["spine"] == 1] if name == "yaw_std_deg" else rows
+            a, b = of[name], ours.loc[of.index, name]
+            look = {"s": 12, "marker": "o" if clock == 0.4 else "^", "alpha": 0.7, "linewidths": 0}
+            look |= {"c": "#0072b2" if stance == "tests" else "#d55e00", "label": f"stance {stance}, clock {clock:g}"}
+            above.scatter(a, b, **look)
+            below.scatter((a + b) / 2, b - a, **look)
+        ends = [min(above.get_xlim()[0], above.get_ylim()[0]), max(above.get_xlim()[1], above.get_ylim()[1])]
+        above.plot(ends, ends, color="0.6", lw=0.8, zorder=0)
+        below.axhline(0.0, color="0.6", lw=0.8, zorder=0)
+        above.set(title=MEASURES[name], xlabel="author's model", ylabel="this twin" if column == 0 else "")
+        below.set(xlabel="mean of both", ylabel="twin − author's model" if column == 0 else "")
+    axes[0, 0].legend(fontsize=7, frameon=False)
+    fig.savefig(ROOT / "docs/images/author_grid.png", dpi=110)
+
+
+if __name__ == "__main__":
+    his = pd.read_csv(ROOT / "tests/data/author_model_grid.csv", comment="#")
+    ours = walk(his)
+    print(table(his, ours))
+    draw(his, ours)

@@ -1,1 +1,0 @@
-"""Identification of parameters that the publication does not give, and its report."""

@@ -1,1 +1,0 @@
-"""Figures of the experiments, in the form of the published ones."""
