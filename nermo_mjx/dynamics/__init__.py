@@ -2,8 +2,7 @@
 
 `step` and `forward` take the place of `mjx.step` and `mjx.forward`, `checkpointed_scan` that of `jax.lax.scan` where a
 long run is differentiated in reverse mode, `check_gradient` compares a gradient with differences, `not_simulated` says
-what
-they leave out of a model, `fitted` makes a model fit for MJX, and `MassConstants` and `PlaceConstants` compute the
+what they leave out of a model, `fitted` makes a model fit for MJX, and `MassConstants` and `PlaceConstants` compute the
 constants that MuJoCo derives from masses, and from masses and positions. Nothing here depends on the robot.
 docs/howto/step.md shows the use with any model.
 

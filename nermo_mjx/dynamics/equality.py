@@ -1,8 +1,7 @@
 """The rate of the Jacobian of connected and welded bodies, which MuJoCo C subtracts from the reference acceleration.
 
 A row of an equality asks for J a + J' v = -b J v - k imp r. MJX leaves out J' v, the acceleration of the difference
-while
-the joints' accelerations are zero: closed linkages in motion are wrong by as much.
+while the joints' accelerations are zero: closed linkages in motion are wrong by as much.
 """
 
 from __future__ import annotations

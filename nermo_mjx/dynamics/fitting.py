@@ -29,8 +29,7 @@ def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
     ["geom 'wall' is a capsule, no cylinder: MJX cannot collide it with geom 0."]
 
     Masses, inertias and sizes of bodies do not change. A capsule is as long as the cylinder, or as the longest axis of
-    the
-    ellipsoid, whose other two it has as their geometric mean; its ends are round.
+    the ellipsoid, whose other two it has as their geometric mean; its ends are round.
 
     Args:
         model: compiled by MuJoCo; it is not changed.

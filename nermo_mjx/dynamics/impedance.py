@@ -2,8 +2,7 @@
 
 MJX computes an impedance as powers of x, the violation over `width`, and of 1 - x, and selects afterwards. Beyond the
 width the latter is a negative number to an exponent that is data: NaN unless it is an integer, and its derivative by
-the
-exponent is NaN anyway; a NaN times zero is a NaN. Here both are computed within their ranges.
+the exponent is NaN anyway; a NaN times zero is a NaN. Here both are computed within their ranges.
 """
 
 from __future__ import annotations

@@ -5,8 +5,7 @@ at rest would keep its orientation under any torque. The positions are integrate
 exponential map, whose derivative is smooth; the values are the same to rounding.
 
 `implicitfast` is that of MuJoCo C: forces at their limits, muscles, polynomial dampers and drag have their derivatives
-by
-velocity, and a free body without children that of its gyroscopic forces.
+by velocity, and a free body without children that of its gyroscopic forces.
 """
 
 from __future__ import annotations
