@@ -199,7 +199,7 @@ def test_two_runs_into_one_directory_do_not_meet(tmp_path) -> None:
         result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path / "a")])
     assert result.exit_code == 1
     assert f"another process works in {tmp_path / 'a'}" in result.stderr
-    (tmp_path / "tuning.yaml").write_text("")
+    (tmp_path / "run.json").write_text('{"kind": "tuning"}')
     result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path)])
     assert result.exit_code == 2
     assert "holds a tuning, and not benchmarks" in result.stderr

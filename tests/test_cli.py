@@ -155,7 +155,7 @@ def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
         (["experiment", "turning"], "Missing option '--out'"),
         (["experiment", "turnin", "--out", "a"], "not one of 'straight-line', 'turning', 'balance', 'maze', 'body', "),
         (["experiment", "maze", "--out", "a", "--repeats", "0"], "x>=1"),
-        (["experiment", "maze", "--out", "a", "--profile", "exakt"], "'both', 'exact', 'as_published'"),
+        (["experiment", "maze", "--out", "a", "--profile", "exakt"], "'all', 'exact', 'as_published', 'as_built'"),
         (["experiment", "maze", "--out", "a", "--set", "contact.fricton=1"], "did you mean contact.friction?"),
         (
             ["experiment", "maze", "--out", "a", "--set", "frequency=1"],
@@ -359,7 +359,7 @@ def test_the_theory_of_a_walk_has_the_spine_and_the_duty_factor_in_it() -> None:
     result = call(*SHORT, "--spine", "stride_extension")
     assert re.search(r"^speed in theory +101\.[5-7] +mm/s$", result.stdout, re.MULTILINE)
     result = call(*SHORT, "--set", "duty=0.8")
-    assert re.search(r"^speed in theory +50\.3 +mm/s$", result.stdout, re.MULTILINE)
+    assert re.search(r"^speed in theory +50\.[23] +mm/s$", result.stdout, re.MULTILINE)
 
 
 @pytest.mark.compiles

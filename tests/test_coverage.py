@@ -121,10 +121,8 @@ def model_of(inside: str, rest: str = "", option: str = "") -> mujoco.MjModel:
 PID = """<extension><plugin plugin="mujoco.pid"><instance name="p"><config key="kp" value="10"/></instance></plugin>
 </extension>"""
 CABLE = '<extension><plugin plugin="mujoco.elasticity.cable"/></extension>'
-ROPE = """<composite prefix="c" type="cable" curve="s" count="4 1 1" size="1" initial="none"><plugin
-plugin="mujoco.elasticity.cable"><config key="twist" value="1e7"/><config key="bend" value="4e6"/></plugin><joint
-kind="main"/>
-<geom type="capsule" size=".02" contype="0" conaffinity="0"/></composite>"""
+ROPE = """<body name="cB_first"><freejoint/><plugin plugin="mujoco.elasticity.cable"><config key="twist" value="1e7"/>
+<config key="bend" value="4e6"/></plugin><geom type="capsule" size=".02" fromto="0 0 0 .1 0 0"/></body>"""
 REFUSALS: dict[str, tuple[Any, str]] = {
     "delayed actuator": (
         (HINGE, '<actuator><motor name="a" joint="j" delay=".01" '
@@ -159,6 +157,8 @@ REFUSALS: dict[str, tuple[Any, str]] = {
 @pytest.mark.parametrize("name", REFUSALS)
 def test_what_is_not_simulated_is_said_of_the_element(name: str) -> None:
     """By the function for a model of MuJoCo's, and by the step and the forward dynamics of MJX's."""
+    if name == "cable" and mujoco.__version__ >= "4":
+        pytest.skip("MuJoCo 4 has no such plugin")
     given, said = REFUSALS[name]
     model = model_of(*given)
     assert not_simulated(model)[0].startswith(said)

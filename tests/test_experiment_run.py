@@ -495,7 +495,7 @@ def test_a_quick_run_is_one_repeat_and_no_video(fakes, tmp_path, monkeypatch):
 def test_wrong_settings_are_refused_before_anything_runs(fakes, tmp_path, options, sentence):
     (tmp_path / "file").write_text("")
     (tmp_path / "sweep").mkdir()
-    (tmp_path / "sweep" / "sweep.yaml").write_text("")
+    (tmp_path / "sweep" / "run.json").write_text('{"kind": "sweep"}')
     options = {"name": "turning", "out": "out", "video": False} | options
     with pytest.raises((ParameterError, WrongDirectory), match=re.escape(sentence)):
         run_experiment(options.pop("name"), tmp_path / options.pop("out"), **options)

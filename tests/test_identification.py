@@ -324,7 +324,7 @@ def test_a_search_of_unknown_code_goes_on_when_it_is_accepted(pretended, tmp_pat
 def test_one_process_identifies_in_a_directory(pretended, tmp_path):
     with RunDirectory(tmp_path, "identification"), pytest.raises(DirectoryError, match="another process works in"):
         identification.run_identification(tmp_path, **SMALL)
-    (tmp_path / "sweep.yaml").write_text("")
+    (tmp_path / "run.json").write_text('{"kind": "sweep"}')
     with pytest.raises(WrongDirectory, match="holds a sweep, and not an identification"):
         identification.run_identification(tmp_path, **SMALL)
     assert not pretended.calls

@@ -115,8 +115,11 @@ def test_points_are_where_mujoco_puts_them(geometry):
 def test_tendon_lengths_are_those_of_mujoco(geometry, routing):
     """Types 2 and 3 equal MuJoCo's tendon length, and where it is wound up, MuJoCo's up to a constant.
 
-    MuJoCo has a tendon jump off its idler where B is above that.
+    MuJoCo has a tendon jump off its idler where B is above that. MuJoCo 4 leads that of type 1 off its pulley in some
+    poses, of which `load_robot` warns.
     """
+    if routing == "type1" and mujoco.__version__ >= "4":
+        pytest.skip("MuJoCo 4 has another rule for side sites")
     model = mujoco_leg(geometry)
     data = mujoco.MjData(model)
     leg = kin.leg_of(geometry)

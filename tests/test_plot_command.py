@@ -207,6 +207,7 @@ def test_an_identifications_figures_are_remade(tmp_path: Path) -> None:
     about = {"costs": [3.0, 2.0, 1.0, 0.5], "objective": {"start": 2.0, "end": 0.5}, "targets": {"speed": target},
              "settings": {"generations": 1, "population": 2}}  # fmt: skip
     (tmp_path / "identification.json").write_text(json.dumps(about))
+    (tmp_path / "run.json").write_text('{"kind": "identification"}')
     assert plot(tmp_path, "--format", "svg").exit_code == 0
     assert set(content(tmp_path / "plots")) == {"identification-search.svg", "identification-residuals.svg"}
     (tmp_path / "identification.json").write_text("{")

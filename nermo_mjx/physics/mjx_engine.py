@@ -6,6 +6,7 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -113,7 +114,10 @@ class MjxEngine:
 
     def physics_step(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
         """One step of physics in one world."""
-        return differentiable.step(model, data)
+        with warnings.catch_warnings():
+            # Of side sites, while this is traced: `load_robot` says for which robot they matter.
+            warnings.filterwarnings("ignore", "a tendon has a side site")
+            return differentiable.step(model, data)
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
         """Whether the constraint solver did not converge in the step that produced the data."""

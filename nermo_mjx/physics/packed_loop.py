@@ -42,7 +42,8 @@ class PackedLoop:
         one = jax.eval_shape(lambda params: jax.tree.map(lambda leaf: leaf[0], params), params)
         # Jitted, so that functions used twice are traced once.
         start = jax.jit(full_precision(loop.init), inline=True)
-        state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], jnp.zeros(()).dtype))
+        real = jax.dtypes.canonicalize_dtype(sensordata.dtype)
+        state = jax.eval_shape(start, one, jax.ShapeDtypeStruct(sensordata.shape[1:], real))
         unpack_params, unpack_state = _unpacking(one), _unpacking(state)
 
         def init(params: Float[Array, " p"], sensordata: Float[Array, " n"]) -> Float[Array, " s"]:
@@ -84,7 +85,8 @@ class PackedLoop:
         """The additional interface of a driven loop."""
         unpack_params, unpack_state = _unpacking(one), _unpacking(state)
         one_world = jax.jit(full_precision(loop.observe), inline=True)
-        readings = jax.ShapeDtypeStruct((loop.steps_per_tick, *sensordata.shape[1:]), jnp.zeros(()).dtype)
+        real = jax.dtypes.canonicalize_dtype(sensordata.dtype)
+        readings = jax.ShapeDtypeStruct((loop.steps_per_tick, *sensordata.shape[1:]), real)
         self._seen = jax.eval_shape(one_world, one, state, readings)
         width = sum(leaf.size for leaf in jax.tree.leaves(self._seen))
 

@@ -60,8 +60,10 @@ class SetupFields(Fields):
     )
     gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
     spine: str = chosen(Setup.spine, SPINES, "its modes")
-    steering: str = chosen(
-        Setup.steering, STEERING, "what turns the robot; in the profile as_published by default spine"
+    steering: str = Field(
+        default_factory=lambda: Setup.steering,  # which changes with the profile, and no JSON has
+        description="what turns the robot; in the profile as_published by default spine",
+        json_schema_extra={"enum": [*STEERING], "default": str(Setup.steering)},
     )
     profile: str = chosen(Setup.profile, PROFILES, "as_published is the published simulation, as_built the robot")
     trajectory: str = chosen(
