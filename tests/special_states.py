@@ -57,7 +57,6 @@ class Found(NamedTuple):
 
 PLANE = '<geom type="plane" size="3 3 .1"/>'
 FAST = 'integrator="implicitfast"'
-_NONE = '<default><geom contype="0" conaffinity="0"/></default>'
 
 
 def _free(geom: str, at: str = "0 0 .05", more: str = "") -> str:

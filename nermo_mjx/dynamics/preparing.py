@@ -40,8 +40,7 @@ def prepared(model: Model) -> Model:
     if mujoco.__version__ >= "4" and _has_side_sites(model):
         warnings.warn(
             "a tendon has a side site: MuJoCo 4 leads it past its geom by another rule than MuJoCo 3, which MJX "
-            "and the "
-            "step follow; compare ten_length.", stacklevel=3,
+            "and the step follow; compare ten_length.", stacklevel=3,
         )  # fmt: skip
     changes = _of_actuators(model) | _flags(model)
     if not model.nmat and np.any(model.sensor_type == mjx.SensorType.RANGEFINDER):
