@@ -28,7 +28,7 @@ from nermo_mjx.sweep.redraw import figures
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.tune import Tuning
 from nermo_mjx.tune.history import columns
-from nermo_mjx.view.caption import details_of
+from nermo_mjx.view.recorded import details_of
 
 SHAKE = '''\
 import jax.numpy as jnp

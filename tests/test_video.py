@@ -16,11 +16,8 @@ from PIL import Image, ImageSequence
 
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, strips
-from nermo_mjx.view.camera import smooth_path
-from nermo_mjx.view.encoding import require_encoder, write_video
-from nermo_mjx.view.side_by_side import Pane, render_side_by_side
-from nermo_mjx.view.support import INSIDE, OUTSIDE, draw_support, is_inside, support_polygon
-from nermo_mjx.view.video import frame_samples
+from nermo_mjx.view.camera import INSIDE, OUTSIDE, draw_support, is_inside, smooth_path, support_polygon
+from nermo_mjx.view.video import Pane, frame_samples, render_side_by_side, require_encoder, write_video
 
 pytestmark = pytest.mark.draws
 

@@ -20,7 +20,7 @@ def load_recording(path: Path) -> Recording:
         WrongUse: it is none, is not one of this version's robot, or has nothing to show; the sentence names the file.
     """
     from nermo_mjx.view import Recording, RecordingError, robot_of
-    from nermo_mjx.view.motion import finite_samples
+    from nermo_mjx.view.recorded import finite_samples
 
     try:
         recording = Recording.load(path)
@@ -34,6 +34,6 @@ def load_recording(path: Path) -> Recording:
 
 def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
     """The figures of a recording's file; arguments and errors as for `view.plots.figures.figures_of` and above."""
-    from nermo_mjx.view.plots.figures import figures_of
+    from nermo_mjx.view.figures import figures_of
 
     return figures_of(load_recording(path), notify)

@@ -81,8 +81,8 @@ def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) ->
 def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
     """Render several recordings of one robot, each below the name of its file, its title and its figures."""
     from nermo_mjx.view import robot_of, shown_model
-    from nermo_mjx.view.caption import headline_of, title_of
-    from nermo_mjx.view.side_by_side import Pane, render_side_by_side
+    from nermo_mjx.view.recorded import headline_of, title_of
+    from nermo_mjx.view.video import Pane, render_side_by_side
 
     panes = []
     for name, each in zip(names, recordings, strict=True):

@@ -13,7 +13,7 @@ from nermo_mjx.rollout import Run
 from nermo_mjx.sweep.simulating import SimulatorLike
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.view import check_video, recording_of
-from nermo_mjx.view.side_by_side import Pane, render_side_by_side
+from nermo_mjx.view.video import Pane, render_side_by_side
 
 #: Gait cycles to show, and their maximum duration [s].
 CYCLES, LONGEST = 2.0, 4.0
