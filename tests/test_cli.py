@@ -575,7 +575,7 @@ def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
 
     run = {"date": "2026-01-01", "commit": "abc", "hardware": None, "cases": []}
 
-    def run_bench(*_: Any, keep: Any, known: Any) -> dict[str, Any]:
+    def run_bench(*_: Any, keep: Any) -> dict[str, Any]:
         keep(run)
         return run
 
@@ -597,7 +597,7 @@ def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.Monke
     about = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
     asked: list[Any] = []
 
-    def run_bench(cases: Any, given: dict[str, Any], progress: Any, keep: Any, known: Any) -> dict[str, Any]:
+    def run_bench(cases: Any, given: dict[str, Any], progress: Any, keep: Any) -> dict[str, Any]:
         asked.append((cases, {name: values for name, values in given.items() if values}))
         progress(1, 1)
         run = {"date": "2026-11-21T00:00:00", "commit": "abc", "hardware": about, "cases": [good, bad]}

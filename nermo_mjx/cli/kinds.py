@@ -55,7 +55,7 @@ KINDS: Final = {
         Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.reports:status", tracked=True),
         Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.reports:status",
              tracked=True),
-        Kind("benchmarks", "benchmarks", "bench.page:figures", "bench.history:status", tracked=True),
+        Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
     )
 }  # fmt: skip
 RECORDING: Final = Kind("recording", "a recording", "cli.recordings:figures", options=("notify",))

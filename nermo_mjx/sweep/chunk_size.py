@@ -18,7 +18,7 @@ MANY_CHUNKS, MOST_GROWTH = 10_000, 10
 #: Share of a device's memory for a batch.
 MEMORY_SHARE: Final = 0.5
 #: What a world takes of it, by engine [bytes]. `mjx`: what XLA plans for a walk, arguments and results included, by
-#: `nermo-mjx bench gpu-plan` (docs/benchmarks); a test holds it to the latest run there. `warp` allocates memory
+#: docs/benchmarks/gpu_plan.py; a test holds it to the latest run there. `warp` allocates memory
 #: that the plan does not see: a guess, and a conservative one.
 WORLD_BYTES: Final = {"mjx": 36_000, "warp": 1_000_000}
 #: Worlds that saturate a device; more of them only take longer, and are lost together.

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from nermo_mjx.bench.registry import CASES
+from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, LINE, SERIES, horizontal_grid
 from nermo_mjx.runs.text import table
 
 PAGE: Final = "gradients_pay.md"
-_CASE: Final = "gradients-pay"
 _COLOURS: Final = {"exact": LINE, "cma": BEST, "mixture": SERIES[2], "line_search": SERIES[3]}
 _CALLED: Final = {"exact": "exact gradient", "mixture": "mixture", "line_search": "line search", "cma": "CMA-ES"}
 _WAY: Final = ("parameters", "task", "gait", "cpu_s")
-_KEY: Final = ("parameters", "task", "gait", "method", "seed")
 #: Share of a budget at which a curve is read, which excludes the last evaluation, since that exceeds the budget.
 _GRID: Final = 200
+
+#: Five seeds of four methods for five numbers of parameters, two tasks and three gaits.
+PLANNED: Final = 600
 
 Line = Mapping[str, Any]
 Cell = tuple[Any, ...]
@@ -39,7 +42,7 @@ def text(lines: Sequence[Line]) -> str:
     parts = ["# Where gradients pay: the searches", "", *_INTRODUCTION, ""]
     parts += [table(headings, [row for cell, own in cells.items() for row in _rows(cell, own)]), ""]
     parts += [sentence for cell, own in cells.items() for sentence in _verdicts(cell, own)]
-    parts += ["", *_missing(list(cells), cells), ""]
+    parts += ["", f"{len(lines)} of the {PLANNED} planned searches were made.", ""]
     parts += [f"![{name}](plots/{name}.png)" for name in (_name(cell) for cell, own in cells.items() if _compares(own))]
     return "\n".join(parts).rstrip() + "\n"
 
@@ -57,7 +60,7 @@ def _compares(own: Sequence[Line]) -> bool:
 
 
 _INTRODUCTION: Final = (
-    "Made by `nermo-mjx bench gradients-pay --into` from `results.jsonl`. Each search is a separate process that stops",
+    "Made by `gradients_pay_page.py` from `gradients_pay.jsonl`. Each search is a separate process that stops",
     "when it has used its processor time, which includes imports, the traced program and the compiled one from the",
     "cache, and all evaluations. *Found* is the median over the seeds of the best point's result on the engine `c`,",
     "the mean of eight walks from starts that no search has seen; speeds in mm/s, else the objective; lower is better.",
@@ -98,20 +101,6 @@ def _verdicts(cell: Cell, own: Sequence[Line]) -> Iterator[str]:
         many = "1 seed" if len(seeds) == 1 else f"medians of {len(seeds)} seeds"
         yield (f"- {cell[0]} parameters, {cell[1]}, {cell[2]}: the {_CALLED[method]} "
                f"**{'wins' if wins else 'loses'}**, {ends:.4g}{unit} against {rival:.4g}{unit}, {many}.")  # fmt: skip
-
-
-def _missing(cells: Sequence[Cell], found: Mapping[Cell, Sequence[Line]]) -> list[str]:
-    """How many searches of the plan are missing, of each number of parameters."""
-    there = {(*cell[:3], line["method"], line["seed"]) for cell in cells for line in found[cell]}
-    planned = CASES[_CASE].plan({})
-    absent = [each for each in planned if tuple(each[name] for name in _KEY) not in there]
-    if not absent:
-        return ["All planned searches are finished."]
-    text = [f"{len(absent)} of the {len(planned)} planned searches are missing:", ""]
-    for size in sorted({each["parameters"] for each in absent}):
-        missing, whole = (sum(each["parameters"] == size for each in some) for some in (absent, planned))
-        text.append(f"- {size} parameters: {'all' if missing == whole else f'{missing} of {whole}'}.")
-    return text
 
 
 def _end(line: Line) -> float:
@@ -156,3 +145,13 @@ def _figure(cell: Cell, own: Sequence[Line]) -> Figure:
 
 def _name(cell: Cell) -> str:
     return f"gradients_pay_{cell[0]}_{cell[1]}_{cell[2]}_{cell[3]:g}"
+
+
+if __name__ == "__main__":
+    folder = Path(__file__).parent
+    runs = map(json.loads, (folder / "gradients_pay.jsonl").read_text().splitlines())
+    lines = [line for run in runs for line in run["cases"] if "error" not in line]
+    newest = {tuple(line[name] for name in (*_WAY, "method", "seed")): line for line in lines}
+    newest = [newest[key] for key in sorted(newest)]
+    write_figures(figures(newest), folder / "plots")
+    (folder / PAGE).write_text(text(newest))

@@ -90,22 +90,13 @@ class Instruction(NamedTuple):
 
 
 class Module:
-    """A compiled program.
-
-    Attributes:
-        computations: name -> instructions, the last of which is the root.
-        entry: name of the entry computation.
-        rounds: assumed number of iterations of a loop of unknown length.
-    """
+    """A compiled program."""
 
     def __init__(self, text: str, rounds: int) -> None:
         """
         Args:
             text: optimized HLO, as of `compiled.as_text()`.
             rounds: see the attribute.
-
-        Raises:
-            ValueError: the text has no entry computation.
         """
         self.rounds = rounds
         self.computations, self.entry = _parsed(text)

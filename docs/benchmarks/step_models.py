@@ -1,4 +1,4 @@
-"""Models for measuring the step: MuJoCo's for MJX, Playground's or any file, each in a state with contacts."""
+"""Models for step_matrix.py: MuJoCo's for MJX, Playground's or any file, each in a state with contacts."""
 
 from __future__ import annotations
 
@@ -45,9 +45,6 @@ def load(path: Path) -> mujoco.MjModel:
     """The model of a file, without missing meshes that are purely visual.
 
     The visual meshes of Playground's robots are in a separate repository; the dynamics does not depend on them.
-
-    Raises:
-        ValueError: a missing mesh has a mass or collides; or any error of MuJoCo for the file.
     """
     spec = mujoco.MjSpec.from_file(str(path))
     for material in spec.materials:  # kept, because rangefinders ignore transparent geoms
@@ -96,10 +93,6 @@ def touching(model: mujoco.MjModel, steps: int) -> mujoco.MjData:
 
     MuJoCo C simulates it from its first keyframe, or its reference, with slightly perturbed velocities. If there is no
     contact with the controls of the keyframe, or near the middle of their ranges, they are drawn from the full ranges.
-
-    Args:
-        model: to simulate.
-        steps: to be differentiated.
     """
     data = mujoco.MjData(model)
     kind = mujoco.mjtState.mjSTATE_INTEGRATION

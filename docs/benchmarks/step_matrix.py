@@ -1,4 +1,4 @@
-"""Reverse mode through the steps of many models, each in a separate process: `python -m nermo_mjx.bench.step_matrix`.
+"""Reverse mode through the steps of many models, each in a separate process: `python docs/benchmarks/step_matrix.py`.
 
 Each model has three parts, from a state with contacts: `gradient`, the gradient of five steps in float64 against
 central differences; `float32`, its cosine with that of float32, and its cost; and `plain`, the result of `mjx.step`.
@@ -19,9 +19,9 @@ import click
 import jax
 import mujoco
 import numpy as np
+from step_models import installed_models, load, models_below, touching
 
-from nermo_mjx.bench.hardware import describe
-from nermo_mjx.bench.step_models import installed_models, load, models_below, touching
+from nermo_mjx.bench.machine import describe
 from nermo_mjx.dynamics.checking import WIDTHS, Trial, compared, distance, moved_entries, trial
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.runtime import compiler_options
@@ -42,9 +42,6 @@ def measure(path: Path, part: str, found: dict[str, Any], optimized: bool = Fals
         part: one of `PARTS`.
         found: figures of `gradient`, for the other parts.
         optimized: whether programs are compiled as for users; times are not meaningful otherwise.
-
-    Raises:
-        Exception: of any kind, if MuJoCo cannot load the file or MJX-JAX cannot step it.
     """
     options = dict(compiler_options()) | ({} if optimized else PLAIN_CODE)
     model = load(path)
@@ -207,7 +204,8 @@ def _size(path: Path) -> int:
 def _apart(path: Path, part: str, before: dict[str, Any], limit: float, optimized: bool) -> dict[str, Any]:
     """The figures of one part, from a separate process, or `failed`, a sentence."""
     given = json.dumps([str(path), part, {name: before.get(name) for name in ("group", "gradient", "differences")}])
-    code = f"from nermo_mjx.bench.step_matrix import report; report({given!r}, {optimized})"
+    where = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); "
+    code = f"{where}from step_matrix import report; report({given!r}, {optimized})"
     try:
         ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:

@@ -1,22 +1,30 @@
-"""One measurement per engine: the walking robot with controller and metrics, against plain physics of its model."""
+"""The measurements: throughput of a walk, the cost of its gradient, and the start of a process."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-from typing import Any
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jaxtyping import Array
 from mujoco import rollout
 
-from nermo_mjx.bench.hardware import peak_bytes
-from nermo_mjx.bench.timing import compare, compile_cold
+from nermo_mjx.bench.machine import compare, compile_cold, peak_bytes
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
+from nermo_mjx.rollout.derivative import Function, value_and_gradient
+from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.rollout.length import Run
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 from nermo_mjx.runtime import compiler_options, cpu_count
@@ -174,3 +182,115 @@ def _case(
         "seconds_simulated_per_second": rate * simulator.robot.config.timestep,
         "peak_bytes": peak_bytes(),
     }
+
+
+#: The derivative: of the mean speed by the two parameters of the stride extension.
+NAMES: Final = ("spine.amplitude", "spine.phase")
+FREQUENCY: Final = 0.8  # [Hz]
+GRADIENT_ROUNDS: Final = 3
+
+
+def differentiable_walk(cycles: float) -> tuple[Rollout, Function]:
+    """A walk of a number of gait cycles, and its speed and metrics as a function of `NAMES`."""
+    rollout = Rollout(Setup(spine="stride_extension"), Run(cycles=cycles, warmup_cycles=0))
+
+    def walk(point: Array) -> tuple[Array, dict[str, Array]]:
+        metrics = rollout({"frequency": FREQUENCY, **dict(zip(NAMES, point, strict=True))})
+        return metrics["speed"], metrics
+
+    return rollout, walk
+
+
+def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
+    """Value and gradient in one mode against the value alone: same walk, same batch, alternating.
+
+    Args:
+        mode: `forward` or `reverse`.
+        worlds: size of the batch.
+        cycles: length of the walk in gait cycles.
+    """
+    rollout, walk = differentiable_walk(cycles)
+    points = np.stack([np.linspace(0.05, 0.35, worlds), np.linspace(-1.0, 0.0, worlds)], axis=1)
+    batch = jnp.asarray(points, float)
+    plain = compile_cold(jax.jit(jax.vmap(walk)), batch)
+    ours = compile_cold(jax.jit(jax.vmap(value_and_gradient(walk, mode))), batch)
+
+    def run(program: Any) -> None:
+        jax.block_until_ready(program(batch))
+
+    run(plain.program)
+    run(ours.program)
+    ours_s, plain_s, ratio = compare(lambda: run(ours.program), lambda: run(plain.program), GRADIENT_ROUNDS)
+    steps = round(rollout.seconds({"frequency": FREQUENCY}) / rollout.robot.config.timestep)
+    return {
+        "engine": "mjx",
+        "horizon_cycles": cycles,
+        "forward_s": plain_s,
+        "gradient_s": ours_s,
+        "ratio": 1.0 / ratio,
+        "steps_per_second": worlds * steps / ours_s,
+        "plain_steps_per_second": worlds * steps / plain_s,
+        "trace_s": ours.trace_s,
+        "compile_s": ours.compile_s,
+        "plain_trace_s": plain.trace_s,
+        "plain_compile_s": plain.compile_s,
+        "temporary_bytes_per_world": _temporary(ours.program) // worlds,
+        "plain_temporary_bytes_per_world": _temporary(plain.program) // worlds,
+        "peak_bytes": peak_bytes(),
+    }
+
+
+def _temporary(program: Any) -> int:
+    """Bytes that a program needs in addition to its arguments and results, as planned by the compiler."""
+    return int(program.memory_analysis().temp_size_in_bytes)
+
+
+#: The steps of a sweep before its first tick, timed; run by a new interpreter.
+PROGRAM: Final = """
+import json, sys, time
+began = time.perf_counter()
+def lap():
+    global began
+    now = time.perf_counter()
+    took, began = now - began, now
+    return took
+engine, worlds = sys.argv[1], int(sys.argv[2])
+import nermo_mjx
+import jax, numpy as np
+from nermo_mjx.rollout import Run, Setup, Simulator
+stages = {"import_s": lap()}
+simulator = Simulator(Setup(spine="stride_extension"), engine)
+stages["model_s"] = lap()
+values = {"frequency": np.full(worlds, 0.8), "spine.amplitude": np.linspace(0.0, 0.4, worlds)}
+batch = simulator.prepare(values, Run(cycles=2))
+stages["parameters_s"] = lap()
+session = simulator.engine.open(batch.params, batch.qpos, batch.fields)
+jax.block_until_ready(session.loop_state)
+stages["open_s"] = lap()
+session.advance(1)
+jax.block_until_ready(session.loop_state)
+stages["first_tick_s"] = lap()
+print(json.dumps(stages))
+"""
+
+
+def startup_case(engine: str, worlds: int) -> dict[str, Any]:
+    """Stages of a start with a cold cache, and of a second one with the cache that the first left [s]."""
+    with tempfile.TemporaryDirectory() as cache:
+        cold, warm = (_start(engine, worlds, cache) for _ in range(2))
+    return {
+        "cold_s": sum(cold.values()), "warm_s": sum(warm.values()),
+        "cold": cold, "warm": warm,
+    }  # fmt: skip
+
+
+def _start(engine: str, worlds: int, cache: str) -> dict[str, float]:
+    environment = {key: value for key, value in os.environ.items() if key != "JAX_COMPILATION_CACHE_DIR"}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, engine, str(worlds)], env=environment | {"NERMO_MJX_CACHE": cache},
+        check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    if done.returncode:
+        raise RuntimeError(done.stderr.strip().split("\n")[-1])
+    stages: dict[str, float] = json.loads(done.stdout.strip().split("\n")[-1])
+    return stages

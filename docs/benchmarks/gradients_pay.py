@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import resource
 import time
+from pathlib import Path
 from typing import Any, Final
 
+import click
 import numpy as np
 
+from nermo_mjx.bench import run_of
+from nermo_mjx.bench.machine import describe
+from nermo_mjx.bench.results import append
 from nermo_mjx.rollout.simulator import Simulator
 from nermo_mjx.tune.bounds import from_unconstrained
 from nermo_mjx.tune.evaluation import Evaluation, Problem
@@ -67,11 +72,6 @@ def paying_case(task: str, gait: str, parameters: int, method: str, seed: int, c
             line search on the engine `c`; CMA-ES runs on the engine `c`.
         seed: of the start, which is the same for all methods, and of the method.
         cpu_s: the budget [s].
-
-    Returns:
-        `ready_cpu_s` and `ready_wall_s`, when the first evaluation was finished; `curve`, for each evaluation wall
-        time, processor time and simulated time so far [s] and the best objective; `found` and `began`, the results of
-        the best point and the start on the engine `c` from starts that no search has seen; `evaluations`.
     """
     tuning = tuning_of(task, gait, parameters, method, seed)
     problem = Counted(simulation_of(tuning))
@@ -150,3 +150,19 @@ _BEGAN: Final = time.perf_counter()
 def _wall() -> float:
     """Wall time since this module was imported, to within the second that JAX takes before [s]."""
     return time.perf_counter() - _BEGAN
+
+
+@click.command(help=__doc__)
+@click.option("--task", type=click.Choice(TASKS), default="speed")
+@click.option("--gait", type=click.Choice(list(HELD)), default="trt")
+@click.option("--parameters", type=click.Choice(SIZES), default=32)
+@click.option("--method", type=click.Choice(METHODS), default="cma")
+@click.option("--seed", type=click.IntRange(1), default=1)
+@click.option("--cpu", "cpu_s", type=float, default=60.0, help="Budget [CPU s].")
+@click.option("--into", type=click.Path(path_type=Path), default=Path(__file__).with_suffix(".jsonl"))
+def main(into: Path, **chosen: Any) -> None:
+    append(into, run_of(describe(), [{"case": "gradients-pay", **chosen, **paying_case(**chosen)}]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,4 +1,4 @@
-"""The table of the results of `step_matrix`, in a page: `python -m nermo_mjx.bench.step_page LINES PAGE`."""
+"""The table of the results of `step_matrix`, in a page: `python docs/benchmarks/step_page.py LINES PAGE`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import click
+from step_matrix import lines_of
 
-from nermo_mjx.bench.step_matrix import lines_of
-
-BEGIN: Final = "<!-- made by nermo_mjx.bench.step_page -->"
+BEGIN: Final = "<!-- made by step_page.py -->"
 END: Final = "<!-- end -->"
 #: Largest error at which a gradient counts as equal to the differences.
 LARGEST: Final = 1e-4

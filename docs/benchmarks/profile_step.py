@@ -7,17 +7,19 @@ before XLA optimises, because compile time depends on these.
 
 from __future__ import annotations
 
+import json
 import re
 import statistics
 import time
 from collections.abc import Callable
 from typing import Any, Final
 
+import click
 import jax
 import mujoco
 import numpy as np
 
-from nermo_mjx.bench.timing import compile_cold, seconds
+from nermo_mjx.bench.machine import compile_cold, seconds
 from nermo_mjx.dynamics import differentiable, stages
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.integration import integrate
@@ -66,9 +68,6 @@ def profile(engine: str, worlds: int = 64, setup: Setup | None = None) -> dict[s
     Returns:
         `{"engine", "worlds", "step_us", "stages": [{"stage", "us", "share", ...}]}`, times for one step of one world
         [µs]. A stage of `mjx` also has `operations`, `trace_s` and `compile_s`.
-
-    Raises:
-        ParameterError: another engine.
     """
     if engine not in ("c", "mjx"):
         raise ParameterError(f"engine is {engine!r}: allowed is 'c' or 'mjx'.")
@@ -149,13 +148,7 @@ def _accelerations(simulator: Simulator, qpos: np.ndarray, qvel: np.ndarray, ctr
 
 
 def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[str, Any], mjx.Data]:
-    """The figures of one stage of MJX as a separate program, and the data after it.
-
-    Args:
-        model: of one world.
-        stage: from `MJX_STAGES`.
-        data: of all worlds, after the stages before.
-    """
+    """The figures of one stage of MJX as a separate program, and the data after it."""
     leaves, shape = jax.tree.flatten(data)
     changed: list[int] = []
 
@@ -181,3 +174,14 @@ def profile_stage(model: mjx.Model, stage: Stage, data: mjx.Data) -> tuple[dict[
         "compile_s": compiled.compile_s,
     }  # fmt: skip
     return row, jax.tree.unflatten(shape, leaves)
+
+
+@click.command(help=__doc__)
+@click.option("--engine", type=click.Choice(["c", "mjx"]), default="c")
+@click.option("--worlds", type=click.IntRange(1), default=64)
+def main(engine: str, worlds: int) -> None:
+    print(json.dumps(profile(engine, worlds), indent=2))
+
+
+if __name__ == "__main__":
+    main()
