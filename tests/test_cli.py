@@ -339,7 +339,7 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
 
 
 def test_the_seed_decides_the_start() -> None:
-    from nermo_mjx.cli.walk_plan import _shifted_start
+    from nermo_mjx.cli.walk import _shifted_start
 
     assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
 

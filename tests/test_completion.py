@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import choices, main
-from nermo_mjx.cli.completing import offered
+from nermo_mjx.cli.options import offered
 
 
 def complete(line: str, folder: Path, shell: str = "bash") -> list[str]:

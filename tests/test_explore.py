@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from nermo_mjx import Recording, Run, load_robot, show
 from nermo_mjx.cli import main
-from nermo_mjx.cli.walk import command as walk
-from nermo_mjx.cli.walk_plan import plan
+from nermo_mjx.cli.walk import plan
+from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, Packer, clip_of
 from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import main
-from nermo_mjx.cli.schema import FILES
+from nermo_mjx.cli.tools import FILES
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.specs.reading import read_file, read_text
 
