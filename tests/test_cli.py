@@ -98,33 +98,6 @@ def test_examples_in_the_help_are_valid_commands() -> None:
             command.make_context(name, words[1:])
 
 
-def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
-    from nermo_mjx.control.free_stepping import FREE
-    from nermo_mjx.control.fusion import MODES, NO_MODE
-    from nermo_mjx.control.published import PROFILES, STEERING
-    from nermo_mjx.control.trajectory import FORMS
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.physics.making import ENGINES
-    from nermo_mjx.robot import GAITS
-    from nermo_mjx.robot.assembly import ROBOTS, TAILS
-    from nermo_mjx.specs.walk_fields import Pilot
-    from nermo_mjx.view import CAMERAS, OVERLAYS
-
-    assert set(choices.GAITS) == set(GAITS)
-    assert (NO_MODE, *MODES) == choices.SPINE_MODES
-    assert (*FORMS, FREE) == choices.TRAJECTORIES
-    assert set(choices.STEERINGS) == set(STEERING)
-    assert set(choices.PROFILES) == set(PROFILES)
-    assert set(choices.ENGINES) == set(ENGINES)
-    assert set(choices.ROBOTS) == set(ROBOTS)
-    assert set(choices.TAILS) == set(TAILS)
-    # Way points are given in a sweep file or from Python, not as an option of `walk`.
-    assert {*choices.PILOTS, "waypoints"} == set(Pilot.model_fields)
-    assert set(choices.VIEWS) == set(CAMERAS)
-    assert set(choices.OVERLAYS) == set(OVERLAYS)
-    assert tuple(EXPERIMENTS) == choices.EXPERIMENTS
-
-
 # --- wrong use
 
 

@@ -181,7 +181,7 @@ def read(folder: Path) -> History:
             continue
         commits[str(run["commit"])] = None
         for line in lines:
-            name = line.get("case") if isinstance(line, dict) else None
+            name = str(line.get("case")) if isinstance(line, dict) else "None"
             try:
                 wrong = "" if name in CASES else "this version does not know"
                 wrong or list(_rows(line))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from nermo_mjx.experiments.run import ExperimentsResult
     from nermo_mjx.learn.cost import Cost as TrainingCost
     from nermo_mjx.learn.run import TrainingProgress, TrainingResult
+    from nermo_mjx.runs.workers import Workers
     from nermo_mjx.search import Search, SearchProgress, SearchResult
     from nermo_mjx.search.cost import Cost as SearchCost
     from nermo_mjx.sweep import Sweep, SweepResult
@@ -27,6 +29,51 @@ if TYPE_CHECKING:
     from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
     from nermo_mjx.tune.cost import MethodCost
     from nermo_mjx.tune.landscape import LandscapeResult
+
+
+#: Arguments and options that several jobs have.
+_SPEC = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
+_SEED = options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+_PLOTS = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
+_DRY_RUN = click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
+
+
+def _job(
+    name: str, epilog: str, *given: Callable[[Any], Any], out: Any = options.out
+) -> Callable[[Any], click.Command]:
+    """The command of a job: `--out`, its own arguments and options in the order of its help, `--json` and `--quiet`."""
+
+    def make(function: Any) -> click.Command:
+        for option in reversed([*filter(None, [out]), *given, options.report]):
+            function = option(function)
+        return click.command(name, epilog=epilog)(function)
+
+    return make
+
+
+@contextlib.contextmanager
+def _working(
+    name: str, unit: str, quiet: bool, workers: str = "local", address: str | None = None
+) -> Iterator[tuple[Progress, Callable[[str], None] | None, Workers]]:
+    """While a job works: its display, what says a sentence about it, and its workers; prints of libraries are moved."""
+    say, progress = sayer(name, quiet), Progress(name, unit, quiet=quiet, compiles=workers == "local")
+    with stdout_reserved(), options.crew(workers, address, say) as crew, progress:
+        yield progress, say, crew
+
+
+def _finish(content: Mapping[str, Any], show: Callable[[], None], *, as_json: bool, quiet: bool) -> None:
+    """What a job ends with: its content as JSON, or what `show` prints for people."""
+    if as_json:
+        print_json(content)
+    elif not quiet:
+        show()
+
+
+def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int = 8) -> None:
+    """Where the files are, by what they are; those that were not made are left out."""
+    for name, place in places.items():
+        if place is not None:
+            click.echo(f"{name:<{width}}{out / place}")
 
 
 SWEEP_EPILOG = """\b
@@ -53,33 +100,36 @@ class Shard(click.ParamType):
         return int(part), int(parts)
 
 
-@click.command("sweep", epilog=SWEEP_EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC)
-@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory.")
-@options.engine
-@options.number("--seed", "Seed, overriding the file.", click.IntRange(0))
-@options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1))
-@click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR.")
-@click.option(
-    "--rows",
-    type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
-    metavar="FILE",
-    help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
+@_job(
+    "sweep",
+    SWEEP_EPILOG,
+    click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC),
+    click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory."),
+    options.engine,
+    options.number("--seed", "Seed, overriding the file.", click.IntRange(0)),
+    options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1)),
+    click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR."),
+    click.option(
+        "--rows",
+        type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
+        metavar="FILE",
+        help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
+    ),
+    click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points."),
+    click.option(
+        "--use",
+        multiple=True,
+        metavar="DIR2",
+        type=click.Path(path_type=Path),
+        help="Reuse rows from DIR2 instead of running them.",
+    ),
+    options.workers,
+    options.accept_new_code,
+    click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR."),
+    click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing."),
+    click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name."),
+    out=None,
 )
-@click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points.")
-@click.option(
-    "--use",
-    multiple=True,
-    metavar="DIR2",
-    type=click.Path(path_type=Path),
-    help="Reuse rows from DIR2 instead of running them.",
-)
-@options.workers
-@options.accept_new_code
-@click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR.")
-@click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing.")
-@click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name.")
-@options.report
 def sweep_command(
     spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
     rows: Path | None, dry_run: bool, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
@@ -122,16 +172,12 @@ def sweep_command(
             for name, places in sweep.partly_read().items():
                 read = f"{len(places)} of {len(sweep.structures)} structures"
                 say(f"{name} is varied in {read}: the others do not read it.")
-        progress = Progress("sweep", "runs", quiet=quiet, compiles=workers == "local")
-        with options.crew(workers, ray_address, say) as crew, progress:
-            result = run_sweep(
-                sweep, out, **how, warn=say, workers=crew,
-                progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
-            )  # fmt: skip
-    if as_json:
-        print_json(sweep_fields(out, result))
-    elif not quiet:
-        print_sweep(result)
+    with _working("sweep", "runs", quiet, workers, ray_address) as (progress, say, crew):
+        result = run_sweep(
+            sweep, out, **how, warn=say, workers=crew,
+            progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
+        )  # fmt: skip
+    _finish(sweep_fields(out, result), lambda: print_sweep(result), as_json=as_json, quiet=quiet)
 
 
 def _read_sweep(spec: Path | None, rows: Path | None, seed: int | None) -> Sweep:
@@ -228,11 +274,12 @@ Examples:
 """
 
 
-@click.command("merge", epilog=MERGE_EPILOG)
-@click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@options.out
-@options.accept_new_code
-@options.report
+@_job(
+    "merge",
+    MERGE_EPILOG,
+    click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path)),
+    options.accept_new_code,
+)
 def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, as_json: bool, quiet: bool) -> None:
     """Merge the rows of several sweeps into one directory.
 
@@ -262,18 +309,19 @@ Examples:
 """
 
 
-@click.command("search", epilog=SEARCH_EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-@options.out
-@options.engine
-@options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000))
-@options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000))
-@options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
-@click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
-@click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
-@options.workers
-@options.accept_new_code
-@options.report
+@_job(
+    "search",
+    SEARCH_EPILOG,
+    _SPEC,
+    options.engine,
+    options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000)),
+    options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000)),
+    _SEED,
+    _PLOTS,
+    _DRY_RUN,
+    options.workers,
+    options.accept_new_code,
+)
 def search_command(
     spec: Path, out: Path, engine: str, budget: int | None, seed: int | None, dry_run: bool, workers: str,
     ray_address: str | None, accept_new_code: bool, as_json: bool, quiet: bool, **chosen: Any,
@@ -299,21 +347,17 @@ def search_command(
             from nermo_mjx.search.cost import cost_of
 
             cost = cost_of(search, engine)
-        else:
-            say = sayer("search", quiet)
-            progress = Progress("search", "evaluations", quiet=quiet, compiles=workers == "local")
-            with options.crew(workers, ray_address, say) as crew, progress:
-                result = run_search(
-                    search, out, engine=engine, warn=say, workers=crew, accept_new_code=accept_new_code,
-                    progress=lambda done: _show_search(progress, search, done),
-                )  # fmt: skip
     if dry_run:
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_search_cost(cost)
-    elif as_json:
-        print_json({"out": result.out, "best": result.best, "evaluations_run": result.evaluations_run,
-                    "recordings": result.recordings, "plots": result.plots})  # fmt: skip
-    elif not quiet:
-        _print_search(result)
+        return
+    with _working("search", "evaluations", quiet, workers, ray_address) as (progress, say, crew):
+        result = run_search(
+            search, out, engine=engine, warn=say, workers=crew, accept_new_code=accept_new_code,
+            progress=lambda done: _show_search(progress, search, done),
+        )  # fmt: skip
+    fields = ("out", "best", "evaluations_run", "recordings", "plots")
+    content = {name: getattr(result, name) for name in fields}
+    _finish(content, lambda: _print_search(result), as_json=as_json, quiet=quiet)
 
 
 def _show_search(progress: Progress, search: Search, done: SearchProgress) -> None:
@@ -354,8 +398,7 @@ def _print_search(result: SearchResult) -> None:
     places |= {"atlas": "atlas.parquet"} if search.aim.measures else {}
     places |= {"records": "recordings"} if result.recordings else {}
     places |= {"plots": "plots"} if result.plots else {}
-    for name, place in places.items():
-        click.echo(f"{name:<8}{result.out / place}")
+    _print_places(result.out, places)
 
 
 def _search_rows(result: SearchResult) -> Any:
@@ -392,18 +435,19 @@ _NAMED = 3
 _AGAIN = ("start", "best")
 
 
-@click.command("tune", epilog=TUNE_EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-@options.out
-@options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000))
-@options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000))
-@options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
-@click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
-@click.option("--video/--no-video", default=None, help="Render start and best regardless of the file.")
-@click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing.")
-@options.workers
-@options.accept_new_code
-@options.report
+@_job(
+    "tune",
+    TUNE_EPILOG,
+    _SPEC,
+    options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000)),
+    options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000)),
+    _SEED,
+    _PLOTS,
+    click.option("--video/--no-video", default=None, help="Render start and best regardless of the file."),
+    click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing."),
+    options.workers,
+    options.accept_new_code,
+)
 def tune_command(
     spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool,
     quiet: bool, **chosen: Any,
@@ -451,10 +495,7 @@ def tune_command(
             )  # fmt: skip
             for note in result.pictures.notes:
                 stages.say(note)
-    if as_json:
-        print_json(_tuning_content(result))
-    elif not quiet:
-        _print_tuning(result)
+    _finish(_tuning_content(result), lambda: _print_tuning(result), as_json=as_json, quiet=quiet)
 
 
 def _tuning_costs(tuning: Tuning) -> list[MethodCost]:
@@ -542,8 +583,7 @@ def _print_tuning(result: TuningResult) -> None:
         click.echo("From the given start, the robot did not complete the walk.")
     places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
     places |= {"plots": "plots"} if result.pictures.plots else {}
-    for name, place in places.items():
-        click.echo(f"{name:<8}{result.out / place}")
+    _print_places(result.out, places)
     if result.pictures.video is not None:
         click.echo(f"video   {result.pictures.video}")
 
@@ -625,14 +665,19 @@ Examples:
 """
 
 
-@click.command("landscape", epilog=LANDSCAPE_EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-@options.out
-@options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41)
-@options.number("--span", "Length of the lines, as a fraction of the bounds.", click.FloatRange(0, 1, min_open=True),
-                default=1.0)  # fmt: skip
-@options.accept_new_code
-@options.report
+@_job(
+    "landscape",
+    LANDSCAPE_EPILOG,
+    _SPEC,
+    options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41),
+    options.number(
+        "--span",
+        "Length of the lines, as a fraction of the bounds.",
+        click.FloatRange(0, 1, min_open=True),
+        default=1.0,
+    ),
+    options.accept_new_code,
+)
 def landscape_command(
     spec: Path, out: Path, points: int, span: float, accept_new_code: bool, as_json: bool, quiet: bool
 ) -> None:
@@ -645,15 +690,16 @@ def landscape_command(
     with stdout_reserved():
         from nermo_mjx.tune.landscape import run_landscape
 
-        with Progress("landscape", "walks", quiet=quiet, compiles=True) as progress:
-            result = run_landscape(
-                spec, out, points=points, span=span, progress=progress.count, warn=sayer("landscape", quiet),
-                accept_new_code=accept_new_code,
-            )  # fmt: skip
-    if as_json:
-        print_json({"out": result.out, "evaluated": result.evaluated, **result.content})
-    elif not quiet:
-        _print_landscape(result)
+    with _working("landscape", "walks", quiet) as (progress, say, _):
+        result = run_landscape(
+            spec, out, points=points, span=span, progress=progress.count, warn=say, accept_new_code=accept_new_code
+        )
+    _finish(
+        {"out": result.out, "evaluated": result.evaluated, **result.content},
+        lambda: _print_landscape(result),
+        as_json=as_json,
+        quiet=quiet,
+    )
 
 
 def _print_landscape(result: LandscapeResult) -> None:
@@ -665,8 +711,7 @@ def _print_landscape(result: LandscapeResult) -> None:
         click.echo(sentence)
     kept = "" if result.evaluated else ", kept from before"
     click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
-    click.echo(f"report  {result.out / 'report.md'}\nplots   {result.out / 'plots'}")
-    click.echo(f"table   {result.out / 'landscape.parquet'}")
+    _print_places(result.out, {"report": "report.md", "plots": "plots", "table": "landscape.parquet"})
 
 
 TRAIN_EPILOG = """\b
@@ -677,19 +722,20 @@ Examples:
 """
 
 
-@click.command("train", epilog=TRAIN_EPILOG)
-@click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
-@options.out
-@options.engine
-@options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1))
-@options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000))
-@options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
-@click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
-@click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx.")
-@click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR.")
-@click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
-@options.accept_new_code
-@options.report
+@_job(
+    "train",
+    TRAIN_EPILOG,
+    _SPEC,
+    options.engine,
+    options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1)),
+    options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000)),
+    _SEED,
+    _PLOTS,
+    click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx."),
+    click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR."),
+    _DRY_RUN,
+    options.accept_new_code,
+)
 def train_command(
     spec: Path, out: Path, engine: str, onnx: bool, tensorboard: bool, dry_run: bool, accept_new_code: bool,
     as_json: bool, quiet: bool, **chosen: Any,
@@ -726,11 +772,19 @@ def train_command(
                 accept_new_code=accept_new_code,
             )  # fmt: skip
         exported = _export(result) if onnx else None
-    if as_json:
-        print_json({"out": result.out, **result.summary, "iterations_run": result.iterations_run,
-                    "policy": result.policy, "onnx": exported, "plots": result.plots})  # fmt: skip
-    elif not quiet:
-        _print_training(result, exported)
+    _finish(
+        {
+            "out": result.out,
+            **result.summary,
+            "iterations_run": result.iterations_run,
+            "policy": result.policy,
+            "onnx": exported,
+            "plots": result.plots,
+        },
+        lambda: _print_training(result, exported),
+        as_json=as_json,
+        quiet=quiet,
+    )
 
 
 def _show_training(stages: Stages, done: TrainingProgress) -> None:
@@ -772,11 +826,7 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
     if result.training.validation:
         click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
     places = {"policy": result.policy, "onnx": exported, "history": result.out / "history.parquet"}
-    for name, path in places.items():
-        if path is not None:
-            click.echo(f"{name:<8}{path}")
-    if result.plots:
-        click.echo(f"plots   {result.out / 'plots'}")
+    _print_places(result.out, places | {"plots": "plots" if result.plots else None})
 
 
 def _print_training_cost(cost: TrainingCost) -> None:
@@ -801,27 +851,29 @@ ALL = "all"
 _WIDEST = 72
 
 
-@click.command("experiment", epilog=EXPERIMENT_EPILOG)
-@click.argument("name", type=click.Choice((*EXPERIMENTS, ALL)))
-@options.out
-@options.choice("--profile", ("all", *PROFILES), "Set-up: as published, as described, as built.")
-@options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1))
-@options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0)
-@options.number("--bodies", "Also run this many identified bodies: for what share of them does a line hold?",
-                click.IntRange(1))  # fmt: skip
-@click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute.")
-@click.option("--no-video", is_flag=True, help="Render no videos.")
-@click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR.")
-@click.option(
-    "--controller",
-    metavar="FILE.npz",
-    help="A policy, in place of the published controller; for straight-line, turning and maze.",
+@_job(
+    "experiment",
+    EXPERIMENT_EPILOG,
+    click.argument("name", type=click.Choice((*EXPERIMENTS, ALL))),
+    options.choice("--profile", ("all", *PROFILES), "Set-up: as published, as described, as built."),
+    options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1)),
+    options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0),
+    options.number(
+        "--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1)
+    ),
+    click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute."),
+    click.option("--no-video", is_flag=True, help="Render no videos."),
+    click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR."),
+    click.option(
+        "--controller",
+        metavar="FILE.npz",
+        help="A policy, in place of the published controller; for straight-line, turning and maze.",
+    ),
+    options.workers,
+    options.accept_new_code,
+    options.set_option("A parameter of the body, such as contact.friction; repeatable."),
+    options.engine,
 )
-@options.workers
-@options.accept_new_code
-@options.set_option("A parameter of the body, such as contact.friction; repeatable.")
-@options.engine
-@options.report
 def experiment_command(
     name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
     no_video: bool, again: bool, controller: str | None, workers: str, ray_address: str | None, accept_new_code: bool,
@@ -884,8 +936,9 @@ def _print_experiments(result: ExperimentsResult) -> None:
     click.echo("Only predicted lines count as evidence.")
     for sentence in content["differences"]:
         click.echo(sentence)
-    for name, place in _places(result).items():
-        click.echo(f"{name:<10} {place}")
+    made = {name: name if any(getattr(each, name) for each in result.results) else None
+            for name in ("plots", "recordings", "videos")}  # fmt: skip
+    _print_places(result.out, {"report": "report.md", "tables": "results", **made}, 11)
 
 
 def _short(text: str) -> str:
@@ -899,14 +952,6 @@ def _counted(summary: dict[str, Any]) -> str:
     return f"{summary['hold']} of {compared} figures hold{missing}"
 
 
-def _places(result: ExperimentsResult) -> dict[str, Path]:
-    """Where the files are, by what they are."""
-    made = {"plots": "plots", "recordings": "recordings", "videos": "videos"}
-    folders = {name: result.out / folder for name, folder in made.items()
-               if any(getattr(each, name) for each in result.results)}  # fmt: skip
-    return {"report": result.out / "report.md", "tables": result.out / "results", **folders}
-
-
 IDENTIFY_EPILOG = """\b
 Examples:
   nermo-mjx identify --out runs/identified
@@ -914,20 +959,21 @@ Examples:
 """
 
 
-@click.command("identify", epilog=IDENTIFY_EPILOG)
-@options.out
-@options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64)
-@options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25)
-@options.number("--population", "Candidates per generation.", click.IntRange(4), default=12)
-@options.number("--bodies", "Bodies of the ensemble; 0 for none.", click.IntRange(0), default=256)
-@options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5)
-@options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5)
-@options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0)
-@options.choice("--profile", ("exact", "as_published"), "Set-up of the walks.")
-@options.workers
-@options.accept_new_code
-@options.engine
-@options.report
+@_job(
+    "identify",
+    IDENTIFY_EPILOG,
+    options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64),
+    options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25),
+    options.number("--population", "Candidates per generation.", click.IntRange(4), default=12),
+    options.number("--bodies", "Bodies of the ensemble; 0 for none.", click.IntRange(0), default=256),
+    options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5),
+    options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5),
+    options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0),
+    options.choice("--profile", ("exact", "as_published"), "Set-up of the walks."),
+    options.workers,
+    options.accept_new_code,
+    options.engine,
+)
 def identify_command(
     out: Path, workers: str, ray_address: str | None, engine: str, as_json: bool, quiet: bool, **settings: Any
 ) -> None:
@@ -946,16 +992,9 @@ def identify_command(
     with stdout_reserved():
         from nermo_mjx.experiments.identification import run_identification
 
-        say = sayer("identify", quiet)
-        progress = Progress("identify", quiet=quiet, compiles=workers == "local")
-        with options.crew(workers, ray_address, say) as crew, progress:
-            content = run_identification(
-                out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew
-            )
-    if as_json:
-        print_json({"out": out, **content})
-    elif not quiet:
-        _print_identification(content, out)
+    with _working("identify", "", quiet, workers, ray_address) as (progress, say, crew):
+        content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew)
+    _finish({"out": out, **content}, lambda: _print_identification(content, out), as_json=as_json, quiet=quiet)
 
 
 def _print_identification(content: dict[str, Any], out: Path) -> None:

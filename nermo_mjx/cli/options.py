@@ -265,7 +265,7 @@ def camera(function: F) -> F:
 
 def set_option(about: str) -> Callable[[F], F]:
     """`--set`."""
-    return click.option("--set", "assignment_names", multiple=True, metavar="NAME=X", help=about,
+    return click.option("--set", "assignments", multiple=True, metavar="NAME=X", help=about,
                         shell_complete=assignment_names(*PARAMETERS))  # fmt: skip
 
 
