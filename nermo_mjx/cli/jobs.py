@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
     from nermo_mjx.tune.landscape import LandscapeResult
 
 
+#: What a job ends with: its content for --json, and what prints it for people.
+Outcome = tuple[Mapping[str, Any], Callable[[], None]]
 #: Arguments and options that several jobs have.
 _SPEC = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
 _SEED = options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
@@ -43,10 +46,19 @@ def _job(
 ) -> Callable[[Any], click.Command]:
     """The command of a job: `--out`, its own arguments and options in the order of its help, `--json` and `--quiet`."""
 
-    def make(function: Any) -> click.Command:
+    def make(function: Callable[..., Outcome | None]) -> click.Command:
+        @functools.wraps(function)
+        def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
+            outcome = function(as_json=as_json, quiet=quiet, **chosen)
+            if outcome is not None and as_json:
+                print_json(outcome[0])
+            elif outcome is not None and not quiet:
+                outcome[1]()
+
+        command: Any = run
         for option in reversed([*filter(None, [out]), *given, options.report]):
-            function = option(function)
-        return click.command(name, epilog=epilog)(function)
+            command = option(command)
+        return click.command(name, epilog=epilog)(command)
 
     return make
 
@@ -61,19 +73,11 @@ def _working(
         yield progress, say, crew
 
 
-def _finish(content: Mapping[str, Any], show: Callable[[], None], *, as_json: bool, quiet: bool) -> None:
-    """What a job ends with: its content as JSON, or what `show` prints for people."""
-    if as_json:
-        print_json(content)
-    elif not quiet:
-        show()
-
-
 def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int = 8) -> None:
-    """Where the files are, by what they are; those that were not made are left out."""
+    """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
     for name, place in places.items():
         if place is not None:
-            click.echo(f"{name:<{width}}{out / place}")
+            click.echo(f"{name:<{width}}{place if isinstance(place, Path) else out / place}")
 
 
 SWEEP_EPILOG = """\b
@@ -133,7 +137,7 @@ class Shard(click.ParamType):
 def sweep_command(
     spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
     rows: Path | None, dry_run: bool, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
-) -> None:  # fmt: skip
+) -> Outcome | None:  # fmt: skip
     """Run every variant of a sweep file.
 
     Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
@@ -148,7 +152,7 @@ def sweep_command(
     """
     if list_parameters:
         _list_parameters(spec, as_json)
-        return
+        return None
     if (spec is None and rows is None) or (out is None and not dry_run):
         raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
     if dry_run and workers != "local":
@@ -158,11 +162,7 @@ def sweep_command(
             from nermo_mjx.sweep.forecast import forecast
 
             found = forecast(_read_sweep(spec, rows, seed), out, **{name: how[name] for name in _FORECAST})
-        if as_json:
-            print_json(dataclasses.asdict(found))
-        elif not quiet:
-            _print_forecast(found)
-        return
+        return dataclasses.asdict(found), lambda: _print_forecast(found)
     with stdout_reserved():
         from nermo_mjx.sweep import run_sweep
 
@@ -177,7 +177,7 @@ def sweep_command(
             sweep, out, **how, warn=say, workers=crew,
             progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
         )  # fmt: skip
-    _finish(sweep_fields(out, result), lambda: print_sweep(result), as_json=as_json, quiet=quiet)
+    return sweep_fields(out, result), lambda: print_sweep(result)
 
 
 def _read_sweep(spec: Path | None, rows: Path | None, seed: int | None) -> Sweep:
@@ -187,22 +187,17 @@ def _read_sweep(spec: Path | None, rows: Path | None, seed: int | None) -> Sweep
     return sweep if seed is None else dataclasses.replace(sweep, seed=seed)
 
 
-def _forecast_time(found: Forecast) -> str:
-    if not found.rows_left:
-        return "none: all rows are there"
-    return "not known" if math.isnan(found.seconds) else f"{duration(found.seconds)}, and what compiling takes"
-
-
 def _print_forecast(found: Forecast) -> None:
     rate = f"{found.steps_per_second:,.0f} steps/s; " if math.isfinite(found.steps_per_second) else ""
     left = f", of which {found.rows_left:,} are left to be run" if found.rows_left < found.rows else ""
     batches = f"{found.batches:,} batches to be run, of {found.structures:,} structures"
+    took = "not known" if math.isnan(found.seconds) else f"{duration(found.seconds)}, and what compiling takes"
     for name, text in (
         ("rows", f"{found.rows:,}{left}"),
         ("chunks", f"{found.chunks:,}; {batches}"),
         ("engine", found.engine),
         ("rate", f"{rate}{found.rate_from}"),
-        ("time", _forecast_time(found)),
+        ("time", took if found.rows_left else "none: all rows are there"),
         ("disk", f"{found.disk_bytes / 1e6:,.1f} MB for the table; {found.disk_free / 1e9:,.1f} GB are free"),
         ("memory", f"about {found.memory_bytes / 1e9:.1f} GB"),
         *(("note", note) for note in found.notes),
@@ -280,7 +275,7 @@ Examples:
     click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path)),
     options.accept_new_code,
 )
-def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, as_json: bool, quiet: bool) -> None:
+def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, **_: Any) -> Outcome:
     """Merge the rows of several sweeps into one directory.
 
     The sweeps may differ in what they vary, and in their repeats; what is
@@ -292,13 +287,14 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, a
         from nermo_mjx.sweep.merging import merge_sweeps
 
         result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
-    if as_json:
-        print_json(sweep_fields(out, result))
-    elif not quiet:
+
+    def show() -> None:
         print_sweep(result)
         if not result.complete:
             taken = " ".join(f"--use {source}" for source in sources)
             click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {taken}")
+
+    return sweep_fields(out, result), show
 
 
 SEARCH_EPILOG = """\b
@@ -325,7 +321,7 @@ Examples:
 def search_command(
     spec: Path, out: Path, engine: str, budget: int | None, seed: int | None, dry_run: bool, workers: str,
     ray_address: str | None, accept_new_code: bool, as_json: bool, quiet: bool, **chosen: Any,
-) -> None:  # fmt: skip
+) -> Outcome | None:  # fmt: skip
     """Search for the best parameters that a search file allows.
 
     A single objective is optimized by CMA-ES, several by NSGA-II for their
@@ -349,7 +345,7 @@ def search_command(
             cost = cost_of(search, engine)
     if dry_run:
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_search_cost(cost)
-        return
+        return None
     with _working("search", "evaluations", quiet, workers, ray_address) as (progress, say, crew):
         result = run_search(
             search, out, engine=engine, warn=say, workers=crew, accept_new_code=accept_new_code,
@@ -357,7 +353,7 @@ def search_command(
         )  # fmt: skip
     fields = ("out", "best", "evaluations_run", "recordings", "plots")
     content = {name: getattr(result, name) for name in fields}
-    _finish(content, lambda: _print_search(result), as_json=as_json, quiet=quiet)
+    return content, lambda: _print_search(result)
 
 
 def _show_search(progress: Progress, search: Search, done: SearchProgress) -> None:
@@ -451,7 +447,7 @@ _AGAIN = ("start", "best")
 def tune_command(
     spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool,
     quiet: bool, **chosen: Any,
-) -> None:  # fmt: skip
+) -> Outcome | None:  # fmt: skip
     """Tune the parameters that a tuning file names.
 
     The file's method says how: by exact gradients, by finite differences, or
@@ -467,6 +463,7 @@ def tune_command(
     """
     with stdout_reserved():
         from nermo_mjx.tune import Tuning
+        from nermo_mjx.tune.cost import costs_of
 
         tuning = Tuning.from_file(spec)
         changed = {name: value for name, value in chosen.items() if value is not None}
@@ -475,12 +472,15 @@ def tune_command(
         tuning = dataclasses.replace(tuning, **changed)
         # A resumed tuning keeps the method with which it started.
         begins = not (as_json or quiet or (out / "history.parquet").exists())
-        costs = _tuning_costs(tuning) if dry_run or begins else []
+        costs = costs_of(tuning) if dry_run or begins else []
         for line in _told(costs) if not dry_run else ():
             click.echo(f"tune: {line}", err=True)
     if dry_run:
-        _print_tuning_costs(costs, as_json)
-        return
+        if as_json:
+            print_json({"costs": [dataclasses.asdict(each) for each in costs]})
+        else:
+            click.echo("\n".join(_told(costs)))
+        return None
     with stdout_reserved():
         from nermo_mjx.tune import run_tuning
 
@@ -495,14 +495,10 @@ def tune_command(
             )  # fmt: skip
             for note in result.pictures.notes:
                 stages.say(note)
-    _finish(_tuning_content(result), lambda: _print_tuning(result), as_json=as_json, quiet=quiet)
-
-
-def _tuning_costs(tuning: Tuning) -> list[MethodCost]:
-    """The cost of each method on this machine."""
-    from nermo_mjx.tune import cost
-
-    return cost.costs_of(tuning)
+    pictures = result.pictures
+    content = {name: getattr(result, name) for name in ("out", "iterations_run", "start", "best")}
+    content |= {"plots": list(pictures.plots), "video": pictures.video, "notes": list(pictures.notes)}
+    return content, lambda: _print_tuning(result)
 
 
 def _told(costs: list[MethodCost]) -> list[str]:
@@ -515,14 +511,6 @@ def _told(costs: list[MethodCost]) -> list[str]:
         lines.append(f"{instead}method {each.method}: {each.evaluations:,} evaluations, "
                      f"{duration(each.simulated_seconds)} simulated{wall}{compiles}")  # fmt: skip
     return lines
-
-
-def _print_tuning_costs(costs: list[MethodCost], as_json: bool) -> None:
-    if as_json:
-        print_json({"costs": [dataclasses.asdict(each) for each in costs]})
-    else:
-        for line in _told(costs):
-            click.echo(line)
 
 
 class _Display:
@@ -548,20 +536,6 @@ class _Display:
             if name in progress.metrics:
                 parts.append(_number_and_unit(self._tuning, name, progress.metrics[name]))
         return ", ".join(parts)
-
-
-def _tuning_content(result: TuningResult) -> dict[str, Any]:
-    """The result of a tuning, in SI units and radians."""
-    pictures = result.pictures
-    return {
-        "out": result.out,
-        "iterations_run": result.iterations_run,
-        "start": result.start,
-        "best": result.best,
-        "plots": list(pictures.plots),
-        "video": pictures.video,
-        "notes": list(pictures.notes),
-    }
 
 
 def _print_tuning(result: TuningResult) -> None:
@@ -680,7 +654,7 @@ Examples:
 )
 def landscape_command(
     spec: Path, out: Path, points: int, span: float, accept_new_code: bool, as_json: bool, quiet: bool
-) -> None:
+) -> Outcome | None:
     """Measure whether the gradients of a tuning file can be trusted.
 
     Follows a line along each tuned parameter through the given start, and
@@ -694,12 +668,7 @@ def landscape_command(
         result = run_landscape(
             spec, out, points=points, span=span, progress=progress.count, warn=say, accept_new_code=accept_new_code
         )
-    _finish(
-        {"out": result.out, "evaluated": result.evaluated, **result.content},
-        lambda: _print_landscape(result),
-        as_json=as_json,
-        quiet=quiet,
-    )
+    return {"out": result.out, "evaluated": result.evaluated, **result.content}, lambda: _print_landscape(result)
 
 
 def _print_landscape(result: LandscapeResult) -> None:
@@ -739,7 +708,7 @@ Examples:
 def train_command(
     spec: Path, out: Path, engine: str, onnx: bool, tensorboard: bool, dry_run: bool, accept_new_code: bool,
     as_json: bool, quiet: bool, **chosen: Any,
-) -> None:  # fmt: skip
+) -> Outcome | None:  # fmt: skip
     """Train a policy as described in a training file.
 
     Writes the policy, which walk and sweep files accept as a controller,
@@ -761,7 +730,7 @@ def train_command(
 
             cost = cost_of(training, engine)
         print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_training_cost(cost)
-        return
+        return None
     with stdout_reserved():
         from nermo_mjx.learn.run import run_training
 
@@ -772,19 +741,14 @@ def train_command(
                 accept_new_code=accept_new_code,
             )  # fmt: skip
         exported = _export(result) if onnx else None
-    _finish(
-        {
-            "out": result.out,
-            **result.summary,
-            "iterations_run": result.iterations_run,
-            "policy": result.policy,
-            "onnx": exported,
-            "plots": result.plots,
-        },
-        lambda: _print_training(result, exported),
-        as_json=as_json,
-        quiet=quiet,
-    )
+    return {
+        "out": result.out,
+        **result.summary,
+        "iterations_run": result.iterations_run,
+        "policy": result.policy,
+        "onnx": exported,
+        "plots": result.plots,
+    }, lambda: _print_training(result, exported)
 
 
 def _show_training(stages: Stages, done: TrainingProgress) -> None:
@@ -878,7 +842,7 @@ def experiment_command(
     name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
     no_video: bool, again: bool, controller: str | None, workers: str, ray_address: str | None, accept_new_code: bool,
     assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
-) -> None:  # fmt: skip
+) -> Outcome | None:  # fmt: skip
     """Run a published experiment, or all of them, and compare.
 
     Writes a table of every run, a report with the published figures beside
@@ -902,11 +866,8 @@ def experiment_command(
                 values=values, controller=controller, bodies=bodies, video=not no_video, again=again,
                 accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
             )  # fmt: skip
-    if as_json:
-        run = {each.name: {"kept": each.kept} for each in result.results}
-        print_json({"out": result.out, "run": run, **result.report})
-    elif not quiet:
-        _print_experiments(result)
+    run = {each.name: {"kept": each.kept} for each in result.results}
+    return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
 
 
 def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
@@ -925,7 +886,11 @@ def _print_experiments(result: ExperimentsResult) -> None:
 
     content = result.report
     for each in result.results:
-        rows = [list(map(_short, cells(line))) for line in content["lines"] if line["experiment"] == each.name]
+        rows = [
+            [text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…" for text in cells(line)]
+            for line in content["lines"]
+            if line["experiment"] == each.name
+        ]
         print_table(CATALOGUE[each.name].title, list(HEADINGS), rows)
     for each in result.results:
         about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
@@ -939,11 +904,6 @@ def _print_experiments(result: ExperimentsResult) -> None:
     made = {name: name if any(getattr(each, name) for each in result.results) else None
             for name in ("plots", "recordings", "videos")}  # fmt: skip
     _print_places(result.out, {"report": "report.md", "tables": "results", **made}, 11)
-
-
-def _short(text: str) -> str:
-    """A cell shortened to leave room for the others; the report has the full text."""
-    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…"
 
 
 def _counted(summary: dict[str, Any]) -> str:
@@ -976,7 +936,7 @@ Examples:
 )
 def identify_command(
     out: Path, workers: str, ray_address: str | None, engine: str, as_json: bool, quiet: bool, **settings: Any
-) -> None:
+) -> Outcome | None:
     """Identify the body's parameters that the publication does not give.
 
     Fits servo gain and damping, and damping of the joints, within physical
@@ -994,7 +954,7 @@ def identify_command(
 
     with _working("identify", "", quiet, workers, ray_address) as (progress, say, crew):
         content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew)
-    _finish({"out": out, **content}, lambda: _print_identification(content, out), as_json=as_json, quiet=quiet)
+    return {"out": out, **content}, lambda: _print_identification(content, out)
 
 
 def _print_identification(content: dict[str, Any], out: Path) -> None:
