@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array
 from mujoco import rollout
 
-from nermo_mjx.bench.machine import compare, compile_cold, peak_bytes
+from nermo_mjx.bench.machine import Compiled, compare, compile_cold, compiling, peak_bytes
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
@@ -80,12 +80,8 @@ def c_case(worlds: int) -> dict[str, Any]:
 
         plain()
         ours_s, plain_s, ratio = compare(lambda: session.advance(ticks), plain, ROUNDS["c"])
-    return _case("c", worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {
-        "trace_s": ours.trace_s,
-        "compile_s": ours.compile_s,
-        "plain_trace_s": 0.0,  # plain C compiles nothing
-        "plain_compile_s": 0.0,
-    }
+    nothing = Compiled(0.0, 0.0, None)  # plain C compiles nothing
+    return _case(simulator, worlds, ticks * steps, ours_s, plain_s) | compiling(ours, nothing) | {"ratio": ratio}
 
 
 def scan_case(name: str, worlds: int) -> dict[str, Any]:
@@ -136,14 +132,9 @@ def scan_case(name: str, worlds: int) -> dict[str, Any]:
     run_puppets()
     ours_s, plain_s, ratio = compare(run_ours, run_plain, ROUNDS["scan"])
     loop_cost = 1.0 / compare(run_ours, run_puppets, ROUNDS["scan"])[2] - 1.0
-    return _case(name, worlds, ticks * steps, ours_s, plain_s, ratio, simulator) | {
-        "loop_cost": loop_cost,
-        "trace_s": ours.trace_s,
-        "compile_s": ours.compile_s,
-        "plain_trace_s": plain.trace_s,
-        "plain_compile_s": plain.compile_s,
-        "carry_bytes_per_world": sum(leaf.nbytes for leaf in jax.tree.leaves(walking)) // worlds,
-    }
+    carry = sum(leaf.nbytes for leaf in jax.tree.leaves(walking)) // worlds
+    own = {"ratio": ratio, "loop_cost": loop_cost, "carry_bytes_per_world": carry}
+    return _case(simulator, worlds, ticks * steps, ours_s, plain_s) | compiling(ours, plain) | own
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,16 +160,11 @@ def _targets(simulator: Simulator, batch: Batch, ticks: int) -> jax.Array:
     return jnp.asarray(steps)
 
 
-def _case(
-    engine: str, worlds: int, steps: int, ours_s: float, plain_s: float, ratio: float, simulator: Simulator
-) -> dict[str, Any]:
+def _case(simulator: Simulator, worlds: int, steps: int, ours_s: float, plain_s: float) -> dict[str, Any]:
     rate = worlds * steps / ours_s
     return {
-        "engine": engine,
-        "worlds": worlds,
         "steps_per_second": rate,
         "plain_steps_per_second": worlds * steps / plain_s,
-        "ratio": ratio,
         "seconds_simulated_per_second": rate * simulator.robot.config.timestep,
         "peak_bytes": peak_bytes(),
     }
@@ -222,27 +208,12 @@ def gradient_case(mode: str, worlds: int, cycles: float) -> dict[str, Any]:
     run(ours.program)
     ours_s, plain_s, ratio = compare(lambda: run(ours.program), lambda: run(plain.program), GRADIENT_ROUNDS)
     steps = round(rollout.seconds({"frequency": FREQUENCY}) / rollout.robot.config.timestep)
-    return {
-        "engine": "mjx",
-        "horizon_cycles": cycles,
-        "forward_s": plain_s,
-        "gradient_s": ours_s,
-        "ratio": 1.0 / ratio,
-        "steps_per_second": worlds * steps / ours_s,
-        "plain_steps_per_second": worlds * steps / plain_s,
-        "trace_s": ours.trace_s,
-        "compile_s": ours.compile_s,
-        "plain_trace_s": plain.trace_s,
-        "plain_compile_s": plain.compile_s,
-        "temporary_bytes_per_world": _temporary(ours.program) // worlds,
-        "plain_temporary_bytes_per_world": _temporary(plain.program) // worlds,
-        "peak_bytes": peak_bytes(),
-    }
-
-
-def _temporary(program: Any) -> int:
-    """Bytes that a program needs in addition to its arguments and results, as planned by the compiler."""
-    return int(program.memory_analysis().temp_size_in_bytes)
+    figures = {"engine": "mjx", "forward_s": plain_s, "gradient_s": ours_s, "ratio": 1.0 / ratio}
+    figures |= {"steps_per_second": worlds * steps / ours_s, "plain_steps_per_second": worlds * steps / plain_s}
+    for name, program in (("temporary_bytes_per_world", ours), ("plain_temporary_bytes_per_world", plain)):
+        # In addition to arguments and results, as planned by the compiler.
+        figures[name] = int(program.program.memory_analysis().temp_size_in_bytes) // worlds
+    return figures | compiling(ours, plain) | {"peak_bytes": peak_bytes()}
 
 
 #: The steps of a sweep before its first tick, timed; run by a new interpreter.
@@ -278,10 +249,7 @@ def startup_case(engine: str, worlds: int) -> dict[str, Any]:
     """Stages of a start with a cold cache, and of a second one with the cache that the first left [s]."""
     with tempfile.TemporaryDirectory() as cache:
         cold, warm = (_start(engine, worlds, cache) for _ in range(2))
-    return {
-        "cold_s": sum(cold.values()), "warm_s": sum(warm.values()),
-        "cold": cold, "warm": warm,
-    }  # fmt: skip
+    return {"cold_s": sum(cold.values()), "warm_s": sum(warm.values()), "cold": cold, "warm": warm}
 
 
 def _start(engine: str, worlds: int, cache: str) -> dict[str, float]:

@@ -84,6 +84,12 @@ class Compiled(NamedTuple):
     program: Any
 
 
+def compiling(ours: Compiled, plain: Compiled) -> dict[str, float]:
+    """The compile times of a measurement and of its baseline [s], as its line has them."""
+    times = {"trace_s": ours.trace_s, "compile_s": ours.compile_s}
+    return times | {"plain_trace_s": plain.trace_s, "plain_compile_s": plain.compile_s}
+
+
 def compile_cold(function: Any, *arguments: Any) -> Compiled:
     """Seconds to trace and lower, seconds to compile with a cold cache, and the program."""
     began = time.perf_counter()
