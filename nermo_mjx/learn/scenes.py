@@ -4,14 +4,37 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
-from nermo_mjx.learn.sections import SceneFields
+from pydantic import ConfigDict, Field
+
 from nermo_mjx.learn.task import Task
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Setup
+from nermo_mjx.specs.fields import Fields, optional
+from nermo_mjx.specs.model import plain
 from nermo_mjx.specs.reading import Document
+from nermo_mjx.specs.values import Ends, Finite, Positive
 from nermo_mjx.specs.walk import pilot_options, scene_beside
+from nermo_mjx.specs.walk_fields import Pilot, SceneField
+
+
+class SceneFields(Fields):
+    """One of the `scenes` of a training file."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+    what: ClassVar = "a field of a scene"
+    example: ClassVar = "scene: planks"
+    scene: SceneField
+    """where it walks, as the file's own 'scene'"""
+    pilot: Pilot = optional("what steers the robot there, by default the file's own")
+    corridor: Positive = optional("distance from the path at which an episode fails there [m]")
+    share: Positive = 1.0
+    """of the worlds, relative to those of the other scenes"""
+    set: dict[str, Finite] = Field({})
+    """parameters with one value there"""
+    randomize: dict[str, Ends] = Field({})
+    """what each episode draws there, in addition to the file's own"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,13 +87,12 @@ def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task
         except ParameterError as error:
             doc.fail(at, f"is refused: {error}")
         drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
-        drawn |= {name: (low, high) for name, (low, high) in each.randomize.items()}
         own = dataclasses.replace(
-            task, set={**task.set, **values}, randomize=drawn, corridor=each.corridor or task.corridor
+            task, set={**task.set, **values}, randomize=drawn | each.randomize, corridor=each.corridor or task.corridor
         )
         if each.corridor is not None:
             written["corridor"] = each.corridor
-        written |= {name: dict(section) for name in ("set", "randomize") if (section := getattr(each, name))}
+        written |= {name: plain(section) for name in ("set", "randomize") if (section := getattr(each, name))}
         written |= {"share": each.share} if each.share != 1.0 else {}
         found.append(SceneTask(there, own, written, each.share))
     return tuple(found)

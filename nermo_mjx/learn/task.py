@@ -5,19 +5,22 @@ from __future__ import annotations
 import dataclasses
 import enum
 from collections.abc import Collection, Mapping
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import jax
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field, GetCoreSchemaHandler
+from pydantic_core import core_schema
+from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.learn.acting import Acted, Acting, ActionKind, Residual
-from nermo_mjx.learn.observing import OBSERVED, Sensing
-from nermo_mjx.learn.rewards import Term
+from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
+from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
+from nermo_mjx.learn.rewards import TERMS, Term
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, identified
 from nermo_mjx.robot.geometry import names_geometry
 from nermo_mjx.robot.nearest import did_you_mean
@@ -29,6 +32,9 @@ from nermo_mjx.rollout.parameters import Window
 from nermo_mjx.rollout.setup import Setup, all_parameters
 from nermo_mjx.rollout.start import StartPose
 from nermo_mjx.shapes import Array, Count
+from nermo_mjx.specs.fields import JsonSchema, Refused
+from nermo_mjx.specs.model import Spec
+from nermo_mjx.specs.values import Checked, Choice, Ends, Finite, Positive, Whole
 
 
 class Outcome(enum.Enum):
@@ -66,41 +72,61 @@ REWARDS: Final[Mapping[str | Term, float]] = {
 }  # fmt: skip
 
 
+class _Rewards(Checked):
+    """Weights by the names of the reward's terms."""
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(_terms, handler.generate_schema(dict[str, Finite]))
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        properties = {
+            name: {"type": "number", "description": f"{term.doc} [{term.unit}]"} for name, term in TERMS.items()
+        }
+        return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _terms(given: Any) -> Any:
+    for name in given if isinstance(given, dict) else ():
+        if name not in TERMS:
+            raise Refused(f"is no term of the reward; allowed are {', '.join(TERMS)}.", name)
+    return given or dict(REWARDS)
+
+
 @dataclasses.dataclass(frozen=True)
-class Task:
+class Task(Spec):
     """What defines an `Environment` in addition to its setup.
 
     >>> Task(randomize={"contact.friction": (1.0, 1.6)}, distance=1.0).decimation
     1
-
-    Attributes:
-        action: `Residual`, `Modulation` or `Targets`.
-        observe: groups of `observing.SENSED` and `TOLD`.
-        rewards: weight of each term, see `rewards.TERMS`; also of a custom `Term`.
-        set: parameter -> its value in all episodes: parameters of the setup, `sensing.*` and `command.*`.
-        randomize: parameter -> (low, high), drawn uniformly for each episode.
-        bodies: draw a body of the identified ensemble for each episode.
-        decimation: control ticks for which an action is held. The default is the published controller's own tick: the
-            residual learners on this robot act at each one, and a policy costs a tenth of a tick's physics.
-        duration: of an episode [s].
-        distance: at which an episode ends [m]; None for never.
-        corridor: distance from the path at which an episode ends [m]; None for never.
 
     A command is named like any parameter: with `command.speed` or `command.yaw_rate` under `set` or `randomize` the
     policy is told it, and the published controller obeys it as far as it can (the yaw rate with the pilot `open_loop`).
     With a pilot that follows a path, the path is the command.
     """
 
-    action: ActionKind = dataclasses.field(default_factory=Residual)
-    observe: tuple[str, ...] = OBSERVED
-    rewards: Mapping[str | Term, float] = dataclasses.field(default_factory=lambda: dict(REWARDS))
-    set: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    randomize: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
+    what = "a field of a task"
+    elsewhere = ("randomize",)
+    action: ActionField = dataclasses.field(default_factory=Residual)
+    """what an action does: `Residual`, `Modulation` or `Targets`"""
+    observe: Annotated[tuple[Annotated[str, Choice((*SENSED, *TOLD))], ...], Field(strict=False)] = OBSERVED
+    """what a policy observes: groups of `observing.SENSED` and `TOLD`"""
+    rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(default_factory=lambda: dict(REWARDS))
+    """weights of the reward's terms, see `rewards.TERMS`; in Python also of a custom `Term`"""
+    set: dict[str, Finite] = dataclasses.field(default_factory=dict)
+    """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
+    randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
+    """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
     bodies: bool = False
-    decimation: int = 1
-    duration: float = 10.0
-    distance: float | None = None
-    corridor: float | None = None
+    """whether each episode draws one of the identified bodies"""
+    decimation: Annotated[int, Whole(1, 100)] = 1
+    """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
+    costs a tenth of a tick's physics"""
+    duration: Positive = 10.0
+    """length of an episode [s]"""
+    distance: Positive = None  # type: ignore[assignment]  # none cannot be written in a file
+    """distance at which an episode ends [m]; by default it ends at none"""
+    corridor: Positive = None  # type: ignore[assignment]
+    """distance from the path at which an episode fails [m]; by default it fails at none"""
 
     def __post_init__(self) -> None:
         if not isinstance(self.action, ActionKind):
