@@ -200,8 +200,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     """At each field of each file, and at each field of what stands there."""
     from nermo_mjx.hardware.channels import ChannelsFile
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
-    from nermo_mjx.learn.scenes import SceneFields
-    from nermo_mjx.learn.spec import Evaluation, TrainingFile
+    from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
     from nermo_mjx.specs.walk_fields import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints

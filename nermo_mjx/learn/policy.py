@@ -24,8 +24,7 @@ from nermo_mjx.control.protocol import ChecksParameters, CompletesValues
 from nermo_mjx.control.state import with_dtypes_of
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionKind
 from nermo_mjx.learn.environment import Environment
-from nermo_mjx.learn.learned import Learned
-from nermo_mjx.learn.networks import Actor, Statistics
+from nermo_mjx.learn.experience import Actor, Learned, Statistics
 from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles

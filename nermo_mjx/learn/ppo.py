@@ -13,10 +13,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from nermo_mjx.learn.experience import EnvironmentLike, Experience, collector
-from nermo_mjx.learn.learned import ACTING, SHUFFLING, Learned, beginning, stepped
-from nermo_mjx.learn.networks import apply
-from nermo_mjx.learn.returns import advantages
+from nermo_mjx.learn.experience import (
+    ACTING,
+    SHUFFLING,
+    EnvironmentLike,
+    Experience,
+    Learned,
+    advantages,
+    apply,
+    beginning,
+    collector,
+    stepped,
+)
 from nermo_mjx.specs.model import Spec
 from nermo_mjx.specs.values import Positive, Share, Whole
 

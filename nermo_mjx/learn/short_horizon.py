@@ -18,10 +18,20 @@ import optax
 from jaxtyping import Array, Float
 from pydantic import Field
 
-from nermo_mjx.learn.experience import EnvironmentLike, Experience, both, scanned
-from nermo_mjx.learn.learned import ACTING, SHUFFLING, Learned, beginning, stepped
-from nermo_mjx.learn.networks import Actor, apply
-from nermo_mjx.learn.returns import advantages
+from nermo_mjx.learn.experience import (
+    ACTING,
+    SHUFFLING,
+    Actor,
+    EnvironmentLike,
+    Experience,
+    Learned,
+    advantages,
+    apply,
+    beginning,
+    both,
+    scanned,
+    stepped,
+)
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.specs.model import Spec

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
@@ -15,7 +15,6 @@ from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.mixture import Mixture, check_alike, check_worlds
 from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.scenes import SceneFields, SceneTask, read_scenes
 from nermo_mjx.learn.short_horizon import ShortHorizon
 from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.quantity import ParameterError
@@ -23,12 +22,92 @@ from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
-from nermo_mjx.specs.fields import Refused, optional, read
-from nermo_mjx.specs.model import Spec, named, one_of, written
+from nermo_mjx.specs.fields import Fields, Refused, optional, read
+from nermo_mjx.specs.model import Spec, named, one_of, plain, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError
-from nermo_mjx.specs.values import Ends, Finite, Whole
-from nermo_mjx.specs.walk import WalkSpec, read_walk
-from nermo_mjx.specs.walk_fields import WalkFields
+from nermo_mjx.specs.values import Ends, Finite, Positive, Whole
+from nermo_mjx.specs.walk import WalkSpec, pilot_options, read_walk, scene_beside
+from nermo_mjx.specs.walk_fields import Pilot, SceneField, WalkFields
+
+
+class SceneFields(Fields):
+    """One of the `scenes` of a training file."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+    what: ClassVar = "a field of a scene"
+    example: ClassVar = "scene: planks"
+    scene: SceneField
+    """where it walks, as the file's own 'scene'"""
+    pilot: Pilot = optional("what steers the robot there, by default the file's own")
+    corridor: Positive = optional("distance from the path at which an episode fails there [m]")
+    share: Positive = 1.0
+    """of the worlds, relative to those of the other scenes"""
+    set: dict[str, Finite] = Field({})
+    """parameters with one value there"""
+    randomize: dict[str, Ends] = Field({})
+    """what each episode draws there, in addition to the file's own"""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneTask:
+    """A scene in which a policy learns.
+
+    Attributes:
+        setup: what is chosen by name there.
+        task: what the policy does there.
+        written: as written in a training file.
+        share: of the worlds, relative to those of the other scenes.
+    """
+
+    setup: Setup
+    task: Task
+    written: Mapping[str, Any]
+    share: float = 1.0
+
+
+def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task) -> tuple[SceneTask, ...]:
+    """The scenes of a training file.
+
+    Args:
+        doc: the file.
+        fields: its section `scenes`.
+        setup, task: what all scenes have in common.
+
+    Raises:
+        SpecError: a choice that is refused there, or a scene that stands there twice.
+        ParameterError: a value that is refused there.
+    """
+    found: list[SceneTask] = []
+    for i, each in enumerate(fields):
+        at = ("scenes", i)
+        if each.scene in [other.written["scene"] for other in found]:
+            doc.fail((*at, "scene"), f"is {each.scene!r} for a second time: leave one out.")
+        choices: dict[str, Any] = {"scene": scene_beside(doc, each.scene)}
+        values, written = dict(each.set), dict[str, Any](scene=each.scene)
+        if each.pilot is not None:
+            pilot, options = each.pilot.chosen
+            given = pilot_options(doc.data["scenes"][i]["pilot"], pilot, options)
+            if "distance" in given:
+                doc.fail((*at, "pilot", pilot, "distance"), "has no effect on a scene of several: leave it out.")
+            points = tuple(map(tuple, options.points)) if pilot == "waypoints" else None
+            choices |= {"pilot": pilot, "waypoints": points}
+            values |= {f"pilot.{key}": value for key, value in given.items() if key != "points"}
+            written["pilot"] = {pilot: given} if given else pilot
+        try:
+            there = dataclasses.replace(setup, **choices)
+        except ParameterError as error:
+            doc.fail(at, f"is refused: {error}")
+        drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
+        own = dataclasses.replace(
+            task, set={**task.set, **values}, randomize=drawn | each.randomize, corridor=each.corridor or task.corridor
+        )
+        if each.corridor is not None:
+            written["corridor"] = each.corridor
+        written |= {name: plain(section) for name in ("set", "randomize") if (section := getattr(each, name))}
+        written |= {"share": each.share} if each.share != 1.0 else {}
+        found.append(SceneTask(there, own, written, each.share))
+    return tuple(found)
+
 
 #: Fields that do not change what an iteration computes: a training may be resumed with others.
 FREE: Final = ("steps", "run", "evaluate", "plots")
