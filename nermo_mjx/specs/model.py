@@ -9,11 +9,8 @@ Schema, and its default stands once. A field of a file declares it by its type, 
 ...     what = "a field of the friction"
 ...     sliding: Annotated[float, Field(gt=0)] = 1.0
 ...     '''coefficient of dry friction'''
->>> from pydantic import TypeAdapter
->>> TypeAdapter(Friction).validate_python({"sliding": 1.2})
-Friction(sliding=1.2)
->>> written(Friction())
-{'sliding': 1.0}
+>>> written(Friction(sliding=1.2))
+{'sliding': 1.2}
 
 Among several sections a file chooses by name, see `one_of`. Errors are told as for all fields (`specs.fields.read`):
 file and line, field, value, what is allowed, and the name that may have been meant.
