@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -198,6 +199,8 @@ ODD += [{"x": each} for each in (None, 1, "a", [1], {})]
 def test_no_odd_value_leads_to_anything_but_a_sentence():
     """At each field of each file, and at each field of what stands there."""
     from nermo_mjx.hardware.channels import ChannelsFile
+    from nermo_mjx.learn import PPO, Modulation, Residual, Task
+    from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
     from nermo_mjx.specs.walk_fields import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
@@ -206,7 +209,8 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.tune.sections import EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields, TunedFields
     from nermo_mjx.tune.spec import TuningFile
 
-    models = [SweepFile, TuningFile, ChannelsFile, AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
+    models = [SweepFile, TuningFile, ChannelsFile, TrainingFile, SceneFields,
+              AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
               RunFields, Straight, Waypoints, EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields,
               TunedFields]  # fmt: skip
     messages = []
@@ -217,5 +221,18 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
                     read(read_mapping({name: odd}), model)
                 except SpecError as error:
                     messages.append(str(error))
-    assert len(messages) > 1000
+    places = {
+        "task": (Task, lambda given: {"task": given}), "evaluate": (Evaluation, lambda given: {"evaluate": given}),
+        "ppo": (PPO, lambda given: {"algorithm": {"ppo": given}}),
+        "residual": (Residual, lambda given: {"task": {"action": {"residual": given}}}),
+        "modulation": (Modulation, lambda given: {"task": {"action": {"modulation": given}}}),
+    }  # fmt: skip
+    for section, placed in places.values():
+        for name in [each.name for each in dataclasses.fields(section)]:
+            for odd in ODD:
+                try:
+                    read(read_mapping(placed({name: odd})), TrainingFile)
+                except SpecError as error:
+                    messages.append(str(error))
+    assert len(messages) > 1500
     assert [each for each in messages if each[-1] not in ".?" or "\n" in each] == []
