@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nermo_mjx.rollout import Run, Setup, Simulator, start
+from nermo_mjx.rollout import Run, Setup, Simulator, run
 
 pytestmark = [pytest.mark.compiles, pytest.mark.process]
 
@@ -37,7 +37,7 @@ print(*names)
 
 def said(script: str, **settings: str) -> str:
     """Output of a new process."""
-    environment = os.environ | {"PYTHONPATH": str(Path(start.__file__).parents[2])} | settings
+    environment = os.environ | {"PYTHONPATH": str(Path(run.__file__).parents[2])} | settings
     words = [sys.executable, "-c", script]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -52,7 +52,7 @@ def test_a_constant_that_is_changed_at_run_time_counts(monkeypatch: pytest.Monke
         return float(simulator.prepare({"frequency": np.array([0.8])}, Run(cycles=1)).qpos[0, 2])
 
     before = height()
-    monkeypatch.setattr(start, "DEPTH", start.DEPTH + 1e-3)
+    monkeypatch.setattr(start, "DEPTH", run.DEPTH + 1e-3)
     assert height() == pytest.approx(before - 1e-3, abs=1e-7)
 
 

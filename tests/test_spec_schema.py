@@ -203,11 +203,18 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
-    from nermo_mjx.specs.walk_fields import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
+    from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
     from nermo_mjx.sweep.axes import AxisForm, DrawForm
-    from nermo_mjx.sweep.file import Randomized, Sampler, SweepFile
-    from nermo_mjx.tune.sections import EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields, TunedFields
-    from nermo_mjx.tune.spec import TuningFile
+    from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
+    from nermo_mjx.tune.spec import (
+        EstimatorFields,
+        Mixture,
+        OptimizerFields,
+        Sampled,
+        TermFields,
+        TunedFields,
+        TuningFile,
+    )
 
     models = [SweepFile, TuningFile, ChannelsFile, TrainingFile, SceneFields,
               AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,

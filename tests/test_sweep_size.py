@@ -12,7 +12,7 @@ import pytest
 from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.sweep import Sample, Sweep, read_table, run_sweep, sample, summarize
-from nermo_mjx.sweep.chunk_size import BUSY_WORLDS, WORLD_BYTES, chunk_rows
+from nermo_mjx.sweep.simulating import BUSY_WORLDS, WORLD_BYTES, chunk_rows
 
 GIB = 2**30
 

@@ -195,7 +195,7 @@ def test_all_shapes_are_packed_with_their_colours() -> None:
 
 
 def test_plots_show_what_the_sensors_read(walk: Recording, motion: Motion) -> None:
-    from nermo_mjx.kinematics.attitude import attitude
+    from nermo_mjx.kinematics.body import attitude
 
     plots = {plot.key: plot for plot in plots_of(walk, motion)}
     angles = np.rad2deg(np.asarray(attitude(walk.sensors["orientation"])))

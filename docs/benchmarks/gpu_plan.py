@@ -25,7 +25,7 @@ from nermo_mjx.bench.cases import FREQUENCY, NAMES, differentiable_walk
 from nermo_mjx.bench.machine import compile_cold, describe, peak_bytes
 from nermo_mjx.bench.results import append
 from nermo_mjx.rollout import Setup, Simulator
-from nermo_mjx.rollout.derivative import value_and_gradient
+from nermo_mjx.rollout.differentiable import value_and_gradient
 
 #: Assumed number of iterations of a loop of unknown length (2.3 on average for 64 walks, 7 at most), time from the
 #: launch of a small kernel to the next [s], and how long the host waits to learn whether a loop continues [s].

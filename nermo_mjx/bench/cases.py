@@ -22,9 +22,8 @@ from nermo_mjx.bench.machine import Compiled, compare, compile_cold, compiling, 
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.physics.c_engine import CEngine
 from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.rollout.derivative import Function, value_and_gradient
-from nermo_mjx.rollout.differentiable import Rollout
-from nermo_mjx.rollout.length import Run
+from nermo_mjx.rollout.differentiable import Function, Rollout, value_and_gradient
+from nermo_mjx.rollout.run import Run
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.rollout.simulator import Batch, Simulator
 from nermo_mjx.runtime import compiler_options, cpu_count

@@ -21,11 +21,10 @@ def __getattr__(name: str) -> tuple[str, ...]:
 def of_package() -> dict[str, list[str]]:
     """The names, from where they are declared; the first is an option's default."""
     from nermo_mjx.bench import CASES
-    from nermo_mjx.control.free_stepping import FREE
-    from nermo_mjx.control.fusion import MODES, NO_MODE
-    from nermo_mjx.control.head import HEADS
-    from nermo_mjx.control.published import PROFILES, STEERING
-    from nermo_mjx.control.tail import TAIL_MOTIONS
+    from nermo_mjx.control.head_and_tail import HEADS, TAIL_MOTIONS
+    from nermo_mjx.control.parameters import PROFILES, STEERING
+    from nermo_mjx.control.spine_modes import MODES, NO_MODE
+    from nermo_mjx.control.stepping import FREE
     from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments.catalogue import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
@@ -34,7 +33,7 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.robot.assembly import PRESETS, ROBOTS, TAILS
     from nermo_mjx.robot.scene import scenes
     from nermo_mjx.rollout import METRICS, all_parameters
-    from nermo_mjx.specs.walk_fields import Pilot
+    from nermo_mjx.specs.walk import Pilot
     from nermo_mjx.view import CAMERAS, OVERLAYS
 
     named = {

@@ -57,7 +57,7 @@ class Kind:
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("sweep", "a sweep", "sweep.redraw:figures", "sweep.status:status", ("x", "y", "color", "notify")),
+        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.status:status", ("x", "y", "color", "notify")),
         Kind("search", "a search", "search.plots:figures", "search.status:status", ("x", "y", "color", "notify")),
         Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
@@ -66,8 +66,8 @@ KINDS: Final = {
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",
              "experiments.identification:status", tracked=True),
-        Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.reports:status", tracked=True),
-        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.reports:status",
+        Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.table:status", tracked=True),
+        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.table:status",
              tracked=True),
         Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
     )

@@ -873,7 +873,7 @@ def experiment_command(
 def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
     """Parameters by name; their ranges are checked with the other settings."""
     from nermo_mjx.robot.quantity import quantities
-    from nermo_mjx.rollout.parameters import WorldParameters
+    from nermo_mjx.rollout.setup import WorldParameters
 
     known = dict(quantities(WorldParameters))
     unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."

@@ -105,7 +105,7 @@ def assigned(texts: Iterable[str], known: Mapping[str, Quantity], unknown: str) 
     Raises:
         WrongUse: a text is something else.
     """
-    from nermo_mjx.specs.patterns import is_pattern, matches
+    from nermo_mjx.specs.walk import is_pattern, matches
 
     values: dict[str, float] = {}
     for text in texts:
@@ -134,7 +134,7 @@ def _assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple
         example = next(iter(known.items()))
         raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example[0]}={example[1].default:g}.")
     if name not in known:
-        from nermo_mjx.robot.nearest import nearest
+        from nermo_mjx.robot.quantity import nearest
 
         near = nearest(name, known)
         what, _, hint = unknown.partition("; ")
@@ -295,7 +295,7 @@ def gait(function: F) -> F:
 
 
 def report_out(function: F) -> F:
-    """`--out` of what is found in finished tables; see `nermo_mjx.sweep.reports`."""
+    """`--out` of what is found in finished tables; see `nermo_mjx.sweep.table`."""
     about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only."
     return click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path), help=about)(function)
 

@@ -158,7 +158,7 @@ def tell_report(
     report: Any = found
     files, moved = list[Path](), ""
     if out is not None:
-        from nermo_mjx.sweep.reports import write_report
+        from nermo_mjx.sweep.table import write_report
 
         with stdout_reserved():
             files, moved = write_report(out, kind, report.table, report.about(), figures(report.table))

@@ -106,7 +106,7 @@ file next to it is completed and checked as you type.
 """
 #: Where the fields of each command's file are declared.
 FILES: Final = {
-    "sweep": "sweep.file:SweepFile",
+    "sweep": "sweep.spec:SweepFile",
     "search": "search.spec:SearchFile",
     "tune": "tune.spec:TuningFile",
     "landscape": "tune.spec:TuningFile",

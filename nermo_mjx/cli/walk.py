@@ -118,7 +118,7 @@ def _length(cycles: float | None, duration: float | None, warmup: float | None) 
 def _shifted_start(seed: int) -> dict[str, float]:
     import numpy as np
 
-    from nermo_mjx.rollout.start import START_SPREAD
+    from nermo_mjx.rollout.run import START_SPREAD
 
     random = np.random.default_rng(seed)
     return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
@@ -267,7 +267,7 @@ def replay_command(
         from nermo_mjx.sweep.replay import find_row, replay_row, report_of
 
         if (out / "search.yaml").exists():
-            from nermo_mjx.search.keeping import find_evaluation
+            from nermo_mjx.search.batches import find_evaluation
 
             found = find_evaluation(out, row)
         else:

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import Sensors, ServoAngles
+from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.shapes import Array, Scalar
 
 #: What every controller has.

@@ -14,16 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.fusion import mode_names
-from nermo_mjx.control.head import GAZE
+from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE
 from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW
+from nermo_mjx.control.spine_modes import mode_names
 from nermo_mjx.hardware.channels import Channel, Channels, default_channels, read_channels
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.setup import WorldParameters
 
 #: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate contains every nth of its ticks.
 CONTROL_RATE: Final = 100.0

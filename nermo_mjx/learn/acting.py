@@ -18,9 +18,8 @@ from pydantic import Field
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
-from nermo_mjx.robot.interface import SERVOS
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
+from nermo_mjx.robot.parameters import SERVOS
+from nermo_mjx.robot.quantity import check_quantities, did_you_mean, quantities, replace_quantities, values_of
 from nermo_mjx.shapes import Array, Scalar
 from nermo_mjx.specs.model import Spec, one_of
 from nermo_mjx.specs.values import Ends

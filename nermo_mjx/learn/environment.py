@@ -14,11 +14,10 @@ from nermo_mjx.learn.acting import Acting
 from nermo_mjx.learn.loop import EpisodeLoop, Observed
 from nermo_mjx.learn.task import Episodes, Outcome, Task
 from nermo_mjx.physics import Variation, resolve_engine
-from nermo_mjx.physics.c_driven import CDriven
-from nermo_mjx.physics.c_engine import CEngine, Threads
+from nermo_mjx.physics.c_engine import CDriven, CEngine, Threads
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.rollout.lanes import Lanes
 from nermo_mjx.rollout.loop import check_controller
+from nermo_mjx.rollout.run import Lanes
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.shapes import Array, Truth
 

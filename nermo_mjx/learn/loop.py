@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.control.state import with_dtypes_of
 from nermo_mjx.learn import observing
 from nermo_mjx.learn.acting import Acting
 from nermo_mjx.learn.observing import Observer, Told

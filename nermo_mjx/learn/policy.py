@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues
-from nermo_mjx.control.state import with_dtypes_of
 from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
@@ -29,8 +29,7 @@ from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import flat, group, parameter_tree, quantities, replace_quantities
+from nermo_mjx.robot.quantity import choice, flat, group, parameter_tree, quantities, replace_quantities
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.shapes import Array, Count, Scalar

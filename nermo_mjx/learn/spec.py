@@ -26,8 +26,7 @@ from nermo_mjx.specs.fields import Fields, Refused, optional, read
 from nermo_mjx.specs.model import Spec, named, one_of, plain, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError
 from nermo_mjx.specs.values import Ends, Finite, Positive, Whole
-from nermo_mjx.specs.walk import WalkSpec, pilot_options, read_walk, scene_beside
-from nermo_mjx.specs.walk_fields import Pilot, SceneField, WalkFields
+from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
 
 
 class SceneFields(Fields):

@@ -28,14 +28,20 @@ from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Resid
 from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
 from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.geometry import names_geometry
-from nermo_mjx.robot.nearest import did_you_mean, nearest
-from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
+from nermo_mjx.robot.quantity import (
+    did_you_mean,
+    group,
+    nearest,
+    parameter_tree,
+    quantities,
+    quantity,
+    replace_quantities,
+)
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.loop import LoopParameters, loop_parameters
 from nermo_mjx.rollout.metrics import Ending, MetricState
-from nermo_mjx.rollout.parameters import Window
-from nermo_mjx.rollout.setup import Setup, all_parameters
-from nermo_mjx.rollout.start import StartPose
+from nermo_mjx.rollout.run import StartPose
+from nermo_mjx.rollout.setup import Setup, Window, all_parameters
 from nermo_mjx.shapes import Array, Count, Scalar, Truth
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.model import Spec

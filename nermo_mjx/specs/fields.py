@@ -12,8 +12,7 @@ from typing import Any, ClassVar, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic_core import core_schema
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 
 JsonSchema = dict[str, Any]

@@ -25,7 +25,7 @@ from typing import Any, ClassVar
 from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
 from pydantic_core import core_schema
 
-from nermo_mjx.robot.nearest import did_you_mean
+from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.specs.fields import JsonSchema, OneOf, Refused
 from nermo_mjx.specs.reading import describe
 

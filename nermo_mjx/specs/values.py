@@ -12,10 +12,9 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
-from nermo_mjx.rollout.catalogue import METRICS, Metric
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
+from nermo_mjx.rollout.own_metrics import METRICS, Metric
+from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 

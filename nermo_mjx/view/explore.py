@@ -19,15 +19,14 @@ from nermo_mjx.plotting import style
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.robot.presets import PRESETS
+from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Setup
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.specs.reading import SpecError, read_file
-from nermo_mjx.sweep.points import thinned
+from nermo_mjx.sweep.figures import thinned
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.sides import OBJECTIVES, sides_in
-from nermo_mjx.sweep.summary import LEADING
-from nermo_mjx.sweep.table import meta
+from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
+from nermo_mjx.sweep.table import LEADING, meta
 from nermo_mjx.view.clip import COMPACT, Models, Packer, clip_of
 from nermo_mjx.view.page import Page, document, text
 

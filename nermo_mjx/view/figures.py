@@ -15,18 +15,16 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from nermo_mjx.control.free_stepping import FREE, FreeStepping
-from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.published import published_values
-from nermo_mjx.control.stepping import Stepping
-from nermo_mjx.kinematics.attitude import attitude
+from nermo_mjx.control.parameters import ControlParameters, published_values
+from nermo_mjx.control.stepping import FREE, FreeStepping, Stepping
+from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import FOOT, GRID, INK, LINE, MISSING, MUTED, SERIES, TAIL, horizontal_grid
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import GAITS, LIMBS, ParameterError, Robot
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import servos_by_count
+from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.view.recorded import STANDING, recorded_geometry, recorded_model, robot_of, spans
 

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import servos_by_count
+from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
 from nermo_mjx.robot.terrains import terrain_values
 
@@ -470,7 +470,7 @@ def _units(recording: Recording) -> dict[str, str]:
     """Units of metrics and parameters by name, including the recording's custom metrics."""
     from nermo_mjx.robot.quantity import quantities
     from nermo_mjx.rollout import METRICS  # starts JAX
-    from nermo_mjx.rollout.parameters import WorldParameters
+    from nermo_mjx.rollout.setup import WorldParameters
 
     units = {name: about.unit for name, about in quantities(WorldParameters)}
     return units | {name: metric.unit for name, metric in METRICS.items()} | _part(recording, "units")
