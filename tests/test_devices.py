@@ -45,7 +45,7 @@ def test_so_is_one_in_the_environment(monkeypatch, value):
 
 def test_batches_are_limited_on_a_cpu_only(monkeypatch):
     """The hang from which the limit keeps is one of JAX's CPU runtime."""
-    monkeypatch.setattr(devices, "cpu_batch_limit", lambda: 32)
+    monkeypatch.setattr(engine, "cpu_batch_limit", lambda: 32)
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
     assert engine.batch_limit() == 32
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
