@@ -312,8 +312,8 @@ def published_controller(
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
         trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with parameters for
             each limb and movable points, see `free_stepping`.
-        head: "none" holds it still, "gaze" keeps its direction in the world; see `control.head`.
-        tail_motion: "none" holds it still, "swing", "counter_yaw" or "counter_roll"; see `control.tail`.
+        head: "none" holds it still, "gaze" keeps its direction in the world; see `control.head_and_tail`.
+        tail_motion: "none" holds it still, "swing", "counter_yaw" or "counter_roll"; see `control.head_and_tail`.
         routing: knee tendon routing of the legs.
         masses: two-mass model of the assembled robot, for the mode "balance".
         control_rate, pilot_rate: see `Controller`.

@@ -121,7 +121,7 @@ def bracketed_root(
 # The routings of the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
 #
 # All obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
-# depends on hip and knee angle alone (`robot.leg_plane`); the servo angle is then (pull - l_t0) / (k r_p). As there,
+# depends on hip and knee angle alone (`robot.geometry`); the servo angle is then (pull - l_t0) / (k r_p). As there,
 # lengths are worked out in a frame whose y is multiplied by the knee direction s.
 
 

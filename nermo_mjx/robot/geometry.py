@@ -131,7 +131,7 @@ def names_geometry(names: Iterable[str]) -> bool:
 
 
 def check_geometry(geometry: Geometry) -> None:
-    """Reject a geometry whose parts overlap; `control.build.check_workspace` checks the legs' reach.
+    """Reject a geometry whose parts overlap; `control.controller.check_workspace` checks the legs' reach.
 
     Args:
         geometry: not traced; leaves of shapes that broadcast.

@@ -203,12 +203,12 @@ class Setup:
         profile: `exact`, `as_published`, the published simulation with its body, or `as_built`, with the body of the
             built robot.
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
-        waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
+        waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.path.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
         trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and
             parameters per limb.
-        head: `none` or `gaze`, see `control.head`.
-        tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the articulated tail, see `control.tail`.
+        head: `none` or `gaze`, see `control.head_and_tail`.
+        tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the tail, see `control.head_and_tail`.
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
             `FILE.npz`, a policy. The choices above from `gait` on belong to the published controller and cannot be
             combined with another; with a `Controller` of other parts, gait, steering and profile can. A policy has its

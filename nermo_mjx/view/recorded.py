@@ -352,7 +352,7 @@ def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]
 
 
 def _attitude(quaternion: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 3"]:
-    """(roll, pitch, yaw) as in `kinematics.attitude`, in degrees, with unwrapped yaw; NumPy, to plot without JAX."""
+    """(roll, pitch, yaw) as in `kinematics.body`, in degrees, with unwrapped yaw; NumPy, to plot without JAX."""
     w, x, y, z = quaternion.T
     r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
     r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
