@@ -22,6 +22,7 @@ from typing import Any
 import jax
 from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
+from mujoco.mjx._src import collision_driver
 
 from nermo_mjx.dynamics import constraint, rows, solver, stages
 from nermo_mjx.dynamics.checkpointing import KEPT
@@ -113,6 +114,12 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
         raise ValueError(
             "the model was put before nermo_mjx was imported, and MJX does not say what it has left out: "
             "put it again, with mjx.put_model."
+        )
+    contacts = collision_driver.make_condim(model).size
+    if data._impl.ncon != contacts:
+        raise ValueError(
+            f"data has {data._impl.ncon} contacts: allowed are {contacts}, those of the model; make it from the model, "
+            "after nermo_mjx was imported."
         )
     return prepared(model)
 
