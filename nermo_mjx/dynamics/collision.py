@@ -207,9 +207,14 @@ def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector
     fixed = jax.lax.stop_gradient(problem)
     axes = jnp.concatenate([one.mat.T, other.mat.T])
     starts = jax.lax.stop_gradient(jnp.concatenate([_unit(apart)[None], axes, -axes]))
-    best = starts[jnp.argmax(jax.vmap(lambda n: distance(n, apart) - jnp.abs(n @ segment))(starts))]
-    t = jnp.clip(fixed[0] @ fixed[2] / jnp.maximum(fixed[2] @ fixed[2], mjMINVAL), -1.0, 1.0)
-    n, t = jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(at[0], at[1], fixed, True), (best, t))
+    middle = jnp.clip(fixed[0] @ fixed[2] / jnp.maximum(fixed[2] @ fixed[2], mjMINVAL), -1.0, 1.0)
+
+    def converged(n: Vector) -> tuple[Vector, Scalar]:
+        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(at[0], at[1], fixed, True), (n, middle))
+
+    found = jax.vmap(converged)(starts)
+    best = jnp.argmax(jax.vmap(lambda n: distance(n, apart) - jnp.abs(n @ segment))(found[0]))
+    n, t = found[0][best], found[1][best]
     n, t = newton(jax.lax.stop_gradient(n), jax.lax.stop_gradient(t), problem, False)
     *inner, (_, outer) = supports(n, shapes)
     touched = sum((g for _, g in inner), t * segment + radius * n)
