@@ -1,8 +1,8 @@
 """Contacts of primitive geoms as MuJoCo C has them, where MJX has other ones.
 
 MJX adds 1e-6 to denominators of closest points, has one contact of parallel capsules, other frames of capsules on a
-plane, leaves out corners of a box that are 1 mm above its lowest, and takes approximate distances of ellipsoids and
-cylinders. Each function here takes two geoms and gives distances [m], positions and frames of their contacts.
+plane, leaves out corners of a box that are 1 mm above its lowest and points of a cylinder, and takes approximate
+distances of ellipsoids and cylinders. Each function here takes two geoms and gives their contacts.
 `coverage.approximated` lists the pairs that keep contacts of MJX's which are not C's.
 """
 
@@ -25,7 +25,8 @@ from nermo_mjx.shapes import Array, Scalar
 
 Vector = Float[Array, " 3"]
 Matrix = Float[Array, "3 3"]
-Contacts = tuple[Float[Array, " n"], Float[Array, "n 3"], Float[Array, "n 3 3"]]
+#: Distances [m], positions and frames, of one contact or several.
+Contacts = tuple[Float[Array, "*n"], Float[Array, "*n 3"], Float[Array, "*n 3 3"]]
 #: Rounds of Newton's method for the direction in which two bodies are closest.
 ROUNDS: Final = 20
 #: Distance of what is no contact [m], as MJX has it.
@@ -152,6 +153,25 @@ def plane_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
 
 
 @_collider(4)
+def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """At the lowest points of both rims, and at two that make a triangle with the first.
+
+    Where the axis is along the normal the triangle points along the cylinder's x; it has no derivative by the tilt,
+    with which C's turns at once.
+    """
+    normal, axis = one.mat[:, 2], other.mat[:, 2]
+    down = axis * jnp.where(normal @ axis > 0.0, -1.0, 1.0)
+    lowest = other.size[0] * _unit(down * (normal @ down) - normal, other.mat[:, 0])
+    end = other.size[1] * down
+    aside = _unit(spatial.cross(lowest, end)) * other.size[0] * 0.75**0.5
+    points = other.pos + jnp.stack([
+        end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside
+    ])  # fmt: skip
+    dist = (points - one.pos) @ normal
+    return dist, points - 0.5 * dist[:, None] * normal, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
+
+
+@_collider(4)
 def plane_box(one: GeomInfo, other: GeomInfo) -> Contacts:
     """At the four lowest corners, where these are not above the centre."""
     normal = one.mat[:, 2]
@@ -253,7 +273,8 @@ def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
 OURS: Final = {
     (getattr(GeomType, one), getattr(GeomType, other)): function
     for one, other, function in (
-        ("PLANE", "CAPSULE", plane_capsule), ("PLANE", "BOX", plane_box), ("SPHERE", "SPHERE", sphere_sphere),
+        ("PLANE", "CAPSULE", plane_capsule), ("PLANE", "BOX", plane_box), ("PLANE", "CYLINDER", plane_cylinder),
+        ("SPHERE", "SPHERE", sphere_sphere),
         ("SPHERE", "CAPSULE", sphere_capsule), ("SPHERE", "CYLINDER", sphere_cylinder), ("SPHERE", "BOX", sphere_box),
         ("CAPSULE", "CAPSULE", capsule_capsule), ("SPHERE", "ELLIPSOID", sphere_ellipsoid),
         ("CAPSULE", "ELLIPSOID", capsule_ellipsoid), ("ELLIPSOID", "ELLIPSOID", ellipsoid_ellipsoid),
