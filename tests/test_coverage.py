@@ -147,10 +147,15 @@ REFUSALS: dict[str, tuple[Any, str]] = {
         "actuator 'a' is in a disabled group"),
     "noslip": ((HINGE, "", '<option noslip_iterations="3"/>'), "noslip_iterations is 3"),
     "sleep": ((HINGE, "", '<option><flag sleep="enable"/></option>'), "flag sleep is enabled"),
+    "side site": (
+        ('<geom name="g" type="cylinder" size=".1 .1" contype="0" conaffinity="0"/><site name="o" pos="-.3 0 0"/>'
+         + HINGE.replace('name="g"', ""), '<tendon><spatial name="t"><site site="o"/><geom geom="g" sidesite="s"/>'
+         '<site site="s"/></spatial></tendon>'),
+        "tendon 't' has the side site 's' on another body than geom 'g': put it on the same"),
     "range of a cylinder": (
         (HINGE + '<geom name="c" type="cylinder" size=".1 .1" contype="0" '
         'conaffinity="0"/>', '<sensor><rangefinder site="s"/></sensor>'),
-        "geom 'c' is not seen by rangefinders"),
+        "geom 'c' is not seen by rangefinders: allowed are shapes other than cylinder, hfield, sdf."),
 }  # fmt: skip
 
 

@@ -22,12 +22,11 @@ from typing import Any
 import jax
 from jax.ad_checkpoint import checkpoint_name
 from jax.scipy.linalg import cho_factor, cho_solve
-from mujoco.mjx._src import collision_driver
 
 from nermo_mjx.dynamics import constraint, rows, solver, stages
 from nermo_mjx.dynamics.checkpointing import KEPT
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
-from nermo_mjx.dynamics.mjx_import import Model, mjx
+from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.preparing import prepared
 from nermo_mjx.dynamics.rows import Layout, Problem

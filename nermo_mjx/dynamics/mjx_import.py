@@ -19,7 +19,7 @@ with contextlib.redirect_stdout(standard_io.StringIO()):
 
     from nermo_mjx.dynamics import collision
 
-__all__ = ["Model", "mjx"]
+__all__ = ["Model", "collision_driver", "mjx"]
 
 
 class Model(mjx.Model):
