@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
@@ -33,6 +33,8 @@ APPROXIMATE: Final[dict[tuple[str, ...], str]] = {
     **{(kind, "CYLINDER"): _OTHERS for kind in ("CAPSULE", "ELLIPSOID", "CYLINDER")},
     **{(kind, "BOX"): _OTHERS for kind in ("CAPSULE", "BOX")},
 }
+#: Number of random positions of the joints in which side sites are looked at.
+POSES: Final = 200
 #: Flags of `mjtEnableBit` that MJX takes and does not act on.
 FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
 
@@ -74,10 +76,15 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
     for bit, name in FLAGS.items():
         if model.opt.enableflags & int(getattr(mujoco.mjtEnableBit, bit, 0)):
             yield f"flag {name} is enabled: disable it"
-    for tendon, geom, site in _side_sites(model):
-        if model.site_bodyid[site] != model.geom_bodyid[geom]:
-            names = (named(model, *each) for each in (("tendon", tendon), ("site", site), ("geom", geom)))
-            yield "{} has the side {} on another body than {}: put it on the same".format(*names)
+    for wrap in side_sites(model):
+        spread = wrap.most - wrap.least
+        if wrap.least <= wrap.radius + spread and wrap.most >= wrap.radius - spread and spread > 1e-6 * wrap.radius:
+            names = (
+                named(model, *each) for each in (("tendon", wrap.tendon), ("site", wrap.site), ("geom", wrap.geom))
+            )
+            yield "{} has the side {}, now inside {}, now outside, as joints turn: put it on the same body".format(
+                *names
+            )
     if model.opt.noslip_iterations > 0:
         yield f"noslip_iterations is {model.opt.noslip_iterations}: set it to 0"
     if np.any(model.sensor_type == mujoco.mjtSensor.mjSENS_RANGEFINDER):
@@ -110,21 +117,50 @@ def approximated(model: mujoco.MjModel) -> list[str]:
         more = f", as are {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
         said.append(f"{geoms} are {' and '.join(kinds).lower()}{more}: {APPROXIMATE[kinds]}.")
     if mujoco.__version__ >= "4":
-        for tendon, geom, site in _side_sites(model):
-            if np.linalg.norm(model.site_pos[site] - model.geom_pos[geom]) >= model.geom_size[geom, 0]:
-                said.append(
-                    f"{named(model, 'tendon', tendon)} has a side site: MuJoCo 4 leads it past its geom by another "
-                    "rule than MuJoCo 3, which MJX and the step follow; compare ten_length."
-                )
+        said += [
+            f"{named(model, 'tendon', wrap.tendon)} has a side site: MuJoCo 4 leads it past its geom by another rule "
+            "than MuJoCo 3, which MJX and the step follow; compare ten_length."
+            for wrap in side_sites(model)
+            if wrap.most >= wrap.radius
+        ]
     return said
 
 
-def _side_sites(model: mujoco.MjModel) -> Iterator[tuple[int, int, int]]:
-    """Tendon, geom and side site of each wrap that has one."""
-    wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
-    for wrap in np.flatnonzero(wraps & (model.wrap_prm >= 0.0)):
-        tendon = int(np.searchsorted(model.tendon_adr, wrap, side="right")) - 1
-        yield tendon, int(model.wrap_objid[wrap]), round(model.wrap_prm[wrap])
+class SideSite(NamedTuple):
+    """A tendon's wrap with a side site.
+
+    Attributes:
+        wrap: number among the wraps of the model.
+        tendon, geom, site: of it.
+        radius: of the geom [m].
+        least, most: distance of the site from the geom's centre, over random positions of the joints [m].
+    """
+
+    wrap: int
+    tendon: int
+    geom: int
+    site: int
+    radius: float
+    least: float
+    most: float
+
+
+def side_sites(model: mujoco.MjModel) -> list[SideSite]:
+    """All wraps with a side site. C looks in each step whether it is inside of the geom, MJX only when a model is put,
+    at positions that are in the frames of their bodies."""
+    kinds = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    wraps = np.flatnonzero(kinds & (model.wrap_prm >= 0.0))
+    geoms, sites = model.wrap_objid[wraps], np.round(model.wrap_prm[wraps]).astype(int)
+    moves, data = np.any(model.geom_bodyid[geoms] != model.site_bodyid[sites]), mujoco.MjData(model)
+    random, distances = np.random.default_rng(0), []
+    for pose in range(POSES if moves else 1):
+        data.qpos[:] = model.qpos0
+        mujoco.mj_integratePos(model, data.qpos, random.uniform(-np.pi, np.pi, model.nv) * (pose > 0), 1.0)
+        mujoco.mj_kinematics(model, data)
+        distances.append(np.linalg.norm(data.site_xpos[sites] - data.geom_xpos[geoms], axis=1))
+    tendons = np.searchsorted(model.tendon_adr, wraps, side="right") - 1
+    columns = tendons, geoms, sites, model.geom_size[geoms, 0], np.min(distances, 0), np.max(distances, 0)
+    return [SideSite(*(each.item() for each in row)) for row in zip(wraps, *columns, strict=True)]
 
 
 def named(model: mujoco.MjModel, kind: str, index: Any) -> str:

@@ -10,8 +10,9 @@ import io as standard_io
 
 import jax
 import mujoco
+import numpy as np
 
-from nermo_mjx.dynamics.coverage import approximated, not_simulated
+from nermo_mjx.dynamics.coverage import approximated, not_simulated, side_sites
 
 with contextlib.redirect_stdout(standard_io.StringIO()):
     from mujoco import mjx
@@ -45,6 +46,11 @@ def _put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model
     ours = _put(model, device)
     fields = {field.name: getattr(ours, field.name) for field in mjx.Model.fields()}
     more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}
+    wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    within = np.zeros(model.nwrap, bool)
+    for side in side_sites(model):
+        within[side.wrap] = side.most < side.radius
+    fields["_impl"] = ours._impl.replace(is_wrap_inside=within[wraps])
     said = {"not_simulated": tuple(not_simulated(model)), "approximated": tuple(approximated(model))}
     return Model(**fields, **jax.device_put(more, device), **said)
 

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Float
 
@@ -102,7 +103,8 @@ def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, 
     # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
     # At rest the acceleration itself is rounding, and no step is small beside it.
-    weight = 1.0 / jnp.diagonal(problem.inertia)
+    own = np.arange(len(qacc))
+    weight = 1.0 / problem.inertia[own, own]
     small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, qacc) ** 2
     full = small | (slopes[-1] <= -ACCEPTED * before)
     return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
