@@ -109,8 +109,9 @@ def test_contacts_are_those_of_c_or_it_is_said(pair: tuple[str, str]) -> None:
     model = model_of(*(GEOMS[kind] for kind in pair))
     said = approximated(model)
     if said and pair != ("plane", "cylinder"):
-        assert said == [f"geom 'a' and geom 'b' are {pair[0]} and {pair[1]}: their contacts are MJX's, and may be "
-                        "others than MuJoCo C's."]  # fmt: skip
+        assert re.fullmatch(
+            rf"geom 'a' and geom 'b' are {pair[0]} and {pair[1]}: their contacts are MJX's, .*", said[0]
+        )
         return
     poses = poses_of(model)
     places, turns = np.transpose(
