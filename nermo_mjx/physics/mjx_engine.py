@@ -157,7 +157,7 @@ class MjxEngine:
         """One step of physics in one world."""
         with warnings.catch_warnings():
             # Of side sites, while this is traced: `load_robot` says for which robot they matter.
-            warnings.filterwarnings("ignore", "a tendon has a side site")
+            warnings.filterwarnings("ignore", "tendon .* has a side site")
             return differentiable.step(model, data)
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
