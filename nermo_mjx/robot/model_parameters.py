@@ -1,9 +1,10 @@
 """Parameters of the robot's body that a sweep may vary within one batch: servos, contact, springs, masses, lengths.
 
 Defaults are those of the published robot. The thesis is silent on contact, servo gain and damping, and the damping of
-knees, ankles and spine: the contact is that of the author's model, the others were identified from the published
-straight-line speeds (`nermo-mjx identify`; docs/experiments.md), together with an ensemble of other bodies that match
-these speeds as closely (`identified`). `physics.variation` writes them into model fields.
+knees, ankles and spine: contact and damping of joints are those of the author's model, servo gain and damping were
+identified once from the published straight-line speeds, which hardly depend on them (docs/published_set_up.md). An
+ensemble of other bodies matches these speeds as closely (`identified`). `physics.variation` writes them into model
+fields.
 """
 
 from __future__ import annotations
@@ -113,12 +114,12 @@ class Stiffness:
 
 @parameter_tree
 class Damping:
-    """Viscous damping of the joints."""
+    """Viscous damping of the joints: that of the author's model."""
 
     hip: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="hip and shoulder joints")
-    knee: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
-    ankle: Any = quantity(0.02531, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
-    spine: Any = quantity(0.09242, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
+    knee: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="knee joints")
+    ankle: Any = quantity(0.005, unit="N m s/rad", low=0.0, high=1.0, doc="ankle joints")
+    spine: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="spine joints")
     pulley: Any = quantity(0.01, unit="N m s/rad", low=0.0, high=1.0, doc="pulleys of knees and spine, neck, head")
 
 
