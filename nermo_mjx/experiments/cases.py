@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.control.loading import controller_digest, load_controller
-from nermo_mjx.control.parameters import AS_BUILT, PROFILES, body_values, published_values
+from nermo_mjx.control.parameters import AS_BUILT, body_values, published_values
 from nermo_mjx.control.protocol import ActsUpon
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
@@ -19,6 +19,9 @@ from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator
 from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
 
+#: The profiles that are compared, in the order of their columns, and those of the simulation, shown side by side.
+PROFILES: Final = ("exact", "as_published", "as_built")
+SIMULATED: Final = PROFILES[:2]
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.
 AMPLITUDE: Final = 0.4
 FREQUENCIES: Final = (0.5, 0.67, 0.8)

@@ -20,9 +20,9 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments.cases import (
     BODY,
+    PROFILES,
     QUICK_REPEATS,
     REPEATS,
     Outcome,

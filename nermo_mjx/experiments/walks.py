@@ -14,7 +14,6 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.parameters import SIMULATED
 from nermo_mjx.control.path import Course, course_through
 from nermo_mjx.experiments import cycle, theory
 from nermo_mjx.experiments.cases import (
@@ -22,6 +21,7 @@ from nermo_mjx.experiments.cases import (
     BODY,
     FREQUENCIES,
     LABELS,
+    SIMULATED,
     Case,
     Column,
     Label,
