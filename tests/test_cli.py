@@ -380,7 +380,7 @@ def test_sweep_json_and_directory(tmp_path: Path) -> None:
 def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Fake]:
     """Experiments that simulate and draw nothing."""
     from nermo_mjx.experiments import plots
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS
+    from nermo_mjx.experiments.run import EXPERIMENTS
 
     made = {name: Fake(name) for name in choices.EXPERIMENTS}
     for name, fake in made.items():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from nermo_mjx.experiments import stands
-from nermo_mjx.experiments.cases import Settings
-from nermo_mjx.experiments.lines import compare
+from nermo_mjx.experiments.cases import Settings, texts
+from nermo_mjx.experiments.published import compare
 from nermo_mjx.robot import ParameterError
 
 
@@ -16,7 +16,7 @@ def outcome():
 
 def test_a_row_a_profile_and_the_same_in_both(outcome):
     assert outcome.columns["profile"].tolist() == ["exact", "as_published", "as_built"]
-    for name in stands.BODY_ABOUT:
+    for name in texts("columns")["body"]:
         assert outcome.columns[name][0] == outcome.columns[name][1], name
     assert set(outcome.columns) <= set(outcome.about)
 

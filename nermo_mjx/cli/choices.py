@@ -27,7 +27,7 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.control.stepping import FREE
     from nermo_mjx.control.trajectory import FORMS
     from nermo_mjx.experiments import cases
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS
+    from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
     from nermo_mjx.robot import GAITS

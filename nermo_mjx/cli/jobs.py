@@ -881,8 +881,8 @@ def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS as CATALOGUE
     from nermo_mjx.experiments.report import HEADINGS, cells
+    from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
     content = result.report
     for each in result.results:
