@@ -113,12 +113,6 @@ class Outcome:
         return dataclasses.replace(self, columns=columns, recordings={})
 
 
-def joined(parts: Sequence[Outcome]) -> Outcome:
-    """Outcomes of one experiment with the same columns, concatenated."""
-    columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
-    return dataclasses.replace(parts[0], columns=columns)
-
-
 @dataclasses.dataclass(frozen=True)
 class ReplacementPolicy:
     """A policy in place of the published controller, upon which it acts; the cases set that one's parameters.

@@ -104,15 +104,6 @@ _INSIDE: Final = 20_000
 
 
 @dataclasses.dataclass(frozen=True)
-class Sweep:
-    """One sweep: how many points it proposed, the level its centres lay within, and the share within the tolerance."""
-
-    proposed: int
-    level: float
-    acceptance: float
-
-
-@dataclasses.dataclass(frozen=True)
 class Sample:
     """Points within the tolerance.
 
@@ -120,7 +111,8 @@ class Sample:
         points: in the cube, (m, d).
         costs: their objective, (m,).
         weights: of a uniform distribution over the region, (m,); their sum is 1.
-        sweeps: the Sobol sample, and the sweeps after it.
+        sweeps: of the Sobol sample, and the sweeps after it: number of `candidates`, the `level` within which its
+            centres lay, and `acceptance`, the share within the tolerance.
         share: estimated share of the cube within the tolerance, a few per cent too low if it is small.
         effective: effective sample size (Kish).
     """
@@ -128,20 +120,27 @@ class Sample:
     points: np.ndarray
     costs: np.ndarray
     weights: np.ndarray
-    sweeps: tuple[Sweep, ...]
+    sweeps: list[dict[str, float]]
     share: float
     effective: float
 
 
 class _Mixture:
-    """Normal distributions with a common covariance around centres (k, d), with shares (k,), truncated to the unit
-    cube."""
+    """Normal distributions about weighted centres (k, d), with a common covariance and the bandwidth of a density
+    estimate (Silverman), truncated to the unit cube."""
 
     def __init__(
-        self, centres: np.ndarray, shares: np.ndarray, covariance: np.ndarray, random: np.random.Generator
+        self, centres: np.ndarray, weights: np.ndarray, seeds: np.ndarray | None, random: np.random.Generator
     ) -> None:
-        self.centres, self.shares = centres, shares
-        self.root = np.linalg.cholesky(covariance)
+        self.centres, self.shares, d = centres, weights / weights.sum(), centres.shape[1]
+        away = centres - self.shares @ centres
+        covariance = (away.T * self.shares) @ away + 1e-4 * np.eye(d)
+        width = (4 / ((d + 2) * _effective(weights))) ** (2 / (d + 4))
+        if seeds is not None and len(seeds):
+            self.centres = np.vstack([centres, seeds])
+            seeded = np.full(len(seeds), _SEEDED / len(seeds))
+            self.shares = np.concatenate([(1 - _SEEDED) * self.shares, seeded])
+        self.root = np.linalg.cholesky(width * covariance)
         self.inside = float(np.mean(_in_cube(self._unbounded(_INSIDE, random))))
 
     def draw(self, n: int, random: np.random.Generator) -> np.ndarray:
@@ -190,32 +189,27 @@ def sample(
     random = np.random.default_rng((seed, dimension, size))
     points = qmc.Sobol(dimension, rng=random).random_base2(max(size - 1, 1).bit_length())[:size]
     fewest = min(max(dimension + 2, int(_CENTRES * size)), size)
-    costs, mixtures, made = evaluate(points), list[_Mixture](), [Sweep(size, np.inf, 0.0)]
+    costs, mixtures, levels = evaluate(points), list[_Mixture](), [np.inf]
     while True:
         # The prior's density, 1, over the mean proposal density; sweeps are of equal size.
         proposals = [np.ones(len(points)), *(mixture.density(points) for mixture in mixtures)]
         weights = len(proposals) / functools.reduce(np.add, proposals)
         within = costs <= tolerance
-        if len(made) > sweeps or _effective(weights[within]) >= size:
+        if len(levels) > sweeps or _effective(weights[within]) >= size:
             break
         level = max(tolerance, float(np.sort(costs)[fewest - 1]))
         near = costs <= level
-        mixtures.append(_mixture(points[near], weights[near], seeds if len(made) == 1 else None, random))
+        mixtures.append(_Mixture(points[near], weights[near], seeds if len(levels) == 1 else None, random))
         proposed = mixtures[-1].draw(size, random)
         points, costs = np.vstack([points, proposed]), np.concatenate([costs, evaluate(proposed)])
-        made.append(Sweep(size, level, 0.0))
-    shares = [float(np.mean(within[i * size : (i + 1) * size])) for i in range(len(made))]
+        levels.append(level)
+    rounds = [
+        {"candidates": size, "level": level, "acceptance": float(np.mean(within[i * size : (i + 1) * size]))}
+        for i, level in enumerate(levels)
+    ]
     taken = weights[within]
-    return Sample(
-        points=points[within],
-        costs=costs[within],
-        weights=taken / (taken.sum() or 1.0),
-        sweeps=tuple(
-            dataclasses.replace(each, acceptance=each_share) for each, each_share in zip(made, shares, strict=True)
-        ),
-        share=float(np.sum(taken) / len(points)),
-        effective=_effective(taken),
-    )
+    share, total = float(np.sum(taken) / len(points)), taken.sum() or 1.0
+    return Sample(points[within], costs[within], taken / total, rounds, share, _effective(taken))
 
 
 def thin(sample: Sample, n: int, seed: int) -> Sample:
@@ -241,20 +235,6 @@ def thin(sample: Sample, n: int, seed: int) -> Sample:
     return dataclasses.replace(sample, points=sample.points[kept], costs=sample.costs[kept], weights=weights)
 
 
-def _mixture(
-    centres: np.ndarray, weights: np.ndarray, seeds: np.ndarray | None, random: np.random.Generator
-) -> _Mixture:
-    """Normal distributions about weighted centres, with the bandwidth of a density estimate (Silverman)."""
-    shares, d = weights / weights.sum(), centres.shape[1]
-    away = centres - shares @ centres
-    covariance = (away.T * shares) @ away + 1e-4 * np.eye(d)
-    width = (4 / ((d + 2) * _effective(weights))) ** (2 / (d + 4))
-    if seeds is not None and len(seeds):
-        centres = np.vstack([centres, seeds])
-        shares = np.concatenate([(1 - _SEEDED) * shares, np.full(len(seeds), _SEEDED / len(seeds))])
-    return _Mixture(centres, shares, width * covariance, random)
-
-
 def _effective(weights: np.ndarray) -> float:
     return float(weights.sum() ** 2 / np.sum(weights**2)) if len(weights) else 0.0
 
@@ -276,60 +256,16 @@ class Bodies:
 
     Attributes:
         values: model parameter -> (n,).
-        objective: (n,).
-        weights: (n,); their sum is 1.
+        objective, weights: (n,); the sum of the weights is 1.
         tolerance: of the objective.
-        sweeps: of the sampler that found them.
-        found: distinct bodies within the tolerance, from which these were selected.
-        effective: effective sample size of those found.
-        share: estimated share of the prior within the tolerance.
+        found: the sample from which these were selected.
     """
 
     values: dict[str, np.ndarray]
     objective: np.ndarray
     weights: np.ndarray
     tolerance: float
-    sweeps: tuple[Sweep, ...]
-    found: int
-    effective: float
-    share: float
-
-
-def find_bodies(
-    evaluate: Callable[[np.ndarray], np.ndarray],
-    best: Mapping[str, float],
-    objective: float,
-    near: np.ndarray,
-    *,
-    defaults: Mapping[str, float],
-    bodies: int,
-    sweeps: int,
-    tolerance: float,
-    seed: int,
-    space: Mapping[str, Free] = ALL,
-) -> Bodies:
-    """Sample the bodies within the tolerance.
-
-    Args:
-        evaluate: objective of points (n, d) of the space.
-        best: result of the search, at the default frictions, and its objective; becomes the first body.
-        near: the search's points within the tolerance, (k, d of the search); the first sweep also starts around them.
-        defaults: of all parameters.
-        bodies: requested number; sweeps: maximum number.
-    """
-    seeds = np.hstack([near, np.tile(point_of(defaults, UNCERTAIN), (len(near), 1))])
-    found = sample(evaluate, len(space), tolerance=tolerance, size=bodies, sweeps=sweeps, seed=seed, seeds=seeds)
-    first = objective <= tolerance
-    kept = thin(found, bodies - first, seed)
-    drawn = parameters_of(kept.points, space)
-    values = {name: drawn[name] for name in names(space)}
-    costs, weights = kept.costs, kept.weights
-    if first:
-        values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
-        costs = np.append(objective, costs)
-        # The default body has the average weight of the others.
-        weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
-    return Bodies(values, costs, weights, tolerance, found.sweeps, len(found.points), found.effective, found.share)
+    found: Sample
 
 
 # --- an ensemble in identification.json, in ensemble.csv, and as a section to read
@@ -343,21 +279,18 @@ def ensemble_content(bodies: Bodies, space: Mapping[str, Free] = ALL) -> dict[st
     """An ensemble for identification.json; parameters that share a value are represented by the first."""
     size = len(bodies.objective)
     shown = {free.names[0]: bodies.values[free.names[0]] for free in space.values()}
-    names = {
-        free.names[0]: {"low": free.low, "high": free.high, "why": free.why, "names": list(free.names)}
-        for free in space.values()
-    }
     content: dict[str, Any] = {
         "size": size,
         "tolerance": bodies.tolerance,
-        "found": bodies.found,
-        "effective_size": bodies.effective,
-        "share_of_prior": bodies.share,
-        "sweeps": [
-            {"candidates": each.proposed, "level": each.level, "acceptance": each.acceptance} for each in bodies.sweeps
-        ],
+        "found": len(bodies.found.points),
+        "effective_size": bodies.found.effective,
+        "share_of_prior": bodies.found.share,
+        "sweeps": bodies.found.sweeps,
         "better_than_default": int(np.sum(bodies.objective < bodies.objective[0])) if size else 0,
-        "parameters": names,
+        "parameters": {
+            free.names[0]: {"low": free.low, "high": free.high, "why": free.why, "names": list(free.names)}
+            for free in space.values()
+        },
     }
     if size:
         for name, column in shown.items():

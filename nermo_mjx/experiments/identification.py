@@ -24,21 +24,8 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values
+from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
-from nermo_mjx.experiments.ensemble import (
-    FREE_IN,
-    TOLERANCE,
-    UNCERTAIN,
-    Bodies,
-    Free,
-    csv_text,
-    ensemble_content,
-    ensemble_figure,
-    ensemble_section,
-    find_bodies,
-    parameters_of,
-    point_of,
-)
 from nermo_mjx.experiments.report import number, published_text
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures, write_figures
@@ -157,6 +144,9 @@ class CandidateFile:
         about: settings of the search and the robot, which determine the candidates.
         code: short name of the code that adds candidates, see `nermo_mjx.runs.code`.
 
+    Attributes:
+        known: points (n, d) as bytes -> speed, and whether the walk was completed, (n, cases) each.
+
     Raises:
         ParameterError: the file belongs to another search.
         DirectoryError: it cannot be written.
@@ -165,7 +155,7 @@ class CandidateFile:
 
     def __init__(self, path: Path, about: dict[str, object], code: str) -> None:
         self.path, self.code = path, code
-        self._known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self.known: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
         first, rows = (found := _rows_of(path))[:1], found[1:]
         if not first:
             self._append(about)
@@ -174,11 +164,7 @@ class CandidateFile:
         for row in rows:
             if {"points", "speed", "walked"} <= set(row):
                 walks = np.array(row["speed"], float), np.array(row["walked"], bool)
-                self._known[np.array(row["points"], float).tobytes()] = walks
-
-    def recall(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Speed and whether the walk was completed, (n, cases) each, of known points (n, d); else None."""
-        return self._known.get(np.ascontiguousarray(points, float).tobytes())
+                self.known[np.array(row["points"], float).tobytes()] = walks
 
     def keep(self, points: np.ndarray, speed: np.ndarray, walked: np.ndarray) -> None:
         """Remember the speeds of points."""
@@ -202,6 +188,7 @@ def _rows_of(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
+@dataclasses.dataclass
 class Candidates:
     """Evaluates points of a space, and records all of them and the best.
 
@@ -214,22 +201,18 @@ class Candidates:
         report: called after each batch.
     """
 
-    def __init__(
-        self,
-        workers: Workers,
-        cases: Mapping[str, np.ndarray],
-        space: Mapping[str, Free],
-        batch: int,
-        memory: CandidateFile | None,
-        report: Callable[[], None],
-    ) -> None:
-        self.workers, self.cases, self.space, self.batch = workers, cases, space, batch
-        self.memory, self.report = memory, report
-        self.points: list[np.ndarray] = []
-        self.costs: list[float] = []
-        self.best, self.best_point = math.inf, np.full(len(space), 0.5)
-        self.first_figures: dict[str, float] = {}
-        self.best_figures: dict[str, float] = {}
+    workers: Workers
+    cases: Mapping[str, np.ndarray]
+    space: Mapping[str, ensemble.Free]
+    batch: int
+    memory: CandidateFile | None
+    report: Callable[[], None]
+    points: list[np.ndarray] = dataclasses.field(default_factory=list)
+    costs: list[float] = dataclasses.field(default_factory=list)
+    best: float = math.inf
+    best_point: Any = None
+    first_figures: dict[str, float] = dataclasses.field(default_factory=dict)
+    best_figures: dict[str, float] = dataclasses.field(default_factory=dict)
 
     def evaluate(self, points: np.ndarray) -> np.ndarray:
         """Objective of points (n, d) of the unit cube, (n,); in batches of as equal a size as possible.
@@ -264,15 +247,15 @@ class Candidates:
         batches = [np.resize(block, (self.batch, len(self.space))) for block in blocks]
         found = {}
         for k, points in enumerate(batches):
-            if self.memory is not None and (known := self.memory.recall(points)) is not None:
-                found[k] = known
+            if self.memory is not None and points.tobytes() in self.memory.known:
+                found[k] = self.memory.known[points.tobytes()]
                 self.report()
 
         def tasks() -> Iterator[tuple[int, dict[str, np.ndarray]]]:
             for k, points in enumerate(batches):
                 if k not in found:
                     values = {name: np.tile(column, len(points)) for name, column in self.cases.items()}
-                    own = parameters_of(points, self.space)
+                    own = ensemble.parameters_of(points, self.space)
                     yield k, values | {name: np.repeat(column, len(CASES)) for name, column in own.items()}
 
         try:
@@ -308,7 +291,7 @@ class Identified:
     figures: dict[str, tuple[float, float]]
     start_figures: dict[str, tuple[float, float]]
     costs: tuple[float, ...]
-    bodies: Bodies | None = None
+    bodies: ensemble.Bodies | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -333,12 +316,12 @@ class Search:
     population: int = 12
     bodies: int = 256
     sweeps: int = 5
-    tolerance: float = TOLERANCE
+    tolerance: float = ensemble.TOLERANCE
     seed: int = 0
     profile: str = "exact"
 
     def __post_init__(self) -> None:
-        choice("profile", self.profile, FREE_IN)
+        choice("profile", self.profile, ensemble.FREE_IN)
         least = {"samples": 1, "generations": 1, "population": 4, "sweeps": 1, "bodies": 8 if self.bodies else 0}
         for name, lowest in least.items():
             if getattr(self, name) < lowest:
@@ -366,7 +349,7 @@ def identify(
     Raises:
         WorkersLost: no worker is left.
     """
-    population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, FREE_IN[wanted.profile]
+    population, bodies, seed, free = wanted.population, wanted.bodies, wanted.seed, ensemble.FREE_IN[wanted.profile]
     workers, defaults = workers or LocalWorkers(), WALKS.defaults() | body_values(wanted.profile)
     workers.begin(Walking(resolve_engine(engine)))
     cases = worlds(CASES, defaults, Settings((wanted.profile,), repeats=1, seed=seed)).values
@@ -381,27 +364,36 @@ def identify(
 
     search = Candidates(workers, cases, free, population, memory, report)
     design = qmc.Sobol(len(free), rng=seed).random_base2((wanted.samples - 1).bit_length())[: wanted.samples]
-    search.evaluate(np.vstack([point_of(STARTS[wanted.profile], free), design]))
+    search.evaluate(np.vstack([ensemble.point_of(STARTS[wanted.profile], free), design]))
     evolution = strategy(search.best_point, 0.15, population, np.random.default_rng(seed + 1), bounds=[0.0, 1.0])
     for _ in range(wanted.generations):
         points = np.array(evolution.ask())
         evolution.tell(list(points), search.evaluate(points).tolist())
-    best = {name: float(value) for name, value in parameters_of(search.best_point, free).items()}
-    ensemble = None
+    best = {name: float(value) for name, value in ensemble.parameters_of(search.best_point, free).items()}
+    several = None
     if bodies:
-        wide = Candidates(workers, cases, free | UNCERTAIN, population, memory, report)
-        ensemble = find_bodies(
+        wide = Candidates(workers, cases, free | ensemble.UNCERTAIN, population, memory, report)
+        # The first sweep also starts around the search's points within the tolerance, at the default frictions.
+        near, tolerance, space = search.near(wanted.tolerance), wanted.tolerance, free | ensemble.UNCERTAIN
+        friction = np.tile(ensemble.point_of(defaults, ensemble.UNCERTAIN), (len(near), 1))
+        found = ensemble.sample(
             wide.evaluate,
-            best,
-            search.best,
-            search.near(wanted.tolerance),
-            defaults=defaults,
-            bodies=bodies,
+            len(space),
+            tolerance=tolerance,
+            size=bodies,
             sweeps=wanted.sweeps,
-            tolerance=wanted.tolerance,
             seed=seed,
-            space=free | UNCERTAIN,
+            seeds=np.hstack([near, friction]),
         )
+        first = search.best <= tolerance
+        kept = ensemble.thin(found, bodies - first, seed)
+        drawn, costs, weights = ensemble.parameters_of(kept.points, space), kept.costs, kept.weights
+        values = {name: drawn[name] for name in ensemble.names(space)}
+        if first:  # the best one is the first, with the average weight of the others
+            values = {name: np.append(best.get(name, defaults[name]), column) for name, column in values.items()}
+            costs = np.append(search.best, costs)
+            weights = np.append(1.0, weights * len(weights)) / (1 + len(weights))
+        several = ensemble.Bodies(values, costs, weights, tolerance, found)
     if progress:
         progress(1.0)
 
@@ -409,7 +401,7 @@ def identify(
         return {name: (value, float(TARGETS[name].residual(np.asarray(value)))) for name, value in found.items()}
 
     end, start = with_residuals(search.best_figures), with_residuals(search.first_figures)
-    return Identified(best, search.best, search.costs[0], end, start, tuple(search.costs), ensemble)
+    return Identified(best, search.best, search.costs[0], end, start, tuple(search.costs), several)
 
 
 # --- a directory
@@ -497,7 +489,7 @@ def _publish(written: Written, content: dict[str, Any], notify: Callable[[str], 
     """Create the rest of the directory from its result, which has `plots` when everything exists."""
     folder = written.held.out
     if content["ensemble"] and content["ensemble"]["size"]:
-        written.write(folder / "ensemble.csv", csv_text(content).encode())
+        written.write(folder / "ensemble.csv", ensemble.csv_text(content).encode())
     plots = write_figures(figures_of(content), folder / "plots", written.write)
     content = content | {"plots": [written.name(path) for path in plots]}
     written.write(folder / "identification.md", _page(content).encode())
@@ -517,7 +509,7 @@ def _content(found: Identified, profile: str) -> dict[str, Any]:
         targets[name] = {"published": target.low if target.low == target.high else ends, "tolerance": target.tolerance}
         targets[name] |= {"value": value, "residual": residual, "start": start, "start_residual": start_residual}
     free = {}
-    for name, about in FREE_IN[profile].items():
+    for name, about in ensemble.FREE_IN[profile].items():
         value = found.parameters[about.names[0]]
         place = math.log(value / about.low) / math.log(about.high / about.low)
         free[name] = {
@@ -540,7 +532,9 @@ def _content(found: Identified, profile: str) -> dict[str, Any]:
         "free": free,
         "candidates": len(found.costs),
         "costs": list(found.costs),
-        "ensemble": None if found.bodies is None else ensemble_content(found.bodies, FREE_IN[profile] | UNCERTAIN),
+        "ensemble": None
+        if found.bodies is None
+        else ensemble.ensemble_content(found.bodies, ensemble.FREE_IN[profile] | ensemble.UNCERTAIN),
     }
 
 
@@ -575,7 +569,7 @@ def _page(content: Mapping[str, Any]) -> str:
         **content,
         target_table=targets,
         parameter_table=table([name for name, _ in PARAMETER_HEADINGS], parameter_rows(content), "lrrll"),
-        ensemble_section=ensemble_section(content),
+        ensemble_section=ensemble.ensemble_section(content),
         pictures="".join(f"![{Path(p).stem}]({p})\n\n" for p in content["plots"] if p.endswith(".png")),
         code_names=", ".join(content["codes"]),
         version_names=listed(content["versions"]),
@@ -607,8 +601,8 @@ def figures_of(content: Mapping[str, Any]) -> Iterator[tuple[str, Figure]]:
     """The figures of identification.json's content."""
     yield "identification-search", _search(content)
     yield "identification-residuals", _residuals(content)
-    if (ensemble := content.get("ensemble")) and ensemble["size"]:
-        yield "identification-ensemble", ensemble_figure(ensemble)
+    if (several := content.get("ensemble")) and several["size"]:
+        yield "identification-ensemble", ensemble.ensemble_figure(several)
 
 
 def drawn(out: Path) -> Figures:

@@ -26,22 +26,10 @@ from nermo_mjx.experiments import stands, walks
 from nermo_mjx.experiments.cases import PROFILES, SIMULATED, Outcome, clock
 from nermo_mjx.experiments.published import AGREES, Line
 from nermo_mjx.kinematics.body import attitude
+from nermo_mjx.plotting import style
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.shown import shown as in_shown_unit
-from nermo_mjx.plotting.style import (
-    BEST,
-    FOOT,
-    GRID,
-    INK,
-    LINE,
-    MISSING,
-    MUTED,
-    OKABE_ITO,
-    SERIES,
-    SHADE,
-    horizontal_grid,
-    light,
-)
+from nermo_mjx.plotting.style import BEST, FOOT, GRID, INK, LINE, MISSING, MUTED, OKABE_ITO, SERIES, SHADE
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, load_robot
 from nermo_mjx.robot.parameters import ROUTINGS
@@ -100,7 +88,7 @@ def profiles(outcome: Outcome) -> list[str]:
 
 def tone(colour: str, profile: str) -> str:
     """The colour in a profile."""
-    return light(colour) if profile == "exact" else colour
+    return style.light(colour) if profile == "exact" else colour
 
 
 def plain(name: str) -> str:
@@ -146,18 +134,12 @@ def published_entry() -> Line2D:
 
 def shade_phases(ax: Axes, phases: Mapping[str, Sequence[float]], *, named: bool = True) -> None:
     """Phases on alternating grey backgrounds, each with its name above the axes."""
-    above: dict[str, Any] = {
-        "transform": ax.get_xaxis_transform(),
-        "ha": "center",
-        "va": "bottom",
-        "fontsize": 7.5,
-        "color": MUTED,
-    }
+    above: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED}
     for i, (name, (begin, end)) in enumerate(phases.items()):
         if i % 2 == 0:
             ax.axvspan(begin, end, color=SHADE, lw=0, zorder=-5)
         if named:
-            ax.text((begin + end) / 2, 1.01, name, **above)
+            ax.text((begin + end) / 2, 1.01, name, transform=ax.get_xaxis_transform(), **above)
     ends = [time for phase in phases.values() for time in phase]
     ax.set_xlim(min(ends), max(ends))
 
@@ -272,7 +254,7 @@ class Panel:
         ax.tick_params(axis="x", length=0)
         ax.set_xlim(-0.55, len(self.groups) - 0.45)
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        style.horizontal_grid(ax)
         return everything
 
 
@@ -505,7 +487,7 @@ def _speed_over_stride(outcome: Outcome, reported: Mapping[Any, float]) -> Figur
         mark_published(ax, 1.0, value)
     ax.set(xlabel="normalised stride [1]", ylabel=axis_label(outcome, "speed", "speed"))
     ax.margins(y=0.07)
-    horizontal_grid(ax)
+    style.horizontal_grid(ax)
     handles = [*spine_strokes(marker="o", ms=5), *profile_swatches(names), stroke("theory, no slip", INK, ls=":")]
     handles += [published_entry()] if marks else []
     note = "published with spine: by its ratio to the speed without; a cross at the foot: a repeat without result; "
@@ -534,7 +516,7 @@ def _orientation(outcome: Outcome, lines: Lines) -> Figure | None:
     for ax, name in zip(page.axes[:, 0], ANGLES, strict=True):
         ax.set(ylabel=f"{name} [deg]", xlim=(0, 2), xticks=np.arange(0, 2.1, 0.5))
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        style.horizontal_grid(ax)
         ax.axvline(1, color=MISSING, lw=0.8, zorder=0)
     page.axes[-1, 0].set_xlabel("gait cycles [1]")
     return page.finish(handles, f"{plain(labels['profile'])}; positive: leaning left, nose down, turned left")
@@ -777,7 +759,7 @@ def _over_time(outcome: Outcome, sensor: str, title: str, label: str, factor: fl
                 shade_phases(ax, run.metadata["phases"], named=not sbc or (limb, False) not in runs)
         ax.set_title(f"{plain(limb)} leg", pad=16)
         ax.margins(y=0.08)
-        horizontal_grid(ax)
+        style.horizontal_grid(ax)
         if sensor == "com_margin":
             low = min(ax.get_ylim()[0], -2.0)
             ax.axhspan(low, 0, color=FAIL, alpha=0.45, lw=0, zorder=-4)
@@ -906,7 +888,7 @@ def _sway(outcome: Outcome, runs: Mapping[str, Mapping[bool, Recording]]) -> Fig
         for ax, name in zip(pair, ("roll", "pitch"), strict=True):
             ax.set_ylabel(f"{name} [deg]")
             ax.margins(x=0, y=0.08)
-            horizontal_grid(ax)
+            style.horizontal_grid(ax)
         pair[0].set_title(plain(profile))
     page.axes[-1, 0].set_xlabel("time [s]")
     begins = f"each run from {_FROM:.0%} of its time on".replace("%", " %")

@@ -319,8 +319,8 @@ class Words:
         self._missing |= not math.isfinite(value)
         return np.float64(value)
 
-    def _worlds(self, column: str, **case: Any) -> np.ndarray:
-        """A column of all worlds of the profile that match."""
+    def worlds(self, column: str, **case: Any) -> np.ndarray:
+        """A column of all worlds of the profile that match, (n,), in SI units and simulated time."""
         return np.asarray(self._outcome.columns[column], float)[self._outcome.where(profile=self._profile, **case)]
 
     def simulation(self) -> Words:
@@ -345,10 +345,6 @@ class Words:
         """The same without slip."""
         return 1e3 * self._clock * self.walk("theory_speed", *case)
 
-    def over_theory(self, gait: str) -> Number:
-        """Speed over its theory, mean of the frequencies."""
-        return np.mean([self.speed(gait, f) / self.theory_speed(gait, f) for f in FREQUENCIES])
-
     def gain(self, gait: str, frequency: float) -> Number:
         """Speed with the spine over that without."""
         return self.speed(gait, frequency, True) / self.speed(gait, frequency)
@@ -367,23 +363,10 @@ class Words:
         low, high = (self.walk(end, gait, frequency, spine, compensated=compensated) for end in ends)
         return 0.5 * (high - low)
 
-    def largest_roll(self, spine: bool) -> Number:
-        """Largest roll to either side, trot at 0.8 Hz [deg]."""
-        return max(abs(self.walk(f"roll_{end}", "trt", 0.8, spine)) for end in ("min", "max"))
-
-    def noisier(self, angle: str) -> bool:
-        """Whether the spine makes an angle noisier, in each gait that has it and at each frequency."""
-        return bool(np.all([self.ratio(f"{angle}_std", g, f) > 1.0 for g in SPINE_GAITS for f in FREQUENCIES]))
-
-    def largest_pitch_std(self) -> float:
-        """Largest of all cases of the experiment [deg]."""
-        stds = np.degrees(self._worlds("pitch_std"))
-        return float(np.nanmax(stds)) if np.isfinite(stds).any() else math.nan
-
     def stride_line(self, spine: bool) -> float:
         """R^2 of the line through speed over stride, trot at 0.8 Hz; NaN with fewer than three strides."""
         case = {"gait": "trt", "frequency": 0.8, "spine": spine, "compensated": False}
-        stride, speed = (self._worlds(name, **case) for name in ("stride", "speed"))
+        stride, speed = (self.worlds(name, **case) for name in ("stride", "speed"))
         return float(np.corrcoef(stride, speed)[0, 1] ** 2) if len(np.unique(stride)) >= 3 else math.nan
 
     def stride_gain(self) -> float:
@@ -404,10 +387,6 @@ class Words:
     def lock(self, gait: str, strategy: str, frequency: float = 0.67) -> Number:
         """Smallest radius: that of the path at full lock [m]."""
         return self.turn("turning_radius", gait, frequency, FULL_LOCK, strategy)
-
-    def theory_lock(self, strategy: str, column: str = "theory_radius") -> Number:
-        """The same without slip [m]."""
-        return self.turn(column, "trt", 0.67, FULL_LOCK, strategy)
 
     def followed(self, strategy: str, gait: str = "trt", frequency: float = 0.67, radius: float = 0.5) -> bool:
         """Whether all repeats followed a quarter circle."""
@@ -435,16 +414,6 @@ class Words:
         self._missing |= not found
         return found
 
-    def smallest_lock(self, strategy: str) -> float:
-        """Smallest radius over all gaits and frequencies [m]."""
-        radii = self._worlds("turning_radius", strategy=strategy, radius=FULL_LOCK)
-        return float(np.nanmin(radii)) if np.isfinite(radii).any() else math.nan
-
-    def off_theory(self) -> float:
-        """Mean relative deviation of the smallest radii from theory, over all gaits, frequencies and strategies."""
-        radius, plan = (self._worlds(n, radius=FULL_LOCK, side="left") for n in ("turning_radius", "theory_radius"))
-        return float(np.mean(np.abs(radius / plan - 1.0))) if len(radius) else math.nan
-
     def mirrored(self) -> bool:
         """Whether right equals left within the spread of the repeats, in speed and in the radius at full lock.
 
@@ -456,7 +425,7 @@ class Words:
             names = ("gait", "frequency", "radius", "strategy", "stride")
             labels = {name: self._outcome.columns[name][row] for name in names}
             for name in ("speed",) if labels["radius"] > 0 else ("speed", "turning_radius"):
-                left, right = (self._worlds(name, side=side, **labels) for side in ("left", "right"))
+                left, right = (self.worlds(name, side=side, **labels) for side in ("left", "right"))
                 spread = max(np.ptp(left), np.ptp(right))
                 if not abs(left.mean() - right.mean()) <= (spread if len(left) > 1 else 2e-3 * left.mean()):
                     return False
@@ -514,9 +483,16 @@ def saturates(x: Sequence[float], y: Sequence[float]) -> bool:
     return falls(np.diff(y) / np.diff(x))
 
 
+def _extreme(end: Any, values: np.ndarray) -> float:
+    """Of the values that are numbers; NaN without any."""
+    finite = values[~np.isnan(values)]
+    return float(end(finite)) if len(finite) else math.nan
+
+
 _CONSTANTS: Final[dict[str, Any]] = {
     **{"F": FREQUENCIES, "GAITS": GAITS, "SPINE_GAITS": SPINE_GAITS, "LIMBS": LIMBS, "LINEAR": LINEAR},
     **{"farthest": farthest, "falls": falls, "saturates": saturates, "average": np.mean, "abs": abs},
+    **{"degrees": np.degrees, "largest": lambda x: _extreme(np.max, x), "smallest": lambda x: _extreme(np.min, x)},
     "on_a_line": lambda x, y: bool(np.corrcoef(x, y)[0, 1] ** 2 >= LINEAR),
     "all": lambda values: builtins.all(list(values)),
     "max": lambda values: builtins.max(values, default=math.nan),

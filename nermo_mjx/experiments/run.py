@@ -26,24 +26,12 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.experiments import balance, stands, walks
-from nermo_mjx.experiments.cases import (
-    BODY,
-    PROFILES,
-    QUICK_REPEATS,
-    REPEATS,
-    Outcome,
-    ReplacementPolicy,
-    Settings,
-    check_whole,
-    joined,
-    settable,
-    texts,
-)
+from nermo_mjx.experiments import balance, cases, stands, walks
+from nermo_mjx.experiments.cases import BODY, PROFILES, Outcome, ReplacementPolicy, Settings
 from nermo_mjx.experiments.published import Figure, Line, compare, figures
 from nermo_mjx.experiments.report import collect, differences, entry_of, outcome_of, page, table_of
 from nermo_mjx.physics.making import resolve_engine
@@ -86,7 +74,7 @@ class Shot:
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """A published experiment; its texts are in `experiments.yaml`.
+    """A published experiment; its cases.texts are in `experiments.yaml`.
 
     Attributes:
         name: as on the command line.
@@ -121,17 +109,17 @@ class Experiment:
 
 
 def _published(name: str, run: Callable[[Settings], Outcome], settable: frozenset[str], walks: bool) -> Experiment:
-    about = texts("catalogue")[name]
+    about = cases.texts("catalogue")[name]
     return Experiment(name, run, settable, walks=walks, **about | {"shot": Shot(**about.get("shot", {}))})
 
 
 EXPERIMENTS: Final[dict[str, Experiment]] = {
     name: _published(name, *how)
     for name, how in {
-        "straight-line": (walks.walk_line, settable(walks.line_cases()), True),
-        "turning": (walks.walk_turns, settable(walks.turn_cases()), True),
+        "straight-line": (walks.walk_line, cases.settable(walks.line_cases()), True),
+        "turning": (walks.walk_turns, cases.settable(walks.turn_cases()), True),
         "balance": (balance.run, balance.SETTABLE, False),
-        "maze": (walks.walk_maze, settable(walks.maze_cases()), True),
+        "maze": (walks.walk_maze, cases.settable(walks.maze_cases()), True),
         "body": (stands.run_body, stands.BODY_SETTABLE, False),
         "leg-stand": (stands.run_leg, stands.STAND_SETTABLE, False),
         "spine-stand": (stands.run_spine, stands.STAND_SETTABLE, False),
@@ -265,16 +253,12 @@ def status(out: Path) -> Status:
         notes.append(f"{runs}, of {about['started'][:16]}, engine {about['engine']}{code}.")
     rows = sum(len(stored.outcome) for stored in (*found.values(), *bodies.values()))
     complete = bool(found) and not missing
-    return Status(
-        "runs",
-        rows,
-        rows if complete else None,
-        complete,
-        f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out),
-        engine=", ".join(dict.fromkeys(stored.about["engine"] for stored in found.values())) or engine_of(out),
-        sessions=[stored.about for stored in found.values()],
-        notes=(*notes, *(f"{name} is not finished." for name in missing)),
-    )
+    command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
+    engine = ", ".join(dict.fromkeys(stored.about["engine"] for stored in found.values())) or engine_of(out)
+    notes += [f"{name} is not finished." for name in missing]
+    made = [stored.about for stored in found.values()]
+    total = rows if complete else None
+    return Status("runs", rows, total, complete, command, engine=engine, sessions=made, notes=tuple(notes))
 
 
 def images(out: Path) -> Figures:
@@ -398,7 +382,7 @@ def run_experiments(
     """
     chosen = [EXPERIMENTS[choice("experiment", name, EXPERIMENTS)] for name in dict.fromkeys(names)]
     if repeats is None:
-        repeats = QUICK_REPEATS if quick else REPEATS
+        repeats = cases.QUICK_REPEATS if quick else cases.REPEATS
     policy = None if controller is None else ReplacementPolicy.of(os.fspath(controller))
     settings = Settings(profiles, repeats, seed, quick, values or {}, policy)
     # Values set for all worlds also apply to the bodies.
@@ -423,18 +407,8 @@ def run_experiments(
         if engine == "auto" and not again:
             engine = engine_of(directory.out) or engine
         code = Simulation(resolve_engine(engine)).stamp()
-        ignore: Callable[..., None] = lambda *_: None  # noqa: E731
-        call = _Call(
-            Written(held),
-            directory,
-            settings,
-            code,
-            drawn,
-            again,
-            video and not quick,
-            progress or ignore,
-            notify or ignore,
-        )
+        tell, say = progress or (lambda *_: None), notify or (lambda _: None)
+        call = _Call(Written(held), directory, settings, code, drawn, again, video and not quick, tell, say)
         # All are looked up before anything runs, so that an error costs no simulation.
         kept = {each.name: None if again else call.kept(each) for each in chosen}
         holds_rows = any((directory.out / "results").glob("*.parquet"))
@@ -476,7 +450,7 @@ def draw(bodies: int, seed: int) -> dict[str, dict[str, np.ndarray]]:
     """
     from nermo_mjx.robot import identified
 
-    check_whole("bodies", bodies, 1)
+    cases.check_whole("bodies", bodies, 1)
     own, published = (identified.choose(bodies, seed, profile) for profile in ("exact", "as_published"))
     return {"exact": own, "as_published": published, "as_built": own}
 
@@ -616,16 +590,13 @@ class _Call:
                 self.progress(part.label, done / part.total)
                 if len(several) < sum(each.label == part.label for each in parts):
                     continue
-                about = sessions[part.label] | {
-                    "settings": self.settings.as_dict(),
-                    "engine": self.code.engine,
-                    "code": self.code.id,
-                    "wall_seconds": sum(seconds for _, seconds in several.values()),
-                }
+                seconds = sum(seconds for _, seconds in several.values())
+                made = {"engine": self.code.engine, "code": self.code.id, "wall_seconds": seconds}
+                about = sessions[part.label] | {"settings": self.settings.as_dict(), **made}
                 if part.bodies:
                     about |= {"bodies": part.bodies, "drawn": self.drawn}
-                    numbered = [_renumbered(several[k][0], parts[k].begin) for k in sorted(several)]
-                    self.directory.save(joined(numbered), about, self.written, bodies=True)
+                    batches = [(several[k][0], parts[k].begin) for k in sorted(several)]
+                    self.directory.save(_joined(batches), about, self.written, bodies=True)
                     fresh.add(part.name)
                 else:
                     if part.name not in fresh and self._outdated(self.directory.load(part.name, bodies=True)):
@@ -633,18 +604,15 @@ class _Call:
                     self.directory.save(found[0], about, self.written)
                 yield part.label
         except TaskFailed as failed:
-            self._explain(parts[failed.key].name, failed.error)
+            error = failed.error
+            text = f"{parts[failed.key].name} failed: {error} What was done before is kept in {self.directory.out}."
+            if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
+                if type(error).__module__.startswith("nermo_mjx"):
+                    raise ExperimentError(text) from error
+                error.add_note(text)
+            raise error from None
         except WorkersLost as lost:
             raise ExperimentError(lost.kept_in(self.directory.out)) from None
-
-    def _explain(self, name: str, error: BaseException) -> NoReturn:
-        """Raise the error of a failed part, with a sentence that names the experiment and what is kept."""
-        text = f"{name} failed: {error} What was done before is kept in {self.directory.out}."
-        if isinstance(error, (ValueError, RuntimeError, OSError)) and not isinstance(error, ParameterError):
-            if type(error).__module__.startswith("nermo_mjx"):
-                raise ExperimentError(text) from error
-            error.add_note(text)
-        raise error
 
     def finish(self, chosen: Experiment, kept: Stored | None) -> ExperimentResult:
         """Everything derived from new or stored results."""
@@ -682,18 +650,10 @@ class _Call:
         if written.aside:
             self.notify(f"{chosen.name}: {written.sentence()}")
             written.aside.clear()
-        return ExperimentResult(
-            name=chosen.name,
-            out=out,
-            outcome=stored.outcome,
-            lines=tuple(lines),
-            table=stored.table,
-            plots=tuple(plots),
-            recordings=stored.recordings,
-            videos=tuple(out / video["file"] for video in entry["videos"]),
-            kept=kept is not None,
-            notes=tuple(entry["notes"]),
-        )
+        videos = tuple(out / video["file"] for video in entry["videos"])
+        files = (stored.table, tuple(plots), stored.recordings, videos)
+        result = (chosen.name, out, stored.outcome, tuple(lines), *files)
+        return ExperimentResult(*result, kept is not None, tuple(entry["notes"]))
 
     def _publish(self, chosen: Experiment, entry: dict[str, Any]) -> None:
         """Store an experiment's entry, and the report of the whole directory."""
@@ -723,10 +683,16 @@ class _Call:
         return [{"file": self.written.name(path), "shows": shows, "speed": speed}], []
 
 
-def _renumbered(part: Outcome, begin: int) -> Outcome:
-    """A batch of bodies without recordings, numbered from the position of its first one."""
-    columns = {name: column + begin if name == BODY else column for name, column in part.columns.items()}
-    return dataclasses.replace(part, columns=columns, recordings={})
+def _joined(batches: Sequence[tuple[Outcome, int]]) -> Outcome:
+    """Batches of bodies as one table without recordings, each numbered from the position of its first body."""
+    first = batches[0][0]
+    columns = {
+        name: np.concatenate(
+            [part.columns[name] + begin if name == BODY else part.columns[name] for part, begin in batches]
+        )
+        for name in first.columns
+    }
+    return dataclasses.replace(first, columns=columns, recordings={})
 
 
 #: A frame takes 0.1 to 0.15 s of one core without a graphics card, so that a video takes 25 s at most.

@@ -18,21 +18,8 @@ from jaxtyping import Float
 from scipy.signal import find_peaks
 
 from nermo_mjx.control.path import Course, course_through
-from nermo_mjx.experiments import theory
-from nermo_mjx.experiments.cases import (
-    AMPLITUDE,
-    FREQUENCIES,
-    SIMULATED,
-    Case,
-    Label,
-    Outcome,
-    Settings,
-    Worlds,
-    measured,
-    recordings_of,
-    texts,
-    worlds,
-)
+from nermo_mjx.experiments import cases, theory
+from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, SIMULATED, Case, Label, Outcome, Settings, Worlds
 from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import LIMBS, Robot
@@ -46,16 +33,16 @@ _GUIDED: Final = {"pilot.guidance": 1.0, "pilot.error_gain": 0.0, "pilot.change_
 _BUILT: Final = ("as_built",)
 
 
-def _record(simulator: Simulator, cases: list[Case], settings: Settings, length: Any, names: list[str]) -> Any:
+def _record(simulator: Simulator, chosen: list[Case], settings: Settings, length: Any, names: list[str]) -> Any:
     """Recordings of the first start of cases in the first profile, by the names given; none of identified bodies."""
     one = settings.but(profiles=settings.profiles[:1], repeats=1)
-    cases = [case for case in cases if one.profiles[0] in case.profiles]
-    if settings.bodies is not None or not cases:
+    chosen = [case for case in chosen if one.profiles[0] in case.profiles]
+    if settings.bodies is not None or not chosen:
         return {}
-    batch = worlds(cases, simulator.setup.defaults(), one)
+    batch = cases.worlds(chosen, simulator.setup.defaults(), one)
     run = length(batch) if callable(length) else length
     result = simulator.run(batch.values, run, record=True)
-    return recordings_of(simulator, batch, result, dict(enumerate(names)))
+    return cases.recordings_of(simulator, batch, result, dict(enumerate(names)))
 
 
 # --- straight line, 2.0 m: speed and orientation over gait, frequency, stride and spine
@@ -72,8 +59,8 @@ def _line(gait: str, frequency: float, spine: bool, stride: float = 1.0, **other
     compensated = other.get("compensated", False)
     labels: dict[str, Label] = {"gait": gait, "frequency": frequency, "stride": stride, "spine": spine}
     # Without the author's PD pilot, as his own model beside it. The guidance of the other profiles has no such gains.
-    values = {"frequency": frequency, "stride": stride, "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
-    values |= {"spine.amplitude": AMPLITUDE * spine, "spine.offset_compensation": float(compensated)}
+    values = {"frequency": frequency, "stride": stride, "spine.amplitude": AMPLITUDE * spine}
+    values |= {"spine.offset_compensation": float(compensated), "pilot.error_gain": 0.0, "pilot.change_gain": 0.0}
     profiles = other.get("profiles", SIMULATED)
     return Case(labels | {"compensated": compensated}, gait, values=values, profiles=profiles)
 
@@ -101,9 +88,9 @@ def walk_line(settings: Settings) -> Outcome:
     """
     simulator = Simulator(settings.setup("straight_line", spine="stride_extension"), engine=settings.engine)
     defaults, quick = simulator.setup.defaults(), settings.quick
-    batch = worlds(line_cases(quick), defaults, settings)
+    batch = cases.worlds(line_cases(quick), defaults, settings)
     length = Run(cycles=_LONGEST / (4 if quick else 1), warmup_cycles=_WARMUP, distance=0.5 if quick else DISTANCE)
-    columns = measured(batch, simulator.run(batch.values, length, progress=settings.progress))
+    columns = cases.measured(batch, simulator.run(batch.values, length, progress=settings.progress))
     columns["theory_speed"] = theory.speed(batch.all_values(defaults))
     # The publication describes the gait cycle of the trot at 0.8 Hz, with two strides.
     described = [_line("trt", 0.8, spine, stride).labels for stride in (0.8, 1.0) for spine in (False, True)]
@@ -302,12 +289,12 @@ def walk_turns(settings: Settings) -> Outcome:
             continue
         simulator = Simulator(settings.setup("quarter_circles", pilot=pilot), engine=settings.engine)
         defaults = simulator.setup.defaults()
-        batch = _mirrored_starts(worlds(chosen, defaults, settings))
+        batch = _mirrored_starts(cases.worlds(chosen, defaults, settings))
         values = batch.all_values(defaults)
         length = _turn_length(values, batch.labels["radius"])
         result = simulator.run(batch.values, length, progress=_part(settings.progress, before, share))
         warmup, end = length.seconds(values["frequency"] / values["tracking.clock_ratio"])
-        parts.append(_judged(measured(batch, result), end - warmup, values["stance.max_stride"]))
+        parts.append(_judged(cases.measured(batch, result), end - warmup, values["stance.max_stride"]))
         before += share
         if pilot == "arc":
             stride = HARDWARE_STRIDE if settings.profiles[0] == "as_built" else 1.0
@@ -371,7 +358,7 @@ def bound(radius: np.ndarray) -> np.ndarray:
 
 MAZE_FREQUENCY: Final = 0.67
 #: Way points (x, y) of the maze's path [m]; see `experiments.yaml`.
-MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = tuple((x, y) for x, y in texts("maze_course"))
+MAZE_COURSE: Final[tuple[tuple[float, float], ...]] = tuple((x, y) for x, y in cases.texts("maze_course"))
 #: The end is reached if the torso passes it within this distance [m], half the robot's length.
 _PASSES: Final = 0.1
 #: Ticks between two checks of the contacts: a touch lasts longer than 20 ms.
@@ -391,12 +378,12 @@ def maze_cases() -> tuple[Case, ...]:
 
     Path and pilot are this project's: with the author's, `as_published` runs into a box at the first bends.
     """
-    common = {"frequency": MAZE_FREQUENCY, **_GUIDED}
-    return tuple(
-        Case({"spine": spine}, "trt", name, common | {"spine.amplitude": AMPLITUDE * spine, "stride": stride}, profiles)
-        for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE))
-        for spine, name in ((False, "leg"), (True, "mix"))
-    )
+    chosen = []
+    for profiles, stride in ((SIMULATED, 1.0), (_BUILT, HARDWARE_STRIDE)):
+        for spine, steering in ((False, "leg"), (True, "mix")):
+            values = {"frequency": MAZE_FREQUENCY, "spine.amplitude": AMPLITUDE * spine, "stride": stride, **_GUIDED}
+            chosen.append(Case({"spine": spine}, "trt", steering, values, profiles))
+    return tuple(chosen)
 
 
 def walk_maze(settings: Settings) -> Outcome:
@@ -406,18 +393,18 @@ def walk_maze(settings: Settings) -> Outcome:
     """
     setup = settings.setup("maze", spine="stride_extension", pilot="waypoints", waypoints=MAZE_COURSE)
     simulator = Simulator(setup, engine=settings.engine)
-    batch = worlds(maze_cases(), setup.defaults(), settings)
+    batch = cases.worlds(maze_cases(), setup.defaults(), settings)
     length = 1.0 if settings.quick else maze_course().length + 2 * _PASSES
     walk = Run(cycles=np.ceil(length / (_SLOWEST * 0.12)), warmup_cycles=2.0, distance=length)
     result = simulator.run(batch.values, walk, record=True, progress=settings.progress)
     assert result.trace is not None
-    columns = measured(batch, result) | _arrivals(result.trace) | touches(simulator.robot, result.trace)
+    columns = cases.measured(batch, result) | _arrivals(result.trace) | touches(simulator.robot, result.trace)
     if settings.quick:
         columns["reached"] = np.full(len(columns["reached"]), np.nan)
     labels = batch.labels
     shown = np.flatnonzero((labels["repeat"] == 0) & (settings.bodies is None)).tolist()
     names = {i: f"{labels['profile'][i]}, {'with' if labels['spine'][i] else 'without'} spine" for i in shown}
-    return Outcome.of("maze", columns, recordings_of(simulator, batch, result, names))
+    return Outcome.of("maze", columns, cases.recordings_of(simulator, batch, result, names))
 
 
 def _arrivals(trace: History) -> dict[str, np.ndarray]:
