@@ -35,6 +35,12 @@ def test_another_spring_bends_otherwise():
     assert stiff.mean("bend_front_knee", profile="exact") == pytest.approx(0.125 / 0.27, rel=1e-3)
 
 
+def test_a_spine_of_little_damping_is_waited_for():
+    """An identified body's spine still swings after the default one's time; the bend under load is the same."""
+    soft = stands.run_body(Settings(("exact",), values={"damping.spine": 0.0034}))
+    assert soft.mean("bend_spine") == pytest.approx(4 * 0.125 / 1.2, rel=1e-3)
+
+
 def test_the_published_dimensions_are_the_robots(outcome):
     """Nermo-Lite: 270 g and 11 servos; Nermo: 405 x 91 x 90 mm, within a quarter; A.5: 121.9 mm between the axes."""
     assert outcome.mean("mass", profile="exact") == pytest.approx(0.270, rel=0.01)

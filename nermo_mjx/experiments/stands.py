@@ -32,8 +32,9 @@ BODY_SETTABLE: Final = frozenset(name for name, _ in quantities(ModelParameters)
 STAND_SETTABLE: Final = BODY_SETTABLE - {
     f"servo.{name}" for name in ("supply_voltage", "back_emf", "dead_band", "backlash")
 }
-#: Time in which a stand comes to rest, and in which a motion or a load is slow: inertia and damping hardly matter [s].
-REST, SLOW = 2.0, 8.0
+#: Time in which a stand comes to rest, so often at most where damping is low; and in which a motion or a load is slow:
+#: inertia and damping hardly matter [s].
+REST, PATIENCE, SLOW = 2.0, 15, 8.0
 #: A servo saturates at this share of its torque limit, which it only approaches.
 _SATURATED: Final = 0.999
 #: Numbers of hinges whose bend is compared.
@@ -52,19 +53,20 @@ class Stand:
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
 
-    def settle(self, servo: Any) -> Stand:
-        """Command the servos, and wait until all is at rest.
+    def settle(self, servo: Any, times: int = 1) -> Stand:
+        """Command the servos, and wait until all is at rest, at least so many times `REST`.
 
         Raises:
             ParameterError: it does not come to rest.
         """
         self.data.ctrl[:] = servo
-        for _ in range(self._steps(REST)):
-            mujoco.mj_step(self.model, self.data)
-        if not np.abs(self.data.qvel).max() < 1e-2:
-            raise ParameterError(f"the stand of {self.name} does not come to rest with these parameters.")
-        mujoco.mj_forward(self.model, self.data)
-        return self
+        for waited in range(1, PATIENCE + 1):
+            for _ in range(self._steps(REST)):
+                mujoco.mj_step(self.model, self.data)
+            mujoco.mj_forward(self.model, self.data)
+            if waited >= times and np.abs(self.data.qvel).max() < 1e-2:
+                return self
+        raise ParameterError(f"the stand of {self.name} does not come to rest with these parameters.")
 
     def site(self, name: str) -> np.ndarray:
         """Where a site is [m]."""
@@ -119,8 +121,7 @@ def bend(spec: Any, joints: Sequence[str], torque: float = TORQUE) -> float:
         if chain_of(loaded.model.joint(i).name) in joints:
             loaded.data.qfrc_applied[loaded.model.jnt_dofadr[i]] = torque
     for stand in (free, loaded):
-        # Springs alone come to rest slowly.
-        stand.settle(np.zeros(loaded.model.nu)).settle(np.zeros(loaded.model.nu))
+        stand.settle(np.zeros(loaded.model.nu), times=2)  # springs alone come to rest slowly
     return sum(loaded.angle(joint) - free.angle(joint) for joint in joints)
 
 
@@ -179,7 +180,18 @@ def _dimensions() -> dict[str, float]:
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     visible = (model.geom_bodyid > 0) & (model.geom_group == VISUAL_GROUP)
-    corners = np.array([_outline(model, data, geom) for geom in np.flatnonzero(visible).tolist()])
+    ends = []  # smallest and largest coordinates of the visible parts [m]
+    for geom in np.flatnonzero(visible).tolist():
+        turned, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.mesh(model.geom_dataid[geom])
+            first, count = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+            points = place + model.mesh_vert[first : first + count] @ turned.T
+            ends.append([points.min(axis=0), points.max(axis=0)])
+        else:
+            centre, half = place + turned @ model.geom_aabb[geom][:3], np.abs(turned) @ model.geom_aabb[geom][3:]
+            ends.append([centre - half, centre + half])
+    corners = np.array(ends)
     low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
     soles = [model.geom(f"{limb}_sole") for limb in LIMBS]
     ground = min(data.geom_xpos[sole.id, 2] - sole.size[0] for sole in soles)
@@ -191,18 +203,6 @@ def _dimensions() -> dict[str, float]:
         "width": float(high[0] - low[0]),
         "scapula_pelvis": float(axes[1] - axes[0]),
     }
-
-
-def _outline(model: Any, data: Any, geom: int) -> np.ndarray:
-    """Smallest and largest coordinates of a geom in the world, (2, 3) [m]."""
-    turned, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
-        mesh = model.mesh(model.geom_dataid[geom])
-        first, number = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-        points = place + model.mesh_vert[first : first + number] @ turned.T
-        return np.stack([points.min(axis=0), points.max(axis=0)])
-    centre, half = place + turned @ model.geom_aabb[geom][:3], np.abs(turned) @ model.geom_aabb[geom][3:]
-    return np.stack([centre - half, centre + half])
 
 
 # --- one leg: what its tendon's routing does to force, speed and work of the knee's servo
