@@ -14,9 +14,8 @@ from experiment_fake import Fake
 
 from nermo_mjx import Setup
 from nermo_mjx.experiments import plots, walks
-from nermo_mjx.experiments.cases import Settings, Substitute
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.run import run_experiment
+from nermo_mjx.experiments.cases import ReplacementPolicy, Settings
+from nermo_mjx.experiments.run import EXPERIMENTS, run_experiment
 from nermo_mjx.learn import PPO, Environment, Policy, Task
 from nermo_mjx.robot import ParameterError
 
@@ -42,7 +41,7 @@ def files(tmp_path_factory):
 
 
 def settings(where=None):
-    controller = None if where is None else Substitute.of(where)
+    controller = None if where is None else ReplacementPolicy.of(where)
     return Settings(("exact",), repeats=1, quick=True, controller=controller, engine="c")
 
 
@@ -97,7 +96,7 @@ def test_a_controller_with_parameters_of_its_own_is_refused_in_one_sentence(tmp_
     own = tmp_path / "own.py"
     own.write_text("from nermo_mjx import Setup\nOwn = Setup().make_controller()\n")
     with pytest.raises(ParameterError, match=r"own\.py:Own', which has parameters of its own: allowed is a policy"):
-        Substitute.of(f"{own}:Own")
+        ReplacementPolicy.of(f"{own}:Own")
 
 
 @pytest.mark.compiles

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from nermo_mjx.cli import main
 from nermo_mjx.experiments import walks
 from nermo_mjx.experiments.cases import Case, Outcome, Settings
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
-from nermo_mjx.experiments.measures import Words
+from nermo_mjx.experiments.published import Words
+from nermo_mjx.experiments.run import EXPERIMENTS
 from nermo_mjx.rollout import Run, Setup, Simulator
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("shared_simulators")]

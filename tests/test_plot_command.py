@@ -19,9 +19,9 @@ from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
 
 from nermo_mjx.cli.directories import KINDS, RECORDING, Kind
-from nermo_mjx.experiments.directory import Directory
-from nermo_mjx.experiments.lines import compare
 from nermo_mjx.experiments.plots import figures_of
+from nermo_mjx.experiments.published import compare
+from nermo_mjx.experiments.run import Directory
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.runs import RunDirectory, Written
 from nermo_mjx.runs.lock import hold

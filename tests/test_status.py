@@ -19,9 +19,8 @@ from tune_fake import FakeProblem
 
 from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
-from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.identification import CASES
-from nermo_mjx.experiments.run import ExperimentsInterrupted, run_experiments
+from nermo_mjx.experiments.run import EXPERIMENTS, ExperimentsInterrupted, run_experiments
 from nermo_mjx.runs import RunDirectory, codes_of, stamp
 from nermo_mjx.sweep import run_sweep
 from nermo_mjx.tune import Tuning, run_tuning

@@ -62,7 +62,7 @@ KINDS: Final = {
         Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
         Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.status:landscape_status"),
-        Kind("experiments", "published experiments", "experiments.plots:figures", "experiments.directory:status",
+        Kind("experiments", "published experiments", "experiments.run:images", "experiments.run:status",
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",
              "experiments.identification:status", tracked=True),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
+from nermo_mjx.cli.choices import EXPERIMENT_PROFILES, EXPERIMENTS
 from nermo_mjx.cli.options import FileKind, assigned
 from nermo_mjx.cli.output import WrongUse, print_json, print_table, sayer, stdout_reserved
 from nermo_mjx.cli.progress import Progress, Stages, duration
@@ -819,7 +819,7 @@ _WIDEST = 72
     "experiment",
     EXPERIMENT_EPILOG,
     click.argument("name", type=click.Choice((*EXPERIMENTS, ALL))),
-    options.choice("--profile", ("all", *PROFILES), "Set-up: as published, as described, as built."),
+    options.choice("--profile", ("all", *EXPERIMENT_PROFILES), "Set-up: as published, as described, as built."),
     options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1)),
     options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0),
     options.number(
@@ -861,10 +861,10 @@ def experiment_command(
             options.crew(workers, ray_address, stages.say) as crew,
         ):
             result = run_experiments(
-                EXPERIMENTS if name == ALL else [name], out, engine=engine,
-                profiles=PROFILES if profile == "all" else (profile,), repeats=repeats, seed=seed, quick=quick,
-                values=values, controller=controller, bodies=bodies, video=not no_video, again=again,
-                accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
+                EXPERIMENTS if name == ALL else [name], out, engine=engine, repeats=repeats, seed=seed, quick=quick,
+                profiles=EXPERIMENT_PROFILES if profile == "all" else (profile,), values=values, controller=controller,
+                bodies=bodies, video=not no_video, again=again, accept_new_code=accept_new_code,
+                progress=stages.share, notify=stages.say, workers=crew,
             )  # fmt: skip
     run = {each.name: {"kept": each.kept} for each in result.results}
     return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
@@ -881,8 +881,8 @@ def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
 
 
 def _print_experiments(result: ExperimentsResult) -> None:
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS as CATALOGUE
     from nermo_mjx.experiments.report import HEADINGS, cells
+    from nermo_mjx.experiments.run import EXPERIMENTS as CATALOGUE
 
     content = result.report
     for each in result.results:
