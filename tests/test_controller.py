@@ -94,7 +94,7 @@ def erratic():
     def run(params, commands):
         def step(state, command):
             frequency, speed, turn_rate = command
-            gait = dataclasses.replace(params.gait, frequency=frequency, speed=speed)
+            gait = dataclasses.replace(params.gait, frequency=frequency, commanded_speed=speed)
             now = dataclasses.replace(params, gait=gait, pilot=dataclasses.replace(params.pilot, turn_rate=turn_rate))
             state, _ = published_controller(pilot="open_loop", pilot_rate=100.0).update(now, state, sensors_at())
             return state, state

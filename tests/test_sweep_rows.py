@@ -155,7 +155,7 @@ WRONG_FILES = {
     "no table": ("rows: design.txt", 1, "expected the path of a .csv or .parquet file"),
     "a row is a list": ("rows:\n  - {frequency: 0.5}\n  - [0.5]", 3, "is the list [0.5]: expected"),
     "a value": ("rows:\n  - {frequency: 0.5}\n  - {frequency: -1}", 3, "'frequency' is -1: allowed is (0, 5] Hz"),
-    "a truth value": ("rows: [{frequency: true}]", 1, "'frequency' is inf"),
+    "a truth value": ("rows: [{frequency: true}]", 1, "'frequency' is the truth value true: expected a number"),
     "two sources": ("set: {frequency: 0.5}\nrows: [{frequency: 0.6}]", 2, "also fixed under 'set'"),
     "two sources of a structure": ("gait: trt\nrows:\n  - {gait: lat}", 3, "varied and also given as 'gait'"),
     "the pilot": ("rows:\n  - {pilot: {arc: {radius: 1}}}\n  - {pilot: {ark: {radius: 1}}}", 3, "did you mean 'arc'?"),

@@ -103,7 +103,7 @@ WRONG = {
         ["also set by 'pilot.arc.radius'"],
     ),
     "no effect": ("spine: stride_extension", "spine: none", 8, ["'spine.amplitude' has no effect", "stride_extension"]),
-    "a metric's name": (STRIDE, "speed: {bounds: [0, 1]}", 10, ["'speed' cannot be tuned", "a metric's"]),
+    "a metric's name": (STRIDE, "speed: {bounds: [0, 1]}", 10, ["'speed' is a metric, and not a parameter"]),
     "slow frequency": (
         "set: {frequency: 0.8}\ntune:",
         "tune:\n  frequency: {bounds: [0.01, 1]}",

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
 from nermo_mjx.control.head_and_tail import TAIL_MOTIONS
-from nermo_mjx.control.loading import check_form, load_controller
+from nermo_mjx.control.loading import check_form, load_controller, named_place, told
 from nermo_mjx.control.parameters import (
     ControlParameters,
     ProfileSteering,
@@ -105,13 +105,15 @@ def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str,
 # Checks of a setup's choices and of the names of its controller and metrics; each raises a `ParameterError`.
 
 
-#: Columns of tables, which are reserved names for metrics.
+#: Columns of tables, and keys beside parameters in files: reserved names for metrics and parameters.
 TAKEN: Final = frozenset((
     "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
     "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
-    "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
+    "side", "repeats", "quality", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
     "trajectory", "head", "tail_motion",
 ))  # fmt: skip
+#: First parts of columns that are named after a parameter: `gradient.stride`.
+PREFIXES: Final = ("gradient", "gradient_error", "first_order")
 
 
 def check_spine(spine: str, robot: str) -> None:
@@ -154,8 +156,14 @@ def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> Non
     taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(shared)}
     names = [name for name, _ in quantities(controller.parameters)]
     for name in names:
-        if name in taken:
-            raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
+        whose = (
+            "one of the robot or its start" if name in taken
+            else "a metric that every run has" if name in METRICS
+            else "a column that tables have" if name in TAKEN or name.partition(".")[0] in PREFIXES
+            else ""
+        )  # fmt: skip
+        if whose:
+            raise ParameterError(f"controller has a parameter {name!r}, which is {whose}: give it another name.")
     for own in metrics:
         if own.name in taken or own.name in names:
             raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
@@ -395,7 +403,7 @@ class Setup:
 
         Args:
             world: concrete (not traced); leaves may carry leading batch axes.
-            jointly: also run the controller's check, which may depend on several parameters.
+            jointly: also run the controller's check and its `cycle_rate`, which may depend on several parameters.
 
         Raises:
             ParameterError: with the field's name, its value and what is allowed.
@@ -404,6 +412,14 @@ class Setup:
         controller = self._unbalanced
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
+        if jointly and not isinstance(controller, Controller):
+            place = named_place(controller, "cycle_rate")
+            with told(f"{place}, which fails"):
+                rate = np.asarray(controller.cycle_rate(world.control), float)
+            bad = ~((rate > 0.0) & (rate < np.inf))
+            if bad.any():
+                raise ParameterError(f"{place}, which gives {rate[bad].flat[0]:g}: expected finite gait cycles per "
+                                     "second above 0.")  # fmt: skip
 
     @functools.cached_property
     def timing(self) -> frozenset[str]:
