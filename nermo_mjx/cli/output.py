@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
 import json
 import os
 import signal
@@ -46,7 +47,7 @@ class CommandGroup(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """As click does it; a log on a full disk stops no job, but output that is lost is a failure."""
         before = sys.stdout, sys.stderr
-        out, errors = _Lossy(sys.stdout), _Lossy(sys.stderr)
+        out, errors = _Lossy(sys.stdout or io.StringIO()), _Lossy(sys.stderr or io.StringIO())
         sys.stdout, sys.stderr = out, errors  # type: ignore[assignment]
         try:
             try:
