@@ -673,7 +673,7 @@ def test_choices_that_do_not_fit_are_refused_with_a_sentence(choices, message):
     ("values", "message"),
     [
         ({"frequency": 0.0}, r"frequency is 0: allowed is \(0, 5\] Hz"),
-        ({"duty": np.array([0.5, 1.0])}, r"duty is 1: allowed is \(0, 1\)"),
+        ({"duty": np.array([0.5, 1.0])}, r"duty is 1: allowed is \[0.01, 1\)"),
         ({"spine.phase": np.nan}, "spine.phase is nan"),
         ({"frequenzy": 1.0}, "parameter is 'frequenzy': did you mean 'frequency'?"),
         ({"gait": "canter"}, "gait is 'canter'"),

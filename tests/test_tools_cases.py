@@ -71,15 +71,15 @@ UPDATE = (
 )
 #: What is replaced in `bound.py`, by what, and what is said of it.
 CONTROLLERS = {
-    "nothing": (UPDATE, "        pass\n", r"update \(own.py:37\), which gives NoneType: expected two"),
+    "nothing": (UPDATE, "        pass\n", r"update \(own.py:39\), which gives NoneType: expected two"),
     "no servos": (UPDATE, "        return phase\n", r"update .*which gives one number of type float32: expected two"),
     "three": (UPDATE, "        return phase, phase, phase\n", "which gives tuple: expected two"),
     "no angles": (UPDATE, "        return phase, jnp.zeros(8)\n", r"an array of shape \(8,\): expected ServoAngles"),
-    "raises": (UPDATE, "        raise RuntimeError('boom')\n", "update .* fails at own.py:38: RuntimeError: boom"),
-    "if": (UPDATE, "        if phase > 0.5: pass\n" + UPDATE, "at own.py:38: it cannot be compiled"),
-    "numpy": (UPDATE, "        import numpy\n        numpy.asarray(phase)\n" + UPDATE, "at own.py:39: it cannot be"),
-    "range": (UPDATE, "        for i in range(phase): pass\n" + UPDATE, "at own.py:38: (it cannot be|TypeError)"),
-    "sensor": (UPDATE, "        sensors.gyros\n" + UPDATE, "at own.py:38: AttributeError.*did you mean 'gyro'"),
+    "raises": (UPDATE, "        raise RuntimeError('boom')\n", "update .* fails at own.py:40: RuntimeError: boom"),
+    "if": (UPDATE, "        if phase > 0.5: pass\n" + UPDATE, "at own.py:40: it cannot be compiled"),
+    "numpy": (UPDATE, "        import numpy\n        numpy.asarray(phase)\n" + UPDATE, "at own.py:41: it cannot be"),
+    "range": (UPDATE, "        for i in range(phase): pass\n" + UPDATE, "at own.py:40: (it cannot be|TypeError)"),
+    "sensor": (UPDATE, "        sensors.gyros\n" + UPDATE, "at own.py:40: AttributeError.*did you mean 'gyro'"),
     "whole start": ("        return phase\n\n    def initial", "        return 0\n\n    def initial",
                     "makes float32 of the state, which init begins as int32"),
     "truth start": ("        return phase\n\n    def initial", "        return True\n\n    def initial",
@@ -96,7 +96,7 @@ CONTROLLERS = {
     "NaN time": ("dt = 0.01", "dt = float('nan')", "dt nan: expected the seconds of a tick"),
     "text time": ("dt = 0.01", "dt = '10 ms'", "dt '10 ms': expected the seconds of a tick"),
     "class": ("parameters = Parameters()", "parameters = Parameters", "has parameters with <class.*parameter_tree"),
-    "maker": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self): 1 / 0", "at own.py:22: ZeroDivisionError"),
+    "maker": ("    dt = 0.01", "    dt = 0.01\n    def __init__(self): 1 / 0", "at own.py:24: ZeroDivisionError"),
     "import": ("import jax.numpy as jnp", "import jax.numpy as jnp; exit(3)", "imported at own.py:5: SystemExit"),
 }  # fmt: skip
 
@@ -237,7 +237,7 @@ def scene(option: str = "", more: str = "") -> str:
         (scene('<option wind="1 0 0"/>'), "its option has wind"),
         (scene('<option viscosity="0.1"/>'), "its option has viscosity"),
         (scene('<option><flag contact="disable" gravity="disable"/></option>'), "its option has flags"),
-        (scene('<option><flag multiccd="enable"/></option>'), "its option has flags"),
+        (scene('<option><flag override="enable"/></option>'), "its option has flags"),
         (scene().replace('0.1"/>', '0.1" pos="0 0 nan"/>'), "numbers that are not finite, in geom_pos"),
         (scene(more='<camera name="track_side"/>'), "track_side"),
     ],
@@ -387,7 +387,7 @@ def test_an_objective_that_is_nan_is_told_after_the_first_batch(tmp_path: Path, 
         SearchFailed, match=r"turning_radius is NaN in all .* walks of the first batch .*NaN if straight"
     ):
         run_search(search_fake.WALK | aim | {"budget": 120, "batch": 12}, tmp_path, simulator=simulator)
-    assert len(simulator.batches) == 1
+    assert sum(simulator.batches) <= 24, "its first batch is twice as large"
 
 
 @pytest.mark.compiles
@@ -398,7 +398,7 @@ def test_a_dry_run_refuses_the_recording_that_the_run_refuses(tmp_path: Path) ->
         ("short.npz", "expected all of the run, from its start to 1 s"),
         ("text.npz", "recording is"),
     ):
-        tuning = {"objective": {"minimize": "trajectory_error"}, "recording": str(tmp_path / name),
+        tuning = {"objective": [{"minimize": "trajectory_error"}], "recording": str(tmp_path / name),
                   "run": {"duration": 1.0}, "tune": {"stride": {"bounds": [0.5, 1.0]}}}  # fmt: skip
         refused(lambda given=tuning: costs_of(Tuning.from_dict(given)), message)
 

@@ -48,7 +48,7 @@ class CommandGroup(click.Group):
         """As click does it; a log on a full disk stops no job, but output that is lost is a failure."""
         before = sys.stdout, sys.stderr
         out, errors = _Lossy(sys.stdout or io.StringIO()), _Lossy(sys.stderr or io.StringIO())
-        sys.stdout, sys.stderr = out, errors  # type: ignore[assignment]
+        sys.stdout, sys.stderr = out, errors
         try:
             try:
                 return super().main(*args, **kwargs)

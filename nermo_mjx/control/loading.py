@@ -61,7 +61,7 @@ def module_of(subject: str, source: str, form: str) -> ModuleType:
 _NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
                         jax.errors.TracerBoolConversionError, jax.errors.TracerIntegerConversionError)  # fmt: skip
 #: Packages whose lines are not the user's, where an error arises.
-_OTHERS: Final = ("jax", "jaxlib", "numpy", "nermo_mjx", "importlib", "contextlib")
+_OTHERS: Final = ("jax", "jaxlib", "numpy", "nermo_mjx", "importlib", "contextlib", "_sitebuiltins")
 
 
 @contextlib.contextmanager

@@ -133,9 +133,11 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
     try:
         parts = urlsplit(url)
         # A port out of range raises; MQTT has no path (the topic is none), and no password without a user.
-        right = parts.scheme in _PORTS and parts.hostname and parts.port != 0
-        right = right and not (parts.scheme == "mqtt" and (parts.path.strip("/") or parts.query))
-        right = right and not parts.fragment and (parts.username or parts.password is None)
+        right = all((
+            parts.scheme in _PORTS and parts.hostname, parts.port != 0, not parts.fragment,
+            parts.username or parts.password is None,
+            parts.scheme != "mqtt" or not (parts.path.strip("/") or parts.query),
+        ))  # fmt: skip
     except ValueError:
         right = False
     if not right:

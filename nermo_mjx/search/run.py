@@ -207,6 +207,7 @@ class Going:
         self.run = self.evaluations = 0
         self.seconds = 0.0
         self._resumed = 0
+        self._measured = False
         self._stamp: CodeStamp | None = None
         self._slopes_of: Gradients | None = None
         self._lead = _Lead(batches.search)
@@ -236,8 +237,7 @@ class Going:
             self.seconds += float(np.sum(seconds))
             differentiated = seconds[: asked.gradients * search.repeats]
             self.seconds += WalkGradients.cost_of(search) * float(np.sum(differentiated))
-            if batch == 0:
-                _check_measured(search, table)
+            self._measured = self._measured or _check_measured(search, table)
             scores = _scores(batches, table, asked)
             self._lead.take(scores)
             optimizer.tell(scores)
@@ -342,8 +342,8 @@ def _seconds(search: Search, rows: Rows) -> np.ndarray:
     return np.broadcast_to(np.asarray(search.run.seconds(rate)[1], float), len(rows))
 
 
-def _check_measured(search: Search, table: pa.Table) -> None:
-    """Raise `SearchFailed` if no walk of a batch to its end gives a number for a metric that is asked for."""
+def _check_measured(search: Search, table: pa.Table) -> bool:
+    """Whether walks of a batch came to their end; raises `SearchFailed` if no number was found for what is asked."""
     well = np.array(table.column("status").to_pylist()) == "ok"
     for name in search.aim.metrics:
         if well.any() and not np.isfinite(table.column(name).to_numpy()[well]).any():
@@ -351,6 +351,7 @@ def _check_measured(search: Search, table: pa.Table) -> None:
                 f"{name} is NaN in all {well.sum()} walks of the first batch ({search.sweep.metrics[name].doc}): ask "
                 "for another metric, or change the walk."
             )
+    return bool(well.any())
 
 
 def _scores(batches: Batches, table: pa.Table, asked: Asked) -> Scores:
