@@ -128,7 +128,7 @@ WRONG = {
     "results": ("frequency,roll_std\n0.8,0.1\n", "'roll_std' is a column of results, and the file does not say which"),
     "text": ("frequency\n0.8\nfast\n", "rows.csv:3: field 'frequency' is the text 'fast': expected a number"),
     "range": ("frequency,stride\n0.8,1\n9,1\n", "rows.csv:3: field 'frequency' is 9: allowed is (0, 5] Hz"),
-    "unknown gait": ("gait,frequency\ntrt,0.8\ntrot,0.8\n", "rows.csv:3: field 'gait' is 'trot'"),
+    "unknown gait": ("gait,frequency\ntrt,0.8\ntrott,0.8\n", "rows.csv:3: field 'gait' is 'trott'"),
     "without effect": ("spine,spine.phase\nnone,1\n", "rows.csv:2: field 'spine.phase' has no effect"),
     "twice": ("frequency\n0.8\n0.6\n0.8\n", "rows.csv:4: a row is the same as that of"),
     "ragged": ("frequency,stride\n0.8\n", "rows.csv:2: has 1 values, and the first line 2 names"),

@@ -64,6 +64,18 @@ def test_a_controllers_parameter_may_not_take_a_columns_name(tmp_path: Path, nam
     refused(Sweep.from_file, f"s.yaml:1: field 'controller' has a parameter '{name}', which is", tmp_path / "s.yaml")
 
 
+@pytest.mark.parametrize(("name", "short"), [("trot", "trt"), ("walking_trot", "trt1"), ("lateral_walk", "lat")])
+def test_gaits_have_the_names_of_the_field(name: str, short: str) -> None:
+    assert Setup(gait=name) == Setup(gait=short)
+    assert Sweep.from_dict({"gait": name, "vary": {"frequency": [0.6]}}).setup.gait == short
+    refused(Sweep.from_dict, f"field 'gait' lists {short} twice", {"vary": {"gait": [name, short]}})
+    from click.testing import CliRunner
+
+    done = CliRunner().invoke(main, ["walk", "--gait", name, "--cycles", "0.1", "--warmup", "0"])
+    assert done.exit_code == 0, done.output
+    assert f"{name.replace('_', ' ')} at 0.67 Hz" in done.output
+
+
 # --- controllers
 
 UPDATE = (

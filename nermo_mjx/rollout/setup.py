@@ -25,7 +25,7 @@ from nermo_mjx.control.parameters import (
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
-from nermo_mjx.robot import ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.robot import GAIT_NAMES, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
 from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
@@ -203,7 +203,8 @@ class Setup:
         robot, scene, tail, routing, cone, physics, timestep, hinges: see `RobotConfig`. `dataclasses.replace` with
             another preset takes that preset's time step, unless one was given. A custom scene, a file or an `MjSpec`,
             is stored as MJCF, so that setups with the same scene are equal.
-        gait: `trt`, `trt1`, `lat`, `bound` or `gallop`: defaults of duty, offsets and gait factor.
+        gait: `trt` or `trot`, `trt1` or `walking_trot`, `lat` or `lateral_walk`, `bound` or `gallop`: defaults of duty,
+            offsets and gait factor. Of two names the first one, the author's, is stored.
         spine: auxiliary modes of the spine: `none`, `stride_extension`, `balance`, `harmonics`, and with robot
             `nermo_41` `sagittal_extension` and `pitch_balance`, or several joined by "+".
         steering: `leg`, `spine` or `mix`; by default `spine` in the profile `as_published`, as its code turns, else
@@ -255,6 +256,8 @@ class Setup:
         )  # fmt: skip
         object.__setattr__(self, "timestep", config.timestep)
         object.__setattr__(self, "scene", config.scene)
+        authors = {name: short for short, name in GAIT_NAMES.items()}
+        object.__setattr__(self, "gait", authors.get(self.gait, self.gait))
         published_values(self.gait, steering=self.steering, profile=self.profile)
         if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))

@@ -20,7 +20,7 @@ from nermo_mjx.control.parameters import PROFILES, STEERING, ProfileSteering
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.control.trajectory import FORMS
-from nermo_mjx.robot import GAITS
+from nermo_mjx.robot import GAIT_NAMES, GAITS
 from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
 from nermo_mjx.robot.equipment import MOST_HINGES
 from nermo_mjx.robot.parameters import PRESETS, ROUTINGS
@@ -113,7 +113,7 @@ class SetupFields(Fields):
     hinges: Annotated[int, Whole(1, MOST_HINGES)] = Field(
         Setup.hinges, description="of each compliant joint of legs and spine"
     )
-    gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
+    gait: str = chosen(Setup.gait, (*GAITS, *GAIT_NAMES.values()), "defaults of duty, offsets and gait factor")
     spine: str = chosen(Setup.spine, SPINES, "its modes")
     steering: str = Field(
         default_factory=lambda: Setup.steering,  # which changes with the profile, and no JSON has
