@@ -9,5 +9,6 @@ from nermo_mjx.robot.robot import JointIndex, Robot, load_robot
 
 __all__ = [
     "GAITS", "GAIT_NAMES", "LIMBS", "SERVOS", "JointIndex", "MassModel", "ModelParameters", "ParameterError",
-    "Quantity", "Robot", "RobotConfig", "Sensors", "ServoAngles", "assemble", "assemble_leg", "assemble_spine", "load_robot",
+    "Quantity", "Robot", "RobotConfig", "Sensors", "ServoAngles", "assemble", "assemble_leg", "assemble_spine",
+    "load_robot",
 ]  # fmt: skip
