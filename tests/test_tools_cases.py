@@ -125,7 +125,7 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
 
 @pytest.mark.compiles
 def test_angles_that_become_nan_are_a_divergence(tmp_path: Path) -> None:
-    """MuJoCo C would go on with servos at 0."""
+    """Whether servos, and not only the body, lose their numbers."""
     late = UPDATE.replace("self.servos(params, phase)", "self.servos(params, jnp.sqrt(params.lag - phase) ** 2)")
     (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, late))
     simulator = Simulator(Setup(controller=f"{tmp_path / 'own.py'}:Bound"), engine="c")

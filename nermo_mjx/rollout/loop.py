@@ -112,10 +112,6 @@ class ClosedLoop:
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
         reach = params.servo_speed * controller.dt
         ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.servos) - state.ctrl, -reach, reach)
-        if not isinstance(controller, Controller):  # MuJoCo would walk on with 0 instead of NaN
-            finite = jnp.isfinite(ctrl)
-            measured = dataclasses.replace(measured, lost=measured.lost | ~finite.all())
-            ctrl = jnp.where(finite, ctrl, state.ctrl)
         tick = state.tick + 1
         after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
         return with_dtypes_of(state, after), ctrl
