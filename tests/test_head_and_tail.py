@@ -120,7 +120,7 @@ def test_the_head_looks_into_a_turn_and_where_it_is_held() -> None:
 @pytest.mark.parametrize(("speed", "amplitude"), [(0.2, 0.18), (1.0, 0.5)])
 def test_the_tail_swings_as_in_the_authors_software(speed: float, amplitude: float) -> None:
     """min(4.5 v^2, 0.5) cos(2 pi phase), his positive angle to the right, where ours is negative."""
-    values = {"speed": speed, "frequency": 1.0, "start.phase": 0.1}
+    values = {"commanded_speed": speed, "frequency": 1.0, "start.phase": 0.1}
     table = servo_table(Setup(tail="articulated", tail_motion="swing"), values, rate=20.0)
     phase = 0.1 + table.time
     wanted = -np.degrees(amplitude) * np.cos(2.0 * np.pi * phase)

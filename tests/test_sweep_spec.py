@@ -46,7 +46,7 @@ WRONG = {
     "wrong type": ("duty: 0.55", "duty: half", 7, ["'duty' is the text 'half': expected a number"]),
     "truth value": ("duty: 0.55", "duty: true", 7, ["'duty' is the truth value true"]),
     "set is a list": ("{duty: 0.55}", "[0.55]", 7, ["'set' is the list [0.55]: expected a mapping"]),
-    "set out of range": ("duty: 0.55", "duty: 1.5", 7, ["'duty' is 1.5: allowed is (0, 1)"]),
+    "set out of range": ("duty: 0.55", "duty: 1.5", 7, ["'duty' is 1.5: allowed is [0.01, 1)"]),
     "vary is a number": (FREQUENCY, "0.5", 9, ["'frequency' is the number 0.5", "linspace", "under 'set'"]),
     "vary out of range": ("[0.0, 0.2, 0.4]", "[0.0, 0.9]", 10, ["'spine.amplitude' is 0.9: allowed is [0, 0.6] rad"]),
     "linspace out of range": (FREQUENCY, "{linspace: [0.0, 1.2, 9]}", 9, ["'frequency' is 0: allowed is (0, 5] Hz"]),

@@ -30,7 +30,7 @@ def of_package() -> dict[str, list[str]]:
     from nermo_mjx.experiments.run import EXPERIMENTS
     from nermo_mjx.physics.making import ENGINES
     from nermo_mjx.plotting.files import FORMATS
-    from nermo_mjx.robot import GAITS
+    from nermo_mjx.robot import GAIT_NAMES, GAITS
     from nermo_mjx.robot.assembly import PRESETS, ROBOTS, TAILS
     from nermo_mjx.robot.scene import scenes
     from nermo_mjx.rollout import METRICS, all_parameters
@@ -39,7 +39,8 @@ def of_package() -> dict[str, list[str]]:
 
     named = {
         "ENGINES": ENGINES, "GRADIENT_MODES": CASES["gradient"].options["mode"].default, "BENCH_CASES": CASES,
-        "ROBOTS": ROBOTS, "TAILS": TAILS, "PHYSICS": PRESETS, "GAITS": GAITS, "SPINE_MODES": (NO_MODE, *MODES),
+        "ROBOTS": ROBOTS, "TAILS": TAILS, "PHYSICS": PRESETS, "GAITS": (*GAITS, *GAIT_NAMES.values()),
+        "SPINE_MODES": (NO_MODE, *MODES),
         "TRAJECTORIES": (*FORMS, FREE), "HEADS": HEADS, "TAIL_MOTIONS": TAIL_MOTIONS, "STEERINGS": STEERING,
         "PROFILES": PROFILES, "EXPERIMENTS": EXPERIMENTS, "EXPERIMENT_PROFILES": cases.PROFILES,
         "OVERLAYS": OVERLAYS, "VIEWS": CAMERAS, "FORMATS": FORMATS,

@@ -795,9 +795,11 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
 
 def _print_training_cost(cost: TrainingCost) -> None:
     click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
-    time = f"about {duration(cost.wall_seconds)} here" if math.isfinite(cost.wall_seconds) else "for an unknown time"
+    known = math.isfinite(cost.wall_seconds)
+    time = f"about {duration(cost.wall_seconds)} here with compiling" if known else "for an unknown time"
     click.echo(f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
-               f"{cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
+               f"{cost.disk_bytes / 1e6:.3g} MB on disk; then the evaluation simulates "
+               f"{duration(cost.evaluated_seconds)}, and compiles, on top")  # fmt: skip
     click.echo(cost.rate_from)
 
 

@@ -241,9 +241,11 @@ def _compile(config: RobotConfig) -> _Compiled:
             "routing is type1: MuJoCo 4 leads its tendon off the pulley in 7 % of the leg's poses, by up to 27 mm; "
             "MuJoCo 3.17 does not.", stacklevel=3,
         )  # fmt: skip
-    spec = assemble(config)
     try:
+        spec = assemble(config)
         model = spec.compile()
+    except ParameterError:
+        raise
     except ValueError as error:  # a custom scene that uses the name of one of the robot's parts
         why = str(error).splitlines()[0].removeprefix("Error: ")
         raise ParameterError(f"scene is {scene_name(str(config.scene))!r}: beside the robot it has a {why}.") from None

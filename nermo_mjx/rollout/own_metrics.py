@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.control.loading import content_of_source, module_of, no_such_name
+from nermo_mjx.control.loading import content_of_source, module_of, no_such_name, told
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.runtime import start_jax
@@ -87,9 +87,6 @@ REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last"
 SIDES: Final = ("high", "low")
 #: How a text names metrics; without a name, all in the file or module.
 FORM: Final = "FILE.py, FILE.py:NAME, MODULE or MODULE:NAME"
-#: Errors of functions that cannot be traced.
-_NOT_JITTABLE: Final = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
-                        jax.errors.TracerBoolConversionError, jax.errors.TracerIntegerConversionError)  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -240,24 +237,16 @@ def check_metrics(config: RobotConfig, metrics: tuple[OwnMetric, ...]) -> None:
 def _tried(robot: Robot, each: OwnMetric, reading: np.ndarray) -> np.ndarray:
     """A function's result for a reading, compiled."""
     sensors = robot.sensors(jnp.asarray(reading))
-    try:
+    with told(f"metrics has {each.place}, which fails"):
         given = jax.jit(each.function)(sensors)
-    except _NOT_JITTABLE:
-        raise ParameterError(
-            f"metrics has {each.place}, which cannot be compiled: it branches on readings, or makes NumPy's numbers of "
-            "them; use jax.numpy, and jnp.where instead of if."
-        ) from None
-    except Exception as error:
-        hint, wrong = "", (str(error).strip().splitlines() or [""])[0].rstrip(".")[:200]
-        if isinstance(error, AttributeError) and isinstance(error.obj, Sensors):
-            known = [field.name for field in dataclasses.fields(Sensors)]
-            hint = f"{did_you_mean(str(error.name), known)} Sensors are {', '.join(known)}"
-        raise ParameterError(f"metrics has {each.place}, which fails: {type(error).__name__}: {wrong}{hint}.") from None
     if not isinstance(given, jax.Array) or given.shape or jnp.issubdtype(given.dtype, jnp.complexfloating):
-        raise ParameterError(f"metrics has {each.place}, which gives {_described(given)}: expected one number.")
+        raise ParameterError(f"metrics has {each.place}, which gives {described(given)}: expected one number.")
     return np.asarray(given, float)
 
 
-def _described(given: Any) -> str:
+def described(given: Any) -> str:
+    """What a function gave, in words."""
     shape = getattr(given, "shape", None)
-    return f"an array of shape {shape}" if shape else "a complex number" if shape == () else type(given).__name__
+    if shape == ():
+        return f"one number of type {given.dtype}"
+    return f"an array of shape {shape}" if shape else type(given).__name__

@@ -207,6 +207,7 @@ class Going:
         self.run = self.evaluations = 0
         self.seconds = 0.0
         self._resumed = 0
+        self._measured = False
         self._stamp: CodeStamp | None = None
         self._slopes_of: Gradients | None = None
         self._lead = _Lead(batches.search)
@@ -236,6 +237,7 @@ class Going:
             self.seconds += float(np.sum(seconds))
             differentiated = seconds[: asked.gradients * search.repeats]
             self.seconds += WalkGradients.cost_of(search) * float(np.sum(differentiated))
+            self._measured = self._measured or _check_measured(search, table)
             scores = _scores(batches, table, asked)
             self._lead.take(scores)
             optimizer.tell(scores)
@@ -338,6 +340,18 @@ def _seconds(search: Search, rows: Rows) -> np.ndarray:
     known = search.sweep.constants | rows.values
     rate = search.setup.cycle_rate({name: known[name] for name in search.setup.timing if name in known})
     return np.broadcast_to(np.asarray(search.run.seconds(rate)[1], float), len(rows))
+
+
+def _check_measured(search: Search, table: pa.Table) -> bool:
+    """Whether walks of a batch came to their end; raises `SearchFailed` if no number was found for what is asked."""
+    well = np.array(table.column("status").to_pylist()) == "ok"
+    for name in search.aim.metrics:
+        if well.any() and not np.isfinite(table.column(name).to_numpy()[well]).any():
+            raise SearchFailed(
+                f"{name} is NaN in all {well.sum()} walks of the first batch ({search.sweep.metrics[name].doc}): ask "
+                "for another metric, or change the walk."
+            )
+    return bool(well.any())
 
 
 def _scores(batches: Batches, table: pa.Table, asked: Asked) -> Scores:

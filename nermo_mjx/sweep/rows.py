@@ -8,6 +8,7 @@ import functools
 import hashlib
 import json
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -66,6 +67,9 @@ class RowTable:
         for row in range(self.rows):
             given = {name: self.columns[name][row] for name in names}
             given = {name: str(getattr(Setup, name)) if value is None else value for name, value in given.items()}
+            for name, value in given.items():
+                if not isinstance(value, (str, Mapping)):
+                    self.fail(row, name, f"is {describe(value)}: expected a name.")
             key = json.dumps(given)
             if key not in found:
                 found[key] = len(found)
@@ -127,12 +131,17 @@ def _read_csv(path: Path) -> RowTable:
         raise SpecError(f"{path}: an empty file: expected a line of names, and a line for each row.")
     header = rows[0]
     for name in header:
+        for mark in ";\t|":
+            if mark in name:
+                raise SpecError(f"{path}:{lines[0]}: columns are separated by {mark!r}: allowed is ',' between "
+                                "columns, and '.' in numbers.")  # fmt: skip
         if not name or header.count(name) > 1:
             wrong = f"column {name!r} stands twice" if name else "a column has no name"
             raise SpecError(f"{path}:{lines[0]}: {wrong}.")
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
-            raise SpecError(f"{path}:{line}: has {len(row)} values, and the first line {len(header)} names.")
+            hint = " (a decimal comma separates, too: write 0.8)" if len(row) > len(header) else ""
+            raise SpecError(f"{path}:{line}: has {len(row)} values, and the first line {len(header)} names{hint}.")
     columns = {name: [row[i] or None for row in rows[1:]] for i, name in enumerate(header)}
     return RowTable(columns, lambda row: f"{path}:{lines[row + 1]}", exact=True)
 
@@ -146,6 +155,8 @@ def _read_parquet(path: Path) -> RowTable:
     names = [name for name, role in roles.items() if role == "varied" or not ours]
     if ours and not names:
         raise SpecError(f"{path}: a table of results in which nothing is varied: there are no variants to take.")
+    if twice := [name for name in names if table.column_names.count(name) > 1]:
+        raise SpecError(f"{path}: column {twice[0]!r} stands twice.")
     columns = {name: table.column(name).to_pylist() for name in names}
     nan = {name: [None if value != value else value for value in column] for name, column in columns.items()}
     return RowTable(nan, lambda row: f"{path}: row {row}" if row >= 0 else str(path), exact=not ours)
@@ -275,9 +286,12 @@ def _numbers(table: RowTable, name: str, about: Quantity) -> np.ndarray:
         if value is None:
             continue
         try:
-            column[row] = math.inf if isinstance(value, bool) else float(value)
-        except (TypeError, ValueError):
-            table.fail(row, name, f"is {describe(value)}: expected a number.")
+            if isinstance(value, (bool, bytes)):
+                raise ValueError
+            column[row] = float(value)
+        except (TypeError, ValueError, OverflowError):
+            comma = " with a point" if re.fullmatch(r"\s*-?\d*,\d+\s*", str(value)) else ""
+            table.fail(row, name, f"is {describe(value)}: expected a number{comma}.")
     given = column[~np.isnan(column)]
     try:
         about.check(name, given)

@@ -8,9 +8,10 @@ from typing import Final
 import jax
 
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.rollout.differentiable import choose_mode, cost
+from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost
 from nermo_mjx.sweep.simulating import pace
 from nermo_mjx.tune.methods import Method
+from nermo_mjx.tune.problems import load_reference
 from nermo_mjx.tune.spec import Tuning
 
 #: Worlds of the probe: enough to keep two cores busy.
@@ -39,12 +40,18 @@ class MethodCost:
 
 
 def costs_of(tuning: Tuning) -> list[MethodCost]:
-    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient."""
-    found = pace_here(tuning)
+    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient.
+
+    Raises:
+        ParameterError: the tuning's recording cannot be compared with its walk.
+    """
     slowest = {each.name: each.low for each in tuning.tuned}
     timing = {name: value for name, value in (tuning.constants | slowest).items() if name in tuning.setup.timing}
     seconds = float(tuning.run.seconds(tuning.setup.cycle_rate(timing))[1])
+    if tuning.recording is not None:
+        load_reference(tuning.recording, Rollout(tuning.setup, tuning.run), seconds)
     others = (Method(name) for name in ("gradient", "cma", "differences") if name != tuning.method.name)
+    found = pace_here(tuning)
     return [_cost(dataclasses.replace(tuning, method=each), seconds, found) for each in (tuning.method, *others)]
 
 
