@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from nermo_mjx.experiments.ensemble import ALL, TOLERANCE, names
+from nermo_mjx.experiments.ensemble import FREE_IN, TOLERANCE, UNCERTAIN, names
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.model_parameters import ModelParameters
 from nermo_mjx.robot.quantity import ParameterError, quantities
+
+ALL = FREE_IN["as_published"] | UNCERTAIN
 
 
 @pytest.mark.parametrize("name", ["damping.knee", "damping.ankle", "damping.spine", "servo.kp", "servo.kv"])
