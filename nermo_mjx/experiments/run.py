@@ -183,7 +183,7 @@ def run_experiments(
 
 
 def draw(bodies: int, seed: int) -> dict[str, dict[str, np.ndarray]]:
-    """Bodies that walk as published in the set-up of the published tests: profile -> parameter name -> (bodies,) values.
+    """Bodies that walk as published in the set-up of the tests: profile -> parameter name -> (bodies,) values.
 
     Raises:
         ParameterError: not a whole number of at least 1, or there are fewer.

@@ -9,9 +9,9 @@ Its winding, of the resistance V0 / (Is - I0), turns i^2 of it into heat; the re
 
     P = V I0 + max(0, V0 (Is - I0) tau^2 / T^2 + max(1, k (Is - I0) / T) tau w).
 
-With a back-EMF constant k that is larger than the torque per current, T / (Is - I0), gears lose the difference, and P is
-what electronics draw that switch the supply voltage V on for the share u of the time (`Servo`). With a smaller one, such
-as the default of 0, the motor would give more than it takes: it takes what it gives. So power is never less than
+With a back-EMF constant k above the torque per current, T / (Is - I0), gears lose the difference, and P is what
+electronics draw that switch the supply voltage on for the share u of the time (`Servo`). With a smaller one, such as
+the default of 0, the motor would give more than it takes: it takes what it gives. So power is never less than
 mechanical work. Power that would flow back into the battery is not counted.
 """
 

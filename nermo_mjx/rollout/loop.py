@@ -20,7 +20,6 @@ from nermo_mjx.rollout.own_metrics import OwnMetric
 from nermo_mjx.rollout.setup import Start, Window, WorldParameters
 from nermo_mjx.shapes import Array, Count, Scalar
 
-
 #: An angle that is this much beyond a servo's range is within it [rad].
 ROUNDING: Final = 1e-6
 
@@ -104,6 +103,7 @@ class ClosedLoop:
         sensors = self.robot.sensors(sensordata)
         control = canonical(self.controller.init(params.control, sensors, params.start.phase))
         servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.servos)
+        servo = self._within_range(servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
         return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype), now)
 
@@ -116,12 +116,15 @@ class ClosedLoop:
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
         reach = params.servo.top_speed * controller.dt
         asked = servo.vector(self.robot.servos)
-        target = jnp.clip(asked, *jnp.asarray(self.robot.model.actuator_ctrlrange.T, asked.dtype))
+        target = self._within_range(asked)
         ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
         clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
         after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl, clamped)
         return with_dtypes_of(state, after), ctrl
+
+    def _within_range(self, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
+        return jnp.clip(angles, *jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype))
 
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]

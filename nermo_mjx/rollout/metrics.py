@@ -46,8 +46,9 @@ FALLEN_COSINE: Final = 0.5
 FALLEN_HEIGHT: Final = 0.025
 #: Speed above which the simulation counts as diverged [m/s].
 DIVERGED_SPEED: Final = 50.0
-#: Penetration from which the contact is no model of a sole any more, the sole's thickness [m]; share of time in the air.
+#: Deepest contact that is still one of a sole, the sole's thickness [m].
 SUNK: Final = 0.004
+#: Share of time without a contact from which a run is no walk.
 FLOATED: Final = 0.5
 GRAVITY: Final = 9.81
 
