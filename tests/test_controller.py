@@ -58,6 +58,7 @@ def sensors_at(position=(0.0, 0.0, 0.05)) -> Sensors:
         foot_position=jnp.zeros((4, 3)),
         foot_velocity=jnp.zeros((4, 3)),
         tail_force=jnp.zeros(()),
+        contact_distance=jnp.zeros(()),
     )
 
 

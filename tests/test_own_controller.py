@@ -17,6 +17,7 @@ from nermo_mjx import Controller, Rollout, Run, Setup, Simulator, leg_servos
 from nermo_mjx.control import SpineModes, load_controller, published_controller
 from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.path import straight
+from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.quantity import ParameterError, parameter_tree, quantity
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
 from nermo_mjx.rollout.setup import Window
@@ -361,7 +362,7 @@ def test_the_gradient_of_the_commands_by_the_policy_is_that_of_finite_difference
         def commands(share):
             now = jax.tree.map(lambda at, to: at + share * to, policy, way)
             world = Setup(controller=controller).world({}, now)
-            params = LoopParameters(world.control, world.start, Window(), 1000.0)
+            params = LoopParameters(world.control, world.start, Window(), Servo(speed=1000.0))
             state = loop.init(params, rest)
             return jax.lax.scan(lambda state, seen: loop.step(params, state, seen), state, readings)[1][-1]
 

@@ -132,7 +132,8 @@ LINES = (
     ("lateral_drift", "lateral drift", "mm", 1e3),
     ("slip", "slip of loaded feet", "mm/s", 1e3),
     ("servo_work", "servo work", "J", 1.0),
-    ("cost_of_transport", "cost of transport", "", 1.0),
+    ("cost_of_transport", "cost of transport, mechanical", "", 1.0),
+    ("electrical_cost_of_transport", "cost of transport, electrical", "", 1.0),
 )
 
 

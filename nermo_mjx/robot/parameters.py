@@ -370,6 +370,7 @@ class Sensors:
         foot_force: normal contact force of each foot [N].
         foot_position, foot_velocity: of each foot H in the world [m, m/s] (for metrics, not for the controller).
         tail_force: normal contact force of the tail on the ground [N].
+        contact_distance: of the deepest contact, negative where bodies overlap [m] (for metrics).
     """
 
     position: Spatial
@@ -385,3 +386,4 @@ class Sensors:
     foot_position: Float[Array, "*batch 4 3"]
     foot_velocity: Float[Array, "*batch 4 3"]
     tail_force: Scalars
+    contact_distance: Scalars

@@ -87,7 +87,8 @@ class _Compiled:
             "foot_force": slice(start["front_left_foot_force"], start["front_left_foot_force"] + 4),
             "foot_position": slice(start["front_left_foot_position"], start["front_left_foot_position"] + 12),
             "foot_velocity": slice(start["front_left_foot_velocity"], start["front_left_foot_velocity"] + 12),
-            "tail_force": slice(start["tail_tip_force"], model.nsensordata),
+            "tail_force": slice(start["tail_tip_force"], start["contact_distance"]),
+            "contact_distance": slice(start["contact_distance"], model.nsensordata),
         }
 
     @functools.cached_property
@@ -178,6 +179,7 @@ class Robot:
             parts[name] = parts[name].reshape(*data.shape[:-1], 4, 3)
         parts["knee_angle"] = parts["knee_angle"].reshape(*data.shape[:-1], 4, -1).sum(axis=-1)
         parts["tail_force"] = parts["tail_force"].sum(axis=-1)
+        parts["contact_distance"] = parts["contact_distance"][..., 0]
         return Sensors(**parts)
 
     def sensordata_at_rest(self, qpos: Float[Array, " nq"]) -> Float[Array, " n"]:

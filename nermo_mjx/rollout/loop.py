@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Container
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -15,12 +15,16 @@ from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
 from nermo_mjx.control.loading import named_place, told
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
+from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics, described
 from nermo_mjx.rollout.setup import Setup, Start, Window, WorldParameters
 from nermo_mjx.runtime import start_jax
 from nermo_mjx.shapes import Array, Count, Scalar
+
+#: An angle that is this much beyond a servo's range is within it [rad].
+ROUNDING: Final = 1e-6
 
 
 @jax.tree_util.register_dataclass
@@ -31,7 +35,7 @@ class LoopParameters:
     Attributes:
         control: of the controller.
         start, window: of the run.
-        servo_speed: maximum rate of change of a servo's target [rad/s].
+        servo: parameters of the servos.
         terrain: shape of the ground, in a scene that has one; None for the compiled ground.
         servo_brake: of the servos by their back-EMF [N m s/rad]; None unless it is named.
     """
@@ -39,7 +43,7 @@ class LoopParameters:
     control: Any
     start: Start
     window: Window
-    servo_speed: Any
+    servo: Servo
     terrain: TerrainShape | None = None
     servo_brake: Any = None
 
@@ -55,7 +59,7 @@ def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named:
     """
     servo = world.model.servo
     brake = servo.brake if "servo.back_emf" in named else None
-    return LoopParameters(world.control, world.start, window, servo.top_speed, terrain_of(robot, world), brake)
+    return LoopParameters(world.control, world.start, window, servo, terrain_of(robot, world), brake)
 
 
 def terrain_of(robot: Robot, world: WorldParameters) -> TerrainShape | None:
@@ -72,7 +76,8 @@ class LoopState:
         tick, time: control ticks, and simulated time [s], since the start.
         control: the controller's state.
         metrics: accumulators.
-        ctrl: the servos' targets [rad].
+        ctrl: the servos' targets, within their ranges [rad].
+        clamped: 1 if the controller asked for an angle beyond a servo's range in this tick, else 0.
     """
 
     tick: Count
@@ -80,6 +85,7 @@ class LoopState:
     control: Any
     metrics: metrics.MetricState
     ctrl: Float[Array, " n_servos"]
+    clamped: Scalar
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -100,8 +106,9 @@ class ClosedLoop:
         sensors = self.robot.sensors(sensordata)
         control = canonical(self.controller.init(params.control, sensors, params.start.phase))
         servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.servos)
+        servo = self._within_range(servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
-        return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype))
+        return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype), now)
 
     def step(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -110,11 +117,17 @@ class ClosedLoop:
         measured = self.measure(params, state, sensordata)
         controller, own = self.controller, params.control
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
-        reach = params.servo_speed * controller.dt
-        ctrl = state.ctrl + jnp.clip(servo.vector(self.robot.servos) - state.ctrl, -reach, reach)
+        reach = params.servo.top_speed * controller.dt
+        asked = servo.vector(self.robot.servos)
+        target = self._within_range(asked)
+        ctrl = state.ctrl + jnp.clip(target - state.ctrl, -reach, reach)
         tick = state.tick + 1
-        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl)
+        clamped = jnp.any(jnp.abs(asked - target) > ROUNDING).astype(ctrl.dtype)
+        after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl, clamped)
         return with_dtypes_of(state, after), ctrl
+
+    def _within_range(self, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
+        return jnp.clip(angles, *jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype))
 
     def measure(
         self, params: LoopParameters, state: LoopState, sensordata: Float[Array, "steps n"]
@@ -131,6 +144,7 @@ class ClosedLoop:
         return metrics.update(
             params.window, state.metrics, sensors, state.time, controller.dt, controller.cycle_rate(own), path,
             stance, self.robot.terrain.height(position[0], position[1], params.terrain), self.own, params.servo_brake,
+            params.servo, state.clamped,
         )  # fmt: skip
 
     def last_reading(self, measured: metrics.MetricState, sensordata: Float[Array, "steps n"]) -> Sensors:

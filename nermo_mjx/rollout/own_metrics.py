@@ -74,8 +74,14 @@ METRICS: Final[dict[str, Metric]] = {
     "motor_current": Metric("A", "mean current in the motors of all servos, by their torque", "low"),
     "servo_current": Metric("A", "mean current that all servos draw from the battery", "low"),
     "electrical_power": Metric("W", "mean electrical power of all servos", "low"),
+    "electrical_cost_of_transport": Metric(
+        "1", "electrical energy of all servos over weight and distance; NaN below 1 mm", "low"
+    ),
     "charge": Metric("C", "drawn by all servos while measured", "low"),
     "battery_time": Metric("s", "time in which servos and electronics empty the battery", "high"),
+    "servo_clamped": Metric("1", "share of time with a servo asked for an angle beyond its range", "low"),
+    "airborne_time": Metric("1", "share of time without any contact"),
+    "penetration": Metric("m", "depth of the deepest contact since the start", "low"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground", "low"),
     "diverged": Metric("1", "1 if the simulation lost its numbers", "low"),
     "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),

@@ -58,7 +58,7 @@ class RunResult:
 
     Attributes:
         metrics: name -> (n,), as `all_metrics` describes them.
-        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `unsolved`.
+        status: (n,) of the names in `metrics.Ending`: `ok`, `fell`, `diverged`, `sank`, `floated`, `unsolved`.
         setup, length: of the run.
         worlds: all parameters, leaves with a leading world axis.
         named: the explicitly named ones.
@@ -349,7 +349,7 @@ class Simulator:
         unsolved = session.unsolved > UNSOLVED * ticks * self.loop.steps_per_tick
         return RunResult(
             metrics=table,
-            status=measures.endings(table["fell"], table["diverged"], unsolved),
+            status=measures.endings(table, unsolved),
             setup=self.setup,
             length=batch.length,
             worlds=batch.worlds,

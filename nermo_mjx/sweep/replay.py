@@ -182,7 +182,9 @@ def replay_row(
     status = str(result.status[0])
     # A run that has covered its distance is over; one that fell is shown to its end, one that is lost until then.
     whole = found.begin + metrics["duration"]
-    ends = {"ok": whole, "unsolved": whole, "diverged": metrics["failure_time"] - simulator.controller.dt}
+    ends = dict.fromkeys(("ok", "unsolved", "sank", "floated"), whole) | {
+        "diverged": metrics["failure_time"] - simulator.controller.dt
+    }
     ticks = math.ceil(ends.get(status, found.end) / simulator.controller.dt - 1e-3)
     assert result.trace is not None
     return Replay(

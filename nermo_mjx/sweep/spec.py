@@ -114,6 +114,7 @@ def read_comparison(
 OBJECTIVES: Final = {
     "speed": "max",
     "cost_of_transport": "min",
+    "electrical_cost_of_transport": "min",
     "servo_work": "min",
     "slip": "min",
     "roll_std": "min",
