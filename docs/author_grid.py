@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from nermo_mjx import Run, Setup, Simulator
-from nermo_mjx.control.published import published_values
+from nermo_mjx.control.parameters import published_values
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 
 ROOT = Path(__file__).parents[1]

@@ -37,7 +37,7 @@ class Recording:
         qpos: generalised positions [m, rad].
         qvel: generalised velocities [m/s, rad/s].
         ctrl: commanded servo angles [rad].
-        sensors: named sensor readings, each with the time axis first; units as in `robot.interface.Sensors`.
+        sensors: named sensor readings, each with the time axis first; units as in `robot.Sensors`.
         model_hash: `model_hash` of the model that ran; "" if unknown.
         metadata: plain JSON values: `setup`, `parameters`, `metrics`, `engine`, `versions`, and `units` of
             custom metrics.

@@ -33,7 +33,7 @@ MOST_CACHE_BYTES: Final = 2 * 1024**3
 #: 31, and runs in 0.5 s instead of 1.2. JAX 0.12 has no choice of emitters any more.
 COMPILER_OPTIONS: Final[Mapping[str, bool]] = {"xla_cpu_use_fusion_emitters": False}
 #: What XLA reads once, when JAX starts, and takes from no program: a loop that touches less than 4 MB becomes one
-#: function, else (from 1 KB on) one of each fused expression, handed out to threads. `physics.packed_loop` is such a
+#: function, else (from 1 KB on) one of each fused expression, handed out to threads. `physics.engine` is such a
 #: loop, of 0.6 MB: trainings take 13 % less processor time. JAX 0.12 gives the same bits in the same time without it.
 EXTRA_OPTIONS: Final = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=4000000"
 #: Environment variable with the number of processors that the engine `c` uses, where a caller does not say.

@@ -162,6 +162,24 @@ CASES: dict[str, Case] = {
         _free('type="capsule" size=".05 '
         '.1"', "0 0 0") + _free('type="capsule" size=".05 .1" euler="90 0 0"', ".0999 0 0")
     ),
+    "capsules parallel, of two lengths, head to tail": Case(
+        _free('type="capsule" size=".05 .1"', "0 0 0")
+        + _free('type="capsule" size=".03 .04" euler="180 0 0"', ".0799 0 .1")
+    ),
+    "sphere in a capsule": Case(
+        _free('type="capsule" size=".05 .1"', "0 0 0") + _free('size=".05" euler="90 0 0"', "0 0 .03"), steps=1
+    ),
+    "sphere on the end of a cylinder": Case(
+        _free('type="cylinder" size=".05 .1"', "0 0 0") + _free('size=".05"', "0 0 .1499")
+    ),
+    "sphere beside a cylinder": Case(
+        _free('type="cylinder" size=".05 .1"', "0 0 0") + _free('size=".05"', ".0999 0 0")
+    ),
+    "sphere on an ellipsoid": Case(
+        _free('type="ellipsoid" size=".05 .04 .03"', "0 0 0") + _free('size=".05"', "0 0 .0799")
+    ),
+    "box on its edge": Case(PLANE + _free('type="box" size=".05 .05 .05" euler="45 0 0"', "0 0 .0706")),
+    "box on its edge, deep": Case(PLANE + _free('type="box" size=".05 .05 .05" euler="30 5 0"', "0 0 .05")),
     "sphere on a box": Case(_free('type="box" size=".05 .05 .05"', "0 0 0") + _free('size=".05"', "0 0 .0999")),
     "capsule on a box": Case(
         '<geom type="box" size=".2 .2 .05"/>' + _free('type="capsule" size=".05 .1" euler="0 90 0"', "0 0 .0999")
@@ -298,6 +316,7 @@ def compiled(case: Case) -> mujoco.MjModel:
     xml = f"<mujoco>{_option(case.option, close)}<worldbody>{case.body}{end}</mujoco>"
     model = mujoco.MjModel.from_xml_string(xml)
     model.opt.iterations, model.opt.tolerance, model.opt.ls_tolerance = 200, 0, 1e-10
+    model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-13, 1000
     return model
 
 

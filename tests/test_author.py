@@ -10,13 +10,13 @@ import pytest
 from test_controller import walk
 
 from nermo_mjx.control import control_parameters, published_controller
-from nermo_mjx.control.published import AS_PUBLISHED, AS_PUBLISHED_BODY, published_values
+from nermo_mjx.control.parameters import AS_PUBLISHED, AS_PUBLISHED_BODY, published_values
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.rollout.start import START_SPREAD
+from nermo_mjx.rollout.run import START_SPREAD
 
 pytestmark = pytest.mark.compiles
 

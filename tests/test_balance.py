@@ -5,8 +5,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.published import SIMULATED
+from nermo_mjx.control.parameters import SIMULATED, ControlParameters
 from nermo_mjx.experiments.balance import (
     PHASES,
     PLACE,

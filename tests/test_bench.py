@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import shutil
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import pytest
 from click.testing import CliRunner
 
-from nermo_mjx.bench import CASES, apart, run_bench
-from nermo_mjx.bench.columns import COLUMNS, rows
-from nermo_mjx.bench.page import add_run, figures
-from nermo_mjx.bench.registry import Benchmark, Option, plan
+from nermo_mjx.bench import CASES, Benchmark, Option, apart, plan, run_bench
+from nermo_mjx.bench.results import COLUMNS, RESULTS, append, draw_page
 from nermo_mjx.cli import main
 from nermo_mjx.cli.choices import BENCH_CASES
 from nermo_mjx.robot import ParameterError
@@ -30,8 +26,9 @@ def test_each_combination_is_measured_and_what_is_not_given_has_its_default() ->
         ("gradient", {"mode": "reverse", "worlds": 16, "cycles": 1.0}),
         ("gradient", {"mode": "reverse", "worlds": 16, "cycles": 2.0}),
     ]
-    both = plan(["throughput", "tuning"], {"engine": ("c",), "worlds": (8,), "frequency": (0.6,)})
-    assert both == [("throughput", {"engine": "c", "worlds": 8}), ("tuning", {"frequency": 0.6})]
+    both = plan(["throughput", "gradient"], {"engine": ("c",), "worlds": (8,), "mode": ("forward",)})
+    gradient = ("gradient", {"mode": "forward", "worlds": 8, "cycles": 1.0})
+    assert both == [("throughput", {"engine": "c", "worlds": 8}), gradient]
 
 
 @pytest.mark.parametrize(
@@ -84,6 +81,12 @@ def test_a_walk_is_measured(engine: str) -> None:
     assert result["date"] < "3"
 
 
+def add_run(folder: Path, run: dict[str, Any]) -> None:
+    """Add a run and draw the page, as `bench --into` does."""
+    append(folder / RESULTS, run)
+    draw_page(folder)
+
+
 def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
     def run(device: str, date: str, *lines: dict[str, Any]) -> dict[str, Any]:
         return run_of(date, *lines, hardware=HARDWARE | {"device": device})
@@ -102,14 +105,6 @@ def test_the_page_shows_the_newest_of_each_kind_by_machine(tmp_path) -> None:
     assert "| c | 64 | cold | 5.5 | 1.2 |" in page
     assert "2026-02-02" in page
     assert sorted(path.name for path in (tmp_path / "plots").glob("*.png")) == ["compile_1.png", "throughput_1.png"]
-
-
-def test_rows_of_a_case_with_parts() -> None:
-    """A profile has a row per stage, a tuning one per search."""
-    stages = [{"stage": "solver", "us": 2.0}, {"stage": "tendons", "us": 1.0}]
-    found = list(rows({"case": "profile", "engine": "c", "worlds": 1, "step_us": 3.0, "stages": stages}))
-    assert [(row["engine"], row["stage"], row["us"]) for row in found] == [("c", "solver", 2.0), ("c", "tendons", 1.0)]
-    assert json.dumps(found)
 
 
 def run_of(date: str, *lines: dict[str, Any], hardware: dict[str, Any] | None = HARDWARE) -> dict[str, Any]:
@@ -154,21 +149,6 @@ def test_a_run_that_ended_before_it_knew_its_machine_is_shown(tmp_path) -> None:
     assert page.index("11,111") < page.index("## Unknown machine") < failed
 
 
-def test_lines_from_before_an_option_was_there_read_as_measured_with_its_default(tmp_path, monkeypatch) -> None:
-    add_run(tmp_path, run_of("2026-01-01", walk_of(11111.0), walk_of(44444.0, worlds=128)))
-    added = {"flavour": Option(("sweet", "sour"), ("sweet", "sour"))}
-    moved = {"flavour": Option(("sour",), ("sweet", "sour"), before="sweet")}
-    for options in (added, moved):
-        case = dataclasses.replace(CASES["throughput"], options={**CASES["throughput"].options, **options})
-        with monkeypatch.context() as patch:
-            patch.setitem(CASES, "throughput", case)
-            out = tmp_path / ("added" if options is added else "moved")
-            shutil.copytree(tmp_path, out, ignore=shutil.ignore_patterns("added", "moved"))
-            add_run(out, run_of("2026-02-02", walk_of(22222.0, flavour="sweet"), walk_of(33333.0, flavour="sour")))
-        page = (out / "results.md").read_text()
-        assert [figure in page for figure in ("11,111", "22,222", "33,333", "44,444")] == [False, True, True, True]
-
-
 def test_lines_that_cannot_be_read_are_kept_and_mentioned(tmp_path) -> None:
     unreadable = b'{"cut off\n\xff\xfe\n{}\n'
     later = {"case": "taste", "engine": "c", "sweetness": 3}
@@ -203,58 +183,3 @@ def test_two_runs_into_one_directory_do_not_meet(tmp_path) -> None:
     result = CliRunner().invoke(main, ["bench", "--into", str(tmp_path)])
     assert result.exit_code == 2
     assert "holds a tuning, and not benchmarks" in result.stderr
-
-
-def search_of(method: str, seed: int, speed: float, **more: Any) -> dict[str, Any]:
-    """A search by gradient or CMA-ES: its best rises by steps of processor time, the gradient's later and steeper."""
-    step = 10.0 if method == "exact" else 2.0
-    curve = [[step * i, step * i, 100.0 * i, -10 * speed * (0.5 + 0.1 * i)] for i in range(1, 6)]
-    return {
-        "case": "gradients-pay", "parameters": 32, "task": "speed", "gait": "trt", "method": method, "seed": seed,
-        "cpu_s": 60.0, "ready_cpu_s": step, "ready_wall_s": step, "evaluations": 5, "curve": curve,
-        "found": {"walks_ok": 8, "objective": -10 * speed, "metrics": {"speed": speed}},
-    } | more  # fmt: skip
-
-
-def test_the_page_of_searches_says_who_won_and_what_is_missing(tmp_path) -> None:
-    """By the medians of the seeds that both have; a gait that always fell counts as standing."""
-    lines = [search_of("exact", seed, 0.1 + 0.01 * seed) for seed in (1, 2, 3)]
-    lines += [search_of("cma", seed, 0.11) for seed in (1, 2, 3)] + [search_of("cma", 4, 0.2)]
-    lines += [search_of("line_search", 2, 0.1)]
-    add_run(tmp_path, run_of("2026-01-01", *lines))
-    page = (tmp_path / "gradients_pay.md").read_text()
-    assert (
-        "- 32 parameters, speed, trt: the exact gradient **wins**, 120 mm/s against 110 mm/s, medians of 3 seeds."
-        in page
-    )
-    assert "| 32 | speed | trt | 60 | exact gradient | 3 | 120.0 | 110 to 130 | 120 after 500 s | 10 | 5 |" in page
-    assert "the line search **loses**, 100 mm/s against 110 mm/s, 1 seed." in page
-    assert "- 32 parameters: 112 of 120.\n" in page
-    assert "- 8 parameters: all.\n" in page
-    assert "592 of the 600 planned searches are missing" in page
-    made = {path.stem for path in (tmp_path / "plots").glob("*.png")}
-    assert made == {"gradients_pay_32_speed_trt_60"}
-    assert {name for name, _ in figures(tmp_path)} == made  # what `nermo-mjx plot` draws
-    add_run(tmp_path, run_of("2026-01-02", search_of("exact", 2, 0.0, found=None), search_of("exact", 3, 0.1)))
-    assert "the exact gradient **loses**, 100 mm/s against 110 mm/s" in (tmp_path / "gradients_pay.md").read_text()
-
-
-def test_a_search_that_is_there_is_not_made_again(tmp_path, monkeypatch) -> None:
-    """Each measurement is stored as one line as soon as it is made; the next call continues with the missing ones."""
-    made: list[int] = []
-
-    def measured(case: Benchmark, options: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        made.append(options["seed"])
-        if options["seed"] == 3:
-            raise KeyboardInterrupt
-        return HARDWARE, search_of("cma", options["seed"], 0.1)
-
-    monkeypatch.setattr("nermo_mjx.bench.apart", measured)
-    command = ["bench", "gradients-pay", "--parameters", "32", "--task", "speed", "--gait", "trt", "--method", "cma",
-               "--into", str(tmp_path), *(part for seed in "1234" for part in ("--seed", seed))]  # fmt: skip
-    CliRunner().invoke(main, command)
-    assert len((tmp_path / "results.jsonl").read_text().splitlines()) == 2
-    monkeypatch.setattr("nermo_mjx.bench.apart", lambda case, options: measured(case, options | {"seed": -3}
-                        if options["seed"] == 3 else options))  # fmt: skip
-    assert CliRunner().invoke(main, command).exit_code == 0
-    assert made == [1, 2, 3, -3, 4]

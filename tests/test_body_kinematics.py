@@ -14,9 +14,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nermo_mjx.kinematics import balance, body
+from nermo_mjx.kinematics import body
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.masses import MassModel
 from nermo_mjx.robot.parameters import BODY, LIMBS, SPINE
 
 #: The published robot.
@@ -33,7 +33,7 @@ STRIDING = np.array([[-0.020, -0.045], [0.010, -0.045], [0.010, -0.050], [-0.015
 #: All sixteen ways to stand.
 STANCES = np.array(list(itertools.product([False, True], repeat=4)))
 
-balance_angle = jax.jit(balance.balance_angle)
+balance_angle = jax.jit(body.balance_angle)
 
 
 @functools.cache
@@ -168,11 +168,11 @@ def test_diagonal_distance_is_published_and_signed():
     a, b, c = f[:, 1] - r[:, 1], r[:, 0] - f[:, 0], f[:, 0] * r[:, 1] - f[:, 1] * r[:, 0]
     published = (a * point[:, 0] + b * point[:, 1] + c) / np.hypot(a, b)
     with jax.enable_x64(True):
-        ours = balance.diagonal_distance(point, f, r)
+        ours = body.diagonal_distance(point, f, r)
     np.testing.assert_allclose(ours, published, atol=1e-12)
     np.testing.assert_allclose(ours, [right_of(*row) for row in zip(point, f, r, strict=True)], atol=1e-12)
     # The robot's right is -x; forward is -y.
-    assert float(balance.diagonal_distance(*np.array([(-0.01, 0.0), (0.0, -0.1), (0.0, 0.1)]))) == pytest.approx(0.01)
+    assert float(body.diagonal_distance(*np.array([(-0.01, 0.0), (0.0, -0.1), (0.0, 0.1)]))) == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("feet", [WALKING, BALANCING, STRIDING], ids=["walking", "balancing", "striding"])
@@ -259,7 +259,7 @@ def everything(values):
             body.diagonals(theta, ROBOT),
             body.stride_gain(theta, ROBOT),
             body.centre_of_mass(MASSES, theta, ROBOT),
-            balance.balance_angle(MASSES, feet, STANCES, ROBOT, lift),
+            body.balance_angle(MASSES, feet, STANCES, ROBOT, lift),
         )
 
     gradient = jax.grad(lambda values: sum(jnp.sum(leaf) for leaf in results(values)))(values)

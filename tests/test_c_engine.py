@@ -8,8 +8,8 @@ import pytest
 
 from nermo_mjx.physics.c_engine import LANES, CEngine
 from nermo_mjx.rollout import Run
-from nermo_mjx.rollout.lanes import LANES as PIECE
-from nermo_mjx.rollout.lanes import Lanes
+from nermo_mjx.rollout.run import LANES as PIECE
+from nermo_mjx.rollout.run import Lanes
 
 #: More worlds than one block, on any number of cores.
 WORLDS = LANES + 9

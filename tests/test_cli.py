@@ -98,33 +98,6 @@ def test_examples_in_the_help_are_valid_commands() -> None:
             command.make_context(name, words[1:])
 
 
-def test_choices_written_out_for_the_help_are_those_of_the_package() -> None:
-    from nermo_mjx.control.free_stepping import FREE
-    from nermo_mjx.control.fusion import MODES, NO_MODE
-    from nermo_mjx.control.published import PROFILES, STEERING
-    from nermo_mjx.control.trajectory import FORMS
-    from nermo_mjx.experiments.catalogue import EXPERIMENTS
-    from nermo_mjx.physics.making import ENGINES
-    from nermo_mjx.robot import GAITS
-    from nermo_mjx.robot.assembly import ROBOTS, TAILS
-    from nermo_mjx.specs.walk_fields import Pilot
-    from nermo_mjx.view import CAMERAS, OVERLAYS
-
-    assert set(choices.GAITS) == set(GAITS)
-    assert (NO_MODE, *MODES) == choices.SPINE_MODES
-    assert (*FORMS, FREE) == choices.TRAJECTORIES
-    assert set(choices.STEERINGS) == set(STEERING)
-    assert set(choices.PROFILES) == set(PROFILES)
-    assert set(choices.ENGINES) == set(ENGINES)
-    assert set(choices.ROBOTS) == set(ROBOTS)
-    assert set(choices.TAILS) == set(TAILS)
-    # Way points are given in a sweep file or from Python, not as an option of `walk`.
-    assert {*choices.PILOTS, "waypoints"} == set(Pilot.model_fields)
-    assert set(choices.VIEWS) == set(CAMERAS)
-    assert set(choices.OVERLAYS) == set(OVERLAYS)
-    assert tuple(EXPERIMENTS) == choices.EXPERIMENTS
-
-
 # --- wrong use
 
 
@@ -339,7 +312,7 @@ def test_options_reach_the_simulation(tmp_path: Path) -> None:
 
 
 def test_the_seed_decides_the_start() -> None:
-    from nermo_mjx.cli.walk_plan import _shifted_start
+    from nermo_mjx.cli.walk import _shifted_start
 
     assert _shifted_start(1) == _shifted_start(1) != _shifted_start(2)
 
@@ -575,7 +548,7 @@ def test_a_page_of_benchmarks_that_a_user_has_written_on_is_moved_aside(
 
     run = {"date": "2026-01-01", "commit": "abc", "hardware": None, "cases": []}
 
-    def run_bench(*_: Any, keep: Any, known: Any) -> dict[str, Any]:
+    def run_bench(*_: Any, keep: Any) -> dict[str, Any]:
         keep(run)
         return run
 
@@ -597,7 +570,7 @@ def test_bench_passes_its_options_on_and_keeps_the_run(monkeypatch: pytest.Monke
     about = {"device": "1 x cpu", "cores": 2, "cpu": "some", "mujoco": "3", "jax": "0", "python": "3"}
     asked: list[Any] = []
 
-    def run_bench(cases: Any, given: dict[str, Any], progress: Any, keep: Any, known: Any) -> dict[str, Any]:
+    def run_bench(cases: Any, given: dict[str, Any], progress: Any, keep: Any) -> dict[str, Any]:
         asked.append((cases, {name: values for name, values in given.items() if values}))
         progress(1, 1)
         run = {"date": "2026-11-21T00:00:00", "commit": "abc", "hardware": about, "cases": [good, bad]}

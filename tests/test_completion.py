@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import choices, main
-from nermo_mjx.cli.completing import offered
+from nermo_mjx.cli.options import offered
 
 
 def complete(line: str, folder: Path, shell: str = "bash") -> list[str]:
@@ -72,15 +72,8 @@ def test_the_command_prints_what_the_shell_needs(shell: str) -> None:
 
 
 def test_names_written_out_for_the_shell_are_those_of_the_package() -> None:
-    """After a parameter, metric or scene is added, `nermo_mjx/cli/choices.py` lists it, too."""
-    from nermo_mjx.plotting.files import FORMATS
-    from nermo_mjx.robot.scene import scenes
-    from nermo_mjx.rollout import METRICS, all_parameters
-
-    assert set(choices.PARAMETERS) == set(all_parameters())
-    assert set(choices.METRICS) == set(METRICS)
-    assert set(choices.SCENES) == set(scenes())
-    assert choices.FORMATS == FORMATS
+    """After a parameter, metric, gait or scene is added, `python nermo_mjx/cli/choices.py` writes them anew."""
+    assert choices.FILE.read_text() == choices.text_of(choices.of_package())
 
 
 def test_hidden_files_are_offered_when_asked_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,23 +11,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.control import (
-    build,
     control_parameters,
-    fusion,
-    guidance,
+    pilot,
     published_controller,
+    spine_modes,
     tabulated,
     trajectory,
     turning,
 )
+from nermo_mjx.control import controller as controller_module
 from nermo_mjx.control.parameters import ControlParameters, Spine
 from nermo_mjx.kinematics.body import hip_height_offset
 from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.kinematics.spine import joint_angle, servo_angle
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import SERVOS, Sensors
-from nermo_mjx.robot.mass_model import MassModel
-from nermo_mjx.robot.parameters import GAIT_PATTERNS
+from nermo_mjx.robot.masses import MassModel
+from nermo_mjx.robot.parameters import GAIT_PATTERNS, SERVOS, Sensors
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
 from nermo_mjx.rollout import Setup, Simulator
 
@@ -317,7 +316,7 @@ def test_stride_extension_is_a_cosine_of_the_phase():
 @pytest.mark.parametrize("rate", [-1.0, -0.6, 0.0, 0.6, 1.0])
 def test_steering_fades_the_other_mode_alike_on_both_sides(rate):
     """(5.45, 5.46) with erratum 3: at full lock nothing of the auxiliary mode is left."""
-    servo = fusion.fuse(Spine(), jnp.float32(rate), jnp.float32(0.2))
+    servo = spine_modes.fuse(Spine(), jnp.float32(rate), jnp.float32(0.2))
     assert servo == pytest.approx(0.4 * (rate + (1 - abs(rate)) * 0.5), abs=1e-6)
 
 
@@ -331,7 +330,7 @@ def test_spine_based_steering_bends_the_spine_and_leaves_the_strides():
 def test_balance_rests_on_four_feet_and_acts_when_one_is_lifted():
     feet = trajectory.neutral_feet(control_parameters().stance)
     all_down, lifted = jnp.ones(4, bool), jnp.asarray([True, True, False, True])
-    balance = jax.jit(lambda stance: fusion.balance(Spine(), MASSES, feet, stance, ROBOT))
+    balance = jax.jit(lambda stance: spine_modes.balance(Spine(), MASSES, feet, stance, ROBOT))
     assert balance(all_down) == pytest.approx(0.0, abs=1e-7)  # rounding, which JAX 0.12 shows
     angle = joint_angle(balance(lifted), ROBOT)
     assert 0.0 < abs(float(angle)) <= 0.1 + 1e-6
@@ -438,20 +437,20 @@ def test_the_observers_have_their_poles_where_their_bandwidth_says(bandwidth, fr
     """Of the plant in the frame that turns with the sway, under the gains: exp(-bandwidth f dt) times the plant's."""
     cycles = frequency / 50.0
     with jax.enable_x64(True):
-        course, sway = map(np.asarray, guidance.observer_gains(bandwidth, cycles))
+        course, sway = map(np.asarray, pilot.observer_gains(bandwidth, cycles))
     course, sway = course[:, which], sway[which]
-    plant = np.zeros((2 + 2 * len(guidance.HARMONICS),) * 2)
+    plant = np.zeros((2 + 2 * len(pilot.HARMONICS),) * 2)
     plant[:2, :2] = [[1.0, 1.0], [0.0, 1.0]]
     seen = np.zeros(len(plant))
     seen[0] = 1.0
-    for place, harmonic in zip(range(2, len(plant), 2), guidance.HARMONICS, strict=True):
+    for place, harmonic in zip(range(2, len(plant), 2), pilot.HARMONICS, strict=True):
         angle = 2 * np.pi * harmonic * cycles
         cosine, sine = np.cos(angle), np.sin(angle)
         plant[place : place + 2, place : place + 2] = [[cosine, -sine], [sine, cosine]]
         seen[place] = 1.0
     left_over = plant - np.outer(np.concatenate([course, sway.ravel()]), seen @ plant)
-    angles = 2 * np.pi * cycles * np.asarray(guidance.HARMONICS)
-    fast, slow = np.exp(-bandwidth * cycles), np.exp(-guidance.SLOW[which] * bandwidth * cycles)
+    angles = 2 * np.pi * cycles * np.asarray(pilot.HARMONICS)
+    fast, slow = np.exp(-bandwidth * cycles), np.exp(-pilot.SLOW[which] * bandwidth * cycles)
     wanted = np.poly([fast, slow, *(fast * np.exp(1j * angles)), *(fast * np.exp(-1j * angles))]).real
     np.testing.assert_allclose(np.poly(left_over), wanted, atol=1e-9 * np.abs(wanted).max())
 
@@ -702,7 +701,7 @@ def test_bounds_belong_to_the_range_and_batches_are_kept():
     """1.2 is not a float32: parameters stay in double precision until they are traced."""
     params = control_parameters(stride=1.2, frequency=np.linspace(0.4, 1.2, 5), **{"spine.amplitude": 0.6})
     assert params.gait.frequency.shape == (5,)
-    build.check(params)
+    controller_module.check(params)
 
 
 @pytest.mark.parametrize("gait", ["trt", "trt1", "lat"])

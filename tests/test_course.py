@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from published_maze import clearance
 
-from nermo_mjx.control.course import AHEAD, BEHIND, Course, course_through, locate
-from nermo_mjx.control.path import PathPoint
+from nermo_mjx.control.path import AHEAD, BEHIND, Course, PathPoint, course_through, locate
 from nermo_mjx.experiments.walks import MAZE_COURSE, maze_course
 from nermo_mjx.robot.quantity import ParameterError
 

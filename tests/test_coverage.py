@@ -147,10 +147,16 @@ REFUSALS: dict[str, tuple[Any, str]] = {
         "actuator 'a' is in a disabled group"),
     "noslip": ((HINGE, "", '<option noslip_iterations="3"/>'), "noslip_iterations is 3"),
     "sleep": ((HINGE, "", '<option><flag sleep="enable"/></option>'), "flag sleep is enabled"),
+    "side site": (
+        ('<geom name="w" type="cylinder" size=".25 .1" contype="0" conaffinity="0"/><site name="o" pos="-.3 0 0"/>'
+         + HINGE.replace('"s"', '"s" pos=".1 0 0" ').replace("axis", 'pos=".2 0 0" axis'),
+         '<tendon><spatial name="t"><site site="o"/><geom geom="w" sidesite="s"/>'
+         '<site site="s"/></spatial></tendon>'),
+        "tendon 't' has the side site 's', now inside geom 'w', now outside, as joints turn: put it on the same body"),
     "range of a cylinder": (
         (HINGE + '<geom name="c" type="cylinder" size=".1 .1" contype="0" '
         'conaffinity="0"/>', '<sensor><rangefinder site="s"/></sensor>'),
-        "geom 'c' is not seen by rangefinders"),
+        "geom 'c' is not seen by rangefinders: allowed are shapes other than cylinder, hfield, sdf."),
 }  # fmt: skip
 
 

@@ -13,8 +13,8 @@ import jax
 import numpy as np
 import pytest
 
-from nermo_mjx.physics import devices
-from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, choose_devices
+from nermo_mjx.physics import engine
+from nermo_mjx.physics.engine import FIRST, NOWHERE, SECOND, choose_devices
 from nermo_mjx.robot import ParameterError
 
 pytestmark = pytest.mark.process
@@ -45,11 +45,11 @@ def test_so_is_one_in_the_environment(monkeypatch, value):
 
 def test_batches_are_limited_on_a_cpu_only(monkeypatch):
     """The hang from which the limit keeps is one of JAX's CPU runtime."""
-    monkeypatch.setattr(devices, "cpu_batch_limit", lambda: 32)
+    monkeypatch.setattr(engine, "cpu_batch_limit", lambda: 32)
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
-    assert devices.batch_limit() == 32
+    assert engine.batch_limit() == 32
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert devices.batch_limit() is None
+    assert engine.batch_limit() is None
 
 
 FOUR = """
@@ -57,7 +57,7 @@ import dataclasses, json, re, sys
 import nermo_mjx, jax, numpy as np
 sys.path.insert(0, {tests!r})
 from swinging import SwayLoop, batch, robot
-from nermo_mjx.physics.devices import Devices
+from nermo_mjx.physics.engine import Devices
 from nermo_mjx.physics.mjx_engine import MjxEngine
 
 def walk(engine):

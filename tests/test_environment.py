@@ -18,8 +18,7 @@ from nermo_mjx.control.protocol import leg_servos
 from nermo_mjx.learn import SENTENCES, Environment, Modulation, Outcome, Residual, Targets, Task, Term
 from nermo_mjx.learn.acting import Acted, Acting
 from nermo_mjx.learn.observing import SENSED, Observer, Sensing, Told
-from nermo_mjx.learn.rewards import chosen_terms
-from nermo_mjx.learn.task import Episodes
+from nermo_mjx.learn.task import Episodes, chosen_terms
 from nermo_mjx.robot import Sensors
 from nermo_mjx.robot.geometry import Geometry
 

@@ -19,17 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from nermo_mjx import Recording, Run, load_robot, show
 from nermo_mjx.cli import main
-from nermo_mjx.cli.walk import command as walk
-from nermo_mjx.cli.walk_plan import plan
+from nermo_mjx.cli.walk import plan
+from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.runs import DirectoryError
-from nermo_mjx.view.clip import COMPACT, FULL, Models, clip_of
-from nermo_mjx.view.explore import explore
-from nermo_mjx.view.explore.commands import commands_of
-from nermo_mjx.view.explore.page import start_of
-from nermo_mjx.view.explore.runs import runs_of
-from nermo_mjx.view.frames import Frames
-from nermo_mjx.view.motion import motion_of
-from nermo_mjx.view.packing import Packer
+from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, Packer, clip_of
+from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of
+from nermo_mjx.view.recorded import motion_of
 
 
 @pytest.fixture(scope="module")

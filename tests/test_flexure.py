@@ -14,7 +14,7 @@ from nermo_mjx.kinematics.leg import forward, four_legs
 from nermo_mjx.physics import step
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, assemble_leg, assemble_spine, load_robot
-from nermo_mjx.robot.flexure import MOST_HINGES, chain_of
+from nermo_mjx.robot.equipment import MOST_HINGES, chain_of
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import SPINE
 from nermo_mjx.rollout import Run, Setup

@@ -14,14 +14,14 @@ from scipy.interpolate import CubicSpline
 
 from nermo_mjx import Setup, servo_table
 from nermo_mjx.cli import main
-from nermo_mjx.control import ControlParameters, Stepping, clock, control_parameters, leg_servos
-from nermo_mjx.control.free_stepping import FreeStepping, bumps, within
-from nermo_mjx.control.fusion import SpineModes, harmonics, stride_extension
+from nermo_mjx.control import ControlParameters, Stepping, control_parameters, leg_servos, trajectory
 from nermo_mjx.control.pilot import Drive
+from nermo_mjx.control.spine_modes import SpineModes, harmonics, stride_extension
+from nermo_mjx.control.stepping import FreeStepping, bumps, within
 from nermo_mjx.kinematics.leg import four_legs, four_reaches, inverse
 from nermo_mjx.robot import SERVOS
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import servo_range
+from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities
 from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.reading import SpecError
@@ -170,7 +170,7 @@ def test_duty_and_phase_of_a_limb() -> None:
     params = gait_with({"limb.duty.front": 0.1, "limb.duty.front_left": 0.05, "limb.phase.rear_right": -0.25}, "lat")
     stance = np.asarray(STEPPING.limbs(params, jnp.asarray(PHASES)).stance)
     np.testing.assert_allclose(stance.mean(axis=0), [0.83, 0.78, 0.68, 0.68], atol=2 / 400)
-    plain = np.asarray(clock.limb_states(params.gait, jnp.asarray(PHASES)).stance)
+    plain = np.asarray(trajectory.limb_states(params.gait, jnp.asarray(PHASES)).stance)
     np.testing.assert_array_equal(stance[:, 3], np.roll(plain[:, 3], -100))
     with pytest.raises(ParameterError, match=r"limb\.duty\.front_left gives the limb a duty factor of 1\.08: allowed"):
         Setup(trajectory="free").check(Setup(gait="lat").world({"limb.duty.front_left": 0.4}))

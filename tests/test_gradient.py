@@ -13,8 +13,7 @@ from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.rollout import Run, Setup
-from nermo_mjx.rollout.derivative import MOST_FORWARD, choose_mode, value_and_gradient
-from nermo_mjx.rollout.differentiable import Rollout
+from nermo_mjx.rollout.differentiable import MOST_FORWARD, Rollout, choose_mode, value_and_gradient
 
 pytestmark = pytest.mark.compiles
 

@@ -13,11 +13,8 @@ import pytest
 from learn_toy import PointMass
 
 from nermo_mjx import ParameterError
-from nermo_mjx.learn.experience import Experience, Scores, finite_backwards, scanned
-from nermo_mjx.learn.learned import RESET
-from nermo_mjx.learn.networks import Statistics
+from nermo_mjx.learn.experience import RESET, Experience, Scores, Statistics, advantages, finite_backwards, scanned
 from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.returns import advantages
 from nermo_mjx.learn.short_horizon import ShortHorizon
 
 pytestmark = pytest.mark.compiles

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from nermo_mjx.kinematics import leg as kin
-from nermo_mjx.kinematics import tendon
-from nermo_mjx.kinematics.tendon import arm_range
-from nermo_mjx.robot import leg_plane
+from nermo_mjx.kinematics import leg as leg_module
+from nermo_mjx.kinematics.leg import arm_range
+from nermo_mjx.robot import geometry as geometry_module
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.robot.parameters import FRONT_LEG, IDLER_RADIUS, REAR_LEG, ROUTINGS, LegGeometry
 from nermo_mjx.robot.quantity import ParameterError
@@ -36,9 +36,9 @@ HIP = 1.5
 forward = jax.jit(kin.forward, static_argnames="routing")
 inverse = jax.jit(kin.inverse, static_argnames="routing")
 jacobian = jax.jit(kin.jacobian, static_argnames="routing")
-knee_range = jax.jit(tendon.knee_range, static_argnames="routing")
+knee_range = jax.jit(leg_module.knee_range, static_argnames="routing")
 knee_servo = jax.jit(kin.knee_servo, static_argnames="routing")
-pull = jax.jit(leg_plane.pull, static_argnames="routing")
+pull = jax.jit(geometry_module.pull, static_argnames="routing")
 
 
 def poses(leg: kin.Leg, routing: str, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -57,7 +57,8 @@ def mujoco_leg(g: LegGeometry) -> mujoco.MjModel:
     <mujoco><compiler angle="radian"/><worldbody>
       <site name="axis"/> <site name="guide" pos="0 {g.guide[0]} {g.guide[1]}"/>
       <site name="behind" pos="0 {-0.05 * s} {g.pulley_height + g.pulley_radius}"/>
-      <site name="above" pos="0 0 {g.pulley_height + 0.02}"/> <site name="lead" pos="0 0 {leg_plane.lead_height(g)}"/>
+      <site name="above" pos="0 0 {g.pulley_height + 0.02}"/>
+      <site name="lead" pos="0 0 {geometry_module.lead_height(g)}"/>
       <site name="beside" pos="0 {-2 * s * IDLER_RADIUS} 0"/>
       <geom name="idler" type="cylinder" size="{IDLER_RADIUS} 0.01" zaxis="1 0 0"/>
       <geom name="pulley" type="cylinder" size="{g.pulley_radius} 0.01" pos="0 0 {g.pulley_height}" zaxis="1 0 0"/>

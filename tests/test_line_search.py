@@ -13,14 +13,11 @@ from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.tune import Tuning, TuningInterrupted, run_tuning
 from nermo_mjx.tune.cost import costs_of
-from nermo_mjx.tune.estimators import estimate
-from nermo_mjx.tune.guided import GuidedProblem
-from nermo_mjx.tune.line_search import LineSearch
-from nermo_mjx.tune.optimizer import Optimizer
+from nermo_mjx.tune.estimators import Estimator, estimate
+from nermo_mjx.tune.optimizer import LineSearch, Optimizer
+from nermo_mjx.tune.problems import GuidedProblem, SimulatedProblem
 from nermo_mjx.tune.run import tuner_of
-from nermo_mjx.tune.sampling import Estimator
-from nermo_mjx.tune.simulated import SimulatedProblem
-from nermo_mjx.tune.state import initial_state
+from nermo_mjx.tune.tuner import initial_state
 
 AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
 SEARCH = SPEC | {"optimizer": "line_search", "estimator": AVERAGED}
@@ -164,7 +161,7 @@ def test_walks_without_gradients_are_those_of_the_engine_c(monkeypatch):
         engine = self.simulator.engine.name if hasattr(self, "simulator") else "mjx"
         asked.append((type(self).__name__, gradient, engine))
 
-    monkeypatch.setattr("nermo_mjx.tune.problem.WalkProblem.evaluate", evaluate)
+    monkeypatch.setattr("nermo_mjx.tune.problems.WalkProblem.evaluate", evaluate)
     monkeypatch.setattr(SimulatedProblem, "evaluate", evaluate)
     problem = pickle.loads(pickle.dumps(GuidedProblem(tuning)))
     problem.evaluate(np.zeros((1, 2)), True)

@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 from mujoco import mjx
 
-from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot, nermo_41
-from nermo_mjx.robot.files import mjcf_directory
+from nermo_mjx.robot import LIMBS, assemble, assemble_leg, assemble_spine, load_robot
+from nermo_mjx.robot import parts as parts_module
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.meshes.catalogue import mesh_texts
-from nermo_mjx.robot.meshes.leg import leg_shapes, lower, upper
-from nermo_mjx.robot.meshes.numbers import MM, TENDON
-from nermo_mjx.robot.meshes.obj import read_obj
+from nermo_mjx.robot.meshes.body import leg_shapes, lower, mesh_texts, upper
+from nermo_mjx.robot.meshes.shapes import MM, TENDON
 from nermo_mjx.robot.parameters import FRONT_LEG
-from nermo_mjx.robot.placing import load_part
+from nermo_mjx.robot.parts import load_part, mjcf_directory, read_obj
 
 FILES = sorted((mjcf_directory() / "meshes").glob("*.obj"))
 VIEWS = ("track_side", "track_top", "track_three_quarter")
@@ -65,7 +63,7 @@ def test_the_files_are_what_the_script_makes():
 def test_the_files_are_small_and_all_in_use():
     """315 kB in all; every file is named in the MJCF, or in what Nermo 4.1 adds to it."""
     assert sum(path.stat().st_size for path in FILES) < 320_000
-    sources = (*mjcf_directory().glob("*.xml"), Path(nermo_41.__file__))
+    sources = (*mjcf_directory().glob("*.xml"), Path(parts_module.__file__))
     mjcf = "".join(path.read_text() for path in sources)
     assert [path.name for path in FILES if f'file="{path.name}"' not in mjcf] == []
 

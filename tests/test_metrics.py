@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from nermo_mjx.control.parameters import Pilot
 from nermo_mjx.control.path import straight
-from nermo_mjx.kinematics.attitude import attitude, uprightness
+from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.rollout import METRICS, electrical, metrics
-from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.setup import Window
 
 pytestmark = pytest.mark.compiles
 

@@ -12,7 +12,7 @@ import pytest
 
 from nermo_mjx import ParameterError, Run, Setup, Simulator, load_robot
 from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.sagittal import SagittalModes
+from nermo_mjx.control.spine_modes import SagittalModes
 from nermo_mjx.kinematics import body, spine
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import assemble_spine

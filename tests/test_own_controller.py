@@ -19,13 +19,13 @@ from nermo_mjx.control.parameters import ControlParameters
 from nermo_mjx.control.path import straight
 from nermo_mjx.robot.quantity import ParameterError, parameter_tree, quantity
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller
-from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.setup import Window
 from nermo_mjx.runs import DirectoryError
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep, run_sweep
-from nermo_mjx.sweep.layout import simulated_seconds
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.store import simulated_seconds
 from nermo_mjx.tune import Tuning
 
 pytestmark = pytest.mark.compiles

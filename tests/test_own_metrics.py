@@ -22,13 +22,13 @@ from nermo_mjx import METRICS, ParameterError, Rollout, Run, Setup, Simulator, a
 from nermo_mjx.cli import main
 from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.own_metrics import REDUCTIONS, OwnMetric, check_metrics, load_metrics
-from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.setup import Window
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
-from nermo_mjx.sweep.redraw import figures
+from nermo_mjx.sweep.plots import figures
 from nermo_mjx.sweep.table import meta
 from nermo_mjx.tune import Tuning
 from nermo_mjx.tune.history import columns
-from nermo_mjx.view.caption import details_of
+from nermo_mjx.view.recorded import details_of
 
 SHAKE = '''\
 import jax.numpy as jnp

@@ -12,7 +12,7 @@ import pytest
 from nermo_mjx.robot import LIMBS, ParameterError, RobotConfig, load_robot
 from nermo_mjx.robot.scene import resolve_scene, scene_geoms
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.rollout.start import DEPTH
+from nermo_mjx.rollout.run import DEPTH
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep import Sweep
 

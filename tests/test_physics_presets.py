@@ -13,10 +13,10 @@ import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import choices, main
-from nermo_mjx.control.published import published_values
+from nermo_mjx.control.parameters import published_values
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import TRUNK
-from nermo_mjx.robot.presets import PRESETS
+from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.rollout.setup import all_parameters

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nermo_mjx.rollout import Run, Setup, Simulator, start
+from nermo_mjx.rollout import Run, Setup, Simulator, run
 
 pytestmark = [pytest.mark.compiles, pytest.mark.process]
 
 HEIGHT = """
 import nermo_mjx, numpy as np
-from nermo_mjx.rollout import Run, Setup, Simulator, start
+from nermo_mjx.rollout import Run, Setup, Simulator, run
 {change}
 print(float(Simulator(Setup(), "c").prepare({{"frequency": np.array([0.8])}}, Run(cycles=1)).qpos[0, 2]))
 """
@@ -37,7 +37,7 @@ print(*names)
 
 def said(script: str, **settings: str) -> str:
     """Output of a new process."""
-    environment = os.environ | {"PYTHONPATH": str(Path(start.__file__).parents[2])} | settings
+    environment = os.environ | {"PYTHONPATH": str(Path(run.__file__).parents[2])} | settings
     words = [sys.executable, "-c", script]
     done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -52,7 +52,7 @@ def test_a_constant_that_is_changed_at_run_time_counts(monkeypatch: pytest.Monke
         return float(simulator.prepare({"frequency": np.array([0.8])}, Run(cycles=1)).qpos[0, 2])
 
     before = height()
-    monkeypatch.setattr(start, "DEPTH", start.DEPTH + 1e-3)
+    monkeypatch.setattr(run, "DEPTH", run.DEPTH + 1e-3)
     assert height() == pytest.approx(before - 1e-3, abs=1e-7)
 
 
@@ -60,7 +60,7 @@ def test_a_process_does_not_find_a_program_of_other_code(tmp_path: Path) -> None
     """The first one keeps what it compiled of a changed constant; the second has the constant of the sources."""
     cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "jax"), "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     cache["NERMO_MJX_CACHE"] = str(tmp_path)
-    changed, plain = (float(said(HEIGHT.format(change=change), **cache)) for change in ("start.DEPTH += 1e-3", ""))
+    changed, plain = (float(said(HEIGHT.format(change=change), **cache)) for change in ("run.DEPTH += 1e-3", ""))
     assert list((tmp_path / "jax").iterdir())
     assert changed == pytest.approx(plain - 1e-3, abs=1e-7)
 

@@ -12,7 +12,7 @@ import pytest
 from mujoco import mjx
 
 from nermo_mjx.dynamics import differentiable
-from nermo_mjx.physics.reading import read_entries, with_sensors
+from nermo_mjx.physics.mjx_engine import read_entries, with_sensors
 from nermo_mjx.robot import load_robot
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.loop import ClosedLoop

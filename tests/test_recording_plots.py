@@ -18,13 +18,19 @@ from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import LIMBS, load_robot
 from nermo_mjx.robot.geometry import Geometry
 from nermo_mjx.view import Recording, model_hash
-from nermo_mjx.view.plots.body import ground_path, orientation
-from nermo_mjx.view.plots.feet import commanded_feet, in_leg_frame, leg_paths, over_ground
-from nermo_mjx.view.plots.figures import figures_of
-from nermo_mjx.view.plots.gait_diagram import gait_diagram
-from nermo_mjx.view.plots.servos import servo_angles
-from nermo_mjx.view.plots.walk import Walk
-from nermo_mjx.view.standing import spans
+from nermo_mjx.view.figures import (
+    Walk,
+    commanded_feet,
+    figures_of,
+    gait_diagram,
+    ground_path,
+    in_leg_frame,
+    leg_paths,
+    orientation,
+    over_ground,
+    servo_angles,
+)
+from nermo_mjx.view.recorded import spans
 
 #: The published robot.
 ROBOT = Geometry()

@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 from sweep_fake import FakeSimulator, speed
 
-from nermo_mjx.physics.c_engine import CSession, _Block
+from nermo_mjx.physics.c_engine import CEngine, CSession, _Block
 from nermo_mjx.rollout import METRICS, Simulator
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep
 from nermo_mjx.sweep import replay as module

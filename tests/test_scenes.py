@@ -12,7 +12,7 @@ from published_maze import BOXES
 
 from nermo_mjx.experiments.walks import maze_course
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.files import mjcf_directory
+from nermo_mjx.robot.parts import mjcf_directory
 from nermo_mjx.robot.scene import scenes
 from nermo_mjx.robot.terrains import TERRAINS
 

@@ -13,12 +13,10 @@ from nermo_mjx.cli import main
 from nermo_mjx.recording import Recording
 from nermo_mjx.search import Search, run_search
 from nermo_mjx.search.cost import cost_of
-from nermo_mjx.search.gradients import WalkGradients
-from nermo_mjx.search.optimizers import make_optimizer
-from nermo_mjx.search.scoring import Scores, ranked_cost
-from nermo_mjx.search.space import Space
+from nermo_mjx.search.evolution import WalkGradients, make_optimizer
+from nermo_mjx.search.spec import Scores, Space, ranked_cost
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.pace import PROBE
+from nermo_mjx.sweep.simulating import PROBE
 
 MEGA = ATLAS | {"method": {"cma_mega": {"emitters": 2}}, "budget": 100}
 
@@ -120,7 +118,7 @@ def test_gradients_are_those_of_the_walk():
 def test_what_a_search_costs_is_counted_by_hand(monkeypatch):
     """120 evaluations of two seconds in batches of 12, by a simulator that makes 50 simulated seconds a second."""
     clock = iter([3.0, 3.0 + 12 * PROBE / 50.0])
-    monkeypatch.setattr("nermo_mjx.sweep.pace.time", types.SimpleNamespace(perf_counter=lambda: next(clock)))
+    monkeypatch.setattr("nermo_mjx.sweep.simulating.time", types.SimpleNamespace(perf_counter=lambda: next(clock)))
     cost = cost_of(Search.from_dict(SPEED), "c", simulator=FakeSimulator())
     assert (cost.batch, cost.batches, cost.evaluations, cost.runs) == (12, 10, 120, 120)
     assert cost.simulated_seconds == pytest.approx(240.0)

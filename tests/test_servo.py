@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.control.published import AS_BUILT, AS_BUILT_BODY, body_values
+from nermo_mjx.control.parameters import AS_BUILT, AS_BUILT_BODY, body_values
 from nermo_mjx.physics.servo_play import Play, played
 from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Run
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.setup import WorldParameters
 
 KP, KV, STALL, SPEED, STEP = 10.0, 0.05, 0.15, 12.0, 0.002
 #: A servo on a joint that nothing else moves.

@@ -21,7 +21,7 @@ from nermo_mjx.hardware import play, recorded_table
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import servo_range
+from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.sweep import SpecError
 
 #: The published robot.

@@ -6,8 +6,8 @@ from jaxtyping import TypeCheckError
 
 from nermo_mjx.control.turning import body_speed, leg_radius
 from nermo_mjx.dynamics.spatial import rotate
-from nermo_mjx.kinematics.attitude import attitude
-from nermo_mjx.kinematics.root import bracketed_root
+from nermo_mjx.kinematics.body import attitude
+from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.robot import load_robot
 
 ONE, TWO, THREE, FOUR = jnp.zeros(()), jnp.zeros(2), jnp.zeros(3), jnp.zeros(4)

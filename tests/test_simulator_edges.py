@@ -13,8 +13,8 @@ from test_physics_presets import standing
 
 from nermo_mjx.physics.variation import Variation, compile_model
 from nermo_mjx.robot import ModelParameters, ParameterError, load_robot
+from nermo_mjx.robot.equipment import highest_kp, highest_kv
 from nermo_mjx.robot.quantity import quantities, replace_quantities
-from nermo_mjx.robot.servo_limits import highest_kp, highest_kv
 from nermo_mjx.rollout import Run, Setup, Simulator, all_parameters
 from nermo_mjx.rollout.differentiable import Rollout
 

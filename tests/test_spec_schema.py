@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from nermo_mjx.cli import main
-from nermo_mjx.cli.schema import FILES
+from nermo_mjx.cli.tools import FILES
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.specs.reading import read_file, read_text
 
@@ -198,15 +199,25 @@ ODD += [{"x": each} for each in (None, 1, "a", [1], {})]
 def test_no_odd_value_leads_to_anything_but_a_sentence():
     """At each field of each file, and at each field of what stands there."""
     from nermo_mjx.hardware.channels import ChannelsFile
+    from nermo_mjx.learn import PPO, Modulation, Residual, Task
+    from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
     from nermo_mjx.specs.fields import read
     from nermo_mjx.specs.reading import SpecError, read_mapping
-    from nermo_mjx.specs.walk_fields import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
+    from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
     from nermo_mjx.sweep.axes import AxisForm, DrawForm
-    from nermo_mjx.sweep.file import Randomized, Sampler, SweepFile
-    from nermo_mjx.tune.sections import EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields, TunedFields
-    from nermo_mjx.tune.spec import TuningFile
+    from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
+    from nermo_mjx.tune.spec import (
+        EstimatorFields,
+        Mixture,
+        OptimizerFields,
+        Sampled,
+        TermFields,
+        TunedFields,
+        TuningFile,
+    )
 
-    models = [SweepFile, TuningFile, ChannelsFile, AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
+    models = [SweepFile, TuningFile, ChannelsFile, TrainingFile, SceneFields,
+              AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,
               RunFields, Straight, Waypoints, EstimatorFields, Mixture, OptimizerFields, Sampled, TermFields,
               TunedFields]  # fmt: skip
     messages = []
@@ -217,5 +228,18 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
                     read(read_mapping({name: odd}), model)
                 except SpecError as error:
                     messages.append(str(error))
-    assert len(messages) > 1000
+    places = {
+        "task": (Task, lambda given: {"task": given}), "evaluate": (Evaluation, lambda given: {"evaluate": given}),
+        "ppo": (PPO, lambda given: {"algorithm": {"ppo": given}}),
+        "residual": (Residual, lambda given: {"task": {"action": {"residual": given}}}),
+        "modulation": (Modulation, lambda given: {"task": {"action": {"modulation": given}}}),
+    }  # fmt: skip
+    for section, placed in places.values():
+        for name in [each.name for each in dataclasses.fields(section)]:
+            for odd in ODD:
+                try:
+                    read(read_mapping(placed({name: odd})), TrainingFile)
+                except SpecError as error:
+                    messages.append(str(error))
+    assert len(messages) > 1500
     assert [each for each in messages if each[-1] not in ".?" or "\n" in each] == []

@@ -17,7 +17,7 @@ from sweep_fake import SPEC, FakeSimulator
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem
 
-from nermo_mjx.bench.page import add_run
+from nermo_mjx.bench.results import RESULTS, append
 from nermo_mjx.experiments import identification, plots
 from nermo_mjx.experiments.catalogue import EXPERIMENTS
 from nermo_mjx.experiments.identification import CASES
@@ -203,7 +203,7 @@ def test_benchmarks_say_what_failed_and_which_commits_were_measured(tmp_path: Pa
     (tmp_path / "run.json").write_text('{"kind": "benchmarks"}')
     for commit, figures in (("abc", {"steps_per_second": 3.0}), ("def", {"error": "no memory"})):
         line = {"case": "throughput", "engine": "c", "worlds": 64, **figures}
-        add_run(tmp_path, {"date": "2026-01-01", "commit": commit, "hardware": hardware, "cases": [line]})
+        append(tmp_path / RESULTS, {"date": "2026-01-01", "commit": commit, "hardware": hardware, "cases": [line]})
     content = said(tmp_path)
     assert known(content) == ("benchmarks", 2, 2, True)
     assert (content["engine"], content["code"]) == ("c", ["abc", "def"])

@@ -1,13 +1,17 @@
-"""The quickest of MuJoCo's own models through the step, as the benchmark has them; and its page."""
+"""The studies beside their results in docs/benchmarks: MuJoCo's own models through the step; all can be started."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import sys
 from pathlib import Path
 
 import pytest
 
-from nermo_mjx.bench import step_matrix, step_models, step_page
+STUDIES = Path(__file__).parents[1] / "docs" / "benchmarks"
+sys.path.insert(0, str(STUDIES))
+step_matrix, step_models, step_page = map(importlib.import_module, ("step_matrix", "step_models", "step_page"))
 
 MODELS = dict(step_models.installed_models())
 
@@ -61,3 +65,8 @@ def test_lines_become_a_table(tmp_path: Path) -> None:
     assert "| a | 2 | 1, 4 | 2e-08 | 1e-09 | 0e+00 |  | refuses: while_loop |" in text
     assert "| b | 2 | 1, 4 | **3e-02** |" in text
     assert "| c | ValueError: no file |" in text
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in STUDIES.glob("*.py")))
+def test_every_study_finds_what_it_imports(name: str) -> None:
+    importlib.import_module(name)

@@ -16,14 +16,10 @@ from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
-from nermo_mjx.sweep.figures import scatters
-from nermo_mjx.sweep.parallel import BEST_LINES, MOST_LINES, chosen_lines
-from nermo_mjx.sweep.plots import figures_of
-from nermo_mjx.sweep.points import points_of
-from nermo_mjx.sweep.redraw import chosen_figure
-from nermo_mjx.sweep.survey import survey_figures
+from nermo_mjx.sweep.figures import points_of, scatters
+from nermo_mjx.sweep.plots import chosen_figure, figures_of
+from nermo_mjx.sweep.survey import BEST_LINES, MOST_LINES, chosen_lines, front, named_points, survey_figures
 from nermo_mjx.sweep.table import Columns
-from nermo_mjx.sweep.trade_off import front, named_points
 
 pytestmark = pytest.mark.draws
 

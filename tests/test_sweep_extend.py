@@ -14,9 +14,9 @@ from nermo_mjx.cli import main
 from nermo_mjx.runs import OtherCode, code
 from nermo_mjx.runs.directory import RunDirectory
 from nermo_mjx.sweep import DirectoryError, SpecError, Sweep, SweepInterrupted, read_table, run_sweep, sample
-from nermo_mjx.sweep.known import keys_of
 from nermo_mjx.sweep.merging import merge_sweeps
 from nermo_mjx.sweep.replay import find_row
+from nermo_mjx.sweep.row_cache import keys_of
 
 FREQUENCY, FRICTION = [0.5, 0.7, 0.9], {"contact.friction": [1.0, 1.2]}
 MASS = {"mass.front": {"uniform": [0.15, 0.17]}}

@@ -19,10 +19,10 @@ from nermo_mjx.rollout import Saving, Series
 from nermo_mjx.rollout.saving import all_signals, chosen_signals
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep, series
-from nermo_mjx.sweep.beside import Keep
-from nermo_mjx.sweep.keeping import kept_rows
 from nermo_mjx.sweep.replay import replay_row
 from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.series import kept_rows
+from nermo_mjx.sweep.spec import Keep
 from nermo_mjx.sweep.status import status
 from nermo_mjx.sweep.table import meta
 
@@ -240,7 +240,7 @@ def test_a_stopped_sweep_records_what_is_missing(tmp_path: Path, monkeypatch: py
         return replay_row(found, *args, **how)
 
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.sweep.keeping.replay_row", stopped)
+        patch.setattr("nermo_mjx.sweep.series.replay_row", stopped)
         with pytest.raises(SweepInterrupted, match="run the same command again"):
             run_sweep(spec, tmp_path, engine="c")
     (file,) = (tmp_path / "recordings").iterdir()

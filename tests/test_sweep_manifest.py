@@ -13,10 +13,9 @@ from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx.runs import files
 from nermo_mjx.sweep import DirectoryError, Results, Sweep, read_table, run_sweep
-from nermo_mjx.sweep.layout import layout_of, simulated_seconds
 from nermo_mjx.sweep.results import digests_of
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.store import Store
+from nermo_mjx.sweep.store import Store, layout_of, simulated_seconds
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from sweep_fake import FakeSimulator
 from nermo_mjx.cli import main
 from nermo_mjx.runs import codes_of
 from nermo_mjx.sweep import Results, SpecError, Sweep, read_table, run_sweep, sample, simulating
-from nermo_mjx.sweep.redraw import figures
+from nermo_mjx.sweep.plots import figures
 from nermo_mjx.sweep.replay import find_row
 from nermo_mjx.sweep.table import columns_of, meta
 

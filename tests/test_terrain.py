@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from nermo_mjx.robot.terrain import Terrain
+from nermo_mjx.robot.scene import Terrain
 
 pytestmark = pytest.mark.compiles
 

@@ -13,7 +13,7 @@ from nermo_mjx.physics.variation import Variation, compile_model, vary
 from nermo_mjx.robot import ModelParameters, load_robot
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.terrains import BEGIN, TERRAINS, TerrainShape, gates
-from nermo_mjx.specs.unread import unread
+from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep import SpecError, Sweep
 
 #: What carries the robot.

@@ -23,10 +23,10 @@ from learn_toy import PointMass
 from nermo_mjx import ParameterError, Run, Setup, Simulator
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
-from nermo_mjx.learn.choosing import Choice
 from nermo_mjx.learn.evaluation import Evaluator, summary_of
 from nermo_mjx.learn.experience import collector
 from nermo_mjx.learn.mixture import Mixture, divided
+from nermo_mjx.learn.run import Choice
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.specs.reading import SpecError

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from nermo_mjx.tune import bounds
-from nermo_mjx.tune.bounds import EDGE, FURTHEST, Bounds
+from nermo_mjx.tune import objective
+from nermo_mjx.tune.objective import EDGE, FURTHEST, Bounds
 
-to_unconstrained, from_unconstrained = jax.jit(bounds.to_unconstrained), jax.jit(bounds.from_unconstrained)
-slope, confine = jax.jit(bounds.slope), jax.jit(bounds.confine)
+to_unconstrained, from_unconstrained = jax.jit(objective.to_unconstrained), jax.jit(objective.from_unconstrained)
+slope, confine = jax.jit(objective.slope), jax.jit(objective.confine)
 
 #: An amplitude, an angle, and a frequency far from 0 whose range is small.
 BOUNDS = Bounds(

@@ -20,7 +20,7 @@ from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.tune import Tuning, run_tuning
 from nermo_mjx.tune.checkpoints import Checkpoints
 from nermo_mjx.tune.history import empty_log
-from nermo_mjx.tune.state import initial_state
+from nermo_mjx.tune.tuner import initial_state
 
 pytestmark = pytest.mark.compiles
 

@@ -14,7 +14,7 @@ from command import call, json_of
 from tune_fake import SPEC, FakeProblem, FakeWalker, speed
 
 import nermo_mjx
-from nermo_mjx.cli import tune as tune_command
+from nermo_mjx.cli import jobs
 from nermo_mjx.cli.progress import Progress, Stages
 from nermo_mjx.runs import codes_of, stamp
 from nermo_mjx.tune import Tuning
@@ -37,7 +37,7 @@ def fakes(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         made["problems"].append(FakeProblem(tuning, **made["options"]))
         return made["problems"][-1]
 
-    monkeypatch.setattr("nermo_mjx.tune.problem.WalkProblem", problem)
+    monkeypatch.setattr("nermo_mjx.tune.problems.WalkProblem", problem)
     monkeypatch.setattr("nermo_mjx.tune.run.Simulator", lambda *_: made["walker"])
     monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
     return made
@@ -103,7 +103,7 @@ def test_tune_prints_start_and_best_as_people_read_them(fakes: dict[str, Any], s
     [("spine.phase", 6.0, 6.0 - 2 * np.pi), ("spine.phase", -0.5, -0.5), ("spine.amplitude", 0.3, 0.3)],
 )
 def test_the_change_of_an_angle_is_the_shorter_way_round(name: str, change: float, shown: float) -> None:
-    assert tune_command._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
+    assert jobs._shortest(Tuning.from_dict(SPEC), name, change) == pytest.approx(shown, abs=1e-5)
 
 
 @pytest.mark.compiles
@@ -190,7 +190,7 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
     stream, tuning = io.StringIO(), Tuning.from_dict(SPEC)
     shown(monkeypatch, stream)
     with Stages(False, compiles=lambda what: False) as stages:
-        display = tune_command._Display(stages, tuning)
+        display = jobs._Display(stages, tuning)
         run_tuning(tuning, tmp_path, progress=display.report, drawing=stages.share)
     lines = stream.getvalue().splitlines()
     assert len(lines) == 9
@@ -204,7 +204,7 @@ def test_a_tuning_counts_its_evaluations_and_names_the_best(
     fakes["options"] = {"stop_at": 0}
     longer = Tuning.from_dict(SPEC | {"iterations": 12})
     with Stages(False, compiles=lambda what: False) as stages, pytest.raises(KeyboardInterrupt):
-        run_tuning(longer, tmp_path, progress=tune_command._Display(stages, longer).report)
+        run_tuning(longer, tmp_path, progress=jobs._Display(stages, longer).report)
     assert "tune: 54%, 7 of 13 evaluations" in stream.getvalue(), "a resumed one starts where it was"
 
 

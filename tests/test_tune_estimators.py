@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from nermo_mjx.tune.estimators import estimate
-from nermo_mjx.tune.sampling import Estimator, offsets, perturbations
+from nermo_mjx.tune.estimators import Estimator, estimate, offsets, perturbations
 
 pytestmark = pytest.mark.compiles
 

@@ -17,7 +17,7 @@ from nermo_mjx.runs import codes_of
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.tune import Tuning, TuningInterrupted, run_tuning
 from nermo_mjx.tune.cost import costs_of
-from nermo_mjx.tune.simulated import SimulatedProblem
+from nermo_mjx.tune.problems import SimulatedProblem
 
 PLAIN = {key: value for key, value in SPEC.items() if key not in ("optimizer", "starts")}
 CMA = PLAIN | {"method": {"cma": {"population": 8}}, "iterations": 12}

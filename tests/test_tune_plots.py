@@ -25,21 +25,17 @@ from nermo_mjx.tune import (
     Term,
     Tuning,
     TuningInterrupted,
-    background,
     figures,
     load_tuning,
     plots,
     read_history,
     run_tuning,
 )
-from nermo_mjx.tune import video as tune_video
-from nermo_mjx.tune.background import Background
+from nermo_mjx.tune import pictures as tune_video
+from nermo_mjx.tune.figures import MOST_STARTS, Background, Traces, path_figure
 from nermo_mjx.tune.history import empty_log, history_table
-from nermo_mjx.tune.path_figure import path_figure
 from nermo_mjx.tune.plots import figures_of
-from nermo_mjx.tune.state import initial_state
-from nermo_mjx.tune.traces import MOST_STARTS, Traces
-from nermo_mjx.tune.tuner import Tuner
+from nermo_mjx.tune.tuner import Tuner, initial_state
 from nermo_mjx.view import offscreen
 
 pytestmark = pytest.mark.draws
@@ -141,7 +137,7 @@ def test_a_tuning_leaves_its_figures(drawn):
 def test_the_same_history_gives_the_same_bytes(drawn, tmp_path):
     """Figures can be drawn again from the directory alone."""
     result, _ = drawn
-    landscape = background.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
+    landscape = figures.background_of(result.tuning, pq.read_table(result.out / "plots" / "landscape.parquet"))
     again = write_figures(figures_of(load_tuning(result.out), read_history(result.out), landscape), tmp_path)
     assert [path.read_bytes() for path in again] == [path.read_bytes() for path in result.pictures.plots]
 
@@ -267,7 +263,7 @@ def test_the_landscape_is_walked_once_in_one_batch(drawn):
     np.testing.assert_allclose([phase.min(), phase.max()], [-np.pi, np.pi * 7 / 8], rtol=1e-6)
     expected = -np.asarray(speed(amplitude, phase)) / 0.1 + 2 * (0.1 + 0.1 * amplitude**2)
     np.testing.assert_allclose(table.column("objective").to_numpy(), expected, rtol=1e-5)
-    landscape = background.background_of(result.tuning, table)
+    landscape = figures.background_of(result.tuning, table)
     assert landscape.value.shape == (17, 17)
     np.testing.assert_array_equal(landscape.value[:, 0], landscape.value[:, -1])
 
@@ -282,7 +278,7 @@ def test_a_kept_landscape_is_not_walked_again_unless_it_is_another(again, undraw
     kept = out / "plots" / "landscape.parquet"
     for change, known in (({"optimizer": "sgd", "seed": 9, "starts": 3}, True), ({"set": {"frequency": 0.7}}, False)):
         other = Tuning.from_dict(SPEC | change)
-        assert (background.read(kept, other, {}) is not None) is known
+        assert (figures.read(kept, other, {}) is not None) is known
     kept.write_text("damaged")
     again(walker)
     assert len(walker.batches) == 2
@@ -317,17 +313,17 @@ def test_other_parameters_stand_where_they_are_told_to():
             return super().run(values, run, record, **more)
 
     tuning = Tuning.from_dict(SPEC | {"tune": SPEC["tune"] | {"duty": {"bounds": [0.4, 0.7], "start": 0.5}}})
-    table = background.simulate(tuning, {"duty": 0.6}, Watched())
+    table = figures.simulate(tuning, {"duty": 0.6}, Watched())
     assert set(seen[0]["duty"]) == {0.6}
     assert set(seen[0]) == {"spine.amplitude", "spine.phase", "duty", "frequency"}
-    assert background.key(tuning, {"duty": 0.6}) != background.key(tuning, {"duty": 0.5})
-    assert background.background_of(tuning, table).value.shape == (17, 17)
+    assert figures.key(tuning, {"duty": 0.6}) != figures.key(tuning, {"duty": 0.5})
+    assert figures.background_of(tuning, table).value.shape == (17, 17)
 
 
 def test_one_parameter_has_a_line_for_a_landscape():
     """The objective over the only parameter, with the points that were visited on it."""
     walker, traces = FakeWalker(), traces_of({"tune": {"spine.amplitude": SPEC["tune"]["spine.amplitude"]}})
-    landscape = background.background_of(traces.tuning, background.simulate(traces.tuning, {}, walker))
+    landscape = figures.background_of(traces.tuning, figures.simulate(traces.tuning, {}, walker))
     assert walker.batches == [(37, False)]
     assert landscape.axes["spine.amplitude"][np.argmin(landscape.value)] == pytest.approx(2.5 / 10.4, abs=0.02)
     (ax,) = path_figure(traces, landscape).axes
@@ -340,15 +336,15 @@ def test_one_parameter_has_a_line_for_a_landscape():
 def test_where_a_walk_falls_the_landscape_is_empty():
     """Fallen walks are NaN in the table, and leave a hole in the contours."""
     traces, walker = traces_of(), FakeWalker(falls=lambda values: values["spine.amplitude"] > 0.3)
-    table = background.simulate(traces.tuning, {}, walker)
+    table = figures.simulate(traces.tuning, {}, walker)
     fell = table.column("spine.amplitude").to_numpy() > 0.3
     assert (np.array(table.column("status").to_pylist()) == np.where(fell, "fell", "ok")).all()
     assert (np.isnan(table.column("objective").to_numpy()) == fell).all()
-    ax = path_figure(traces, background.background_of(traces.tuning, table)).axes[0]
+    ax = path_figure(traces, figures.background_of(traces.tuning, table)).axes[0]
     filled = next(c for c in ax.collections if isinstance(c, QuadContourSet))
     assert max(path.vertices[:, 0].max() for path in filled.get_paths() if len(path.vertices)) < np.degrees(0.31)
-    nothing = background.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
-    path_figure(traces, background.background_of(traces.tuning, nothing))
+    nothing = figures.simulate(traces.tuning, {}, FakeWalker(falls=lambda values: True))
+    path_figure(traces, figures.background_of(traces.tuning, nothing))
 
 
 def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
@@ -364,9 +360,9 @@ def test_a_landscape_that_cannot_be_walked_is_a_note(again, undrawn):
 def test_a_recording_has_no_landscape():
     """What is compared with a recording is found in MJX only."""
     tuning = Tuning.from_dict(SPEC)
-    assert background.has_background(tuning)
+    assert figures.has_background(tuning)
     compared = Objective((Term("minimize", "trajectory_error"),))
-    assert not background.has_background(dataclasses.replace(tuning, objective=compared))
+    assert not figures.has_background(dataclasses.replace(tuning, objective=compared))
 
 
 def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
@@ -375,7 +371,7 @@ def test_paths_lie_on_the_landscape_and_go_on_at_the_other_side():
               "starts": 1, "iterations": 20, "optimizer": {"name": "sgd", "learning_rate": 1.0}}  # fmt: skip
     traces = traces_of(change)
     assert np.ptp(traces.column("spine.phase")) > 5.0, "it comes back at the other bound"
-    axes = background.grid_axes(traces.tuning)
+    axes = figures.grid_axes(traces.tuning)
     value = -np.asarray(speed(axes["spine.amplitude"][:, None], axes["spine.phase"][None]))
     figure = path_figure(traces, Background(axes, value, "289 walks, engine c"))
     ax = figure.axes[0]

@@ -20,8 +20,7 @@ from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
 from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.state import initial_state
-from nermo_mjx.tune.tuner import Tuner
+from nermo_mjx.tune.tuner import Tuner, initial_state
 
 pytestmark = pytest.mark.compiles
 

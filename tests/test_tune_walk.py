@@ -9,7 +9,7 @@ import pytest
 
 from nermo_mjx.rollout import Run
 from nermo_mjx.tune import read_history, run_tuning
-from nermo_mjx.tune.problem import Reference, WalkProblem
+from nermo_mjx.tune.problems import Reference, WalkProblem
 from nermo_mjx.tune.spec import Tuning
 
 pytestmark = pytest.mark.slow

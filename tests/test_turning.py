@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nermo_mjx.control import control_parameters, turning
-from nermo_mjx.control.parameters import Gait, Stance, Turning
-from nermo_mjx.control.published import STEERING
+from nermo_mjx.control.parameters import STEERING, Gait, Stance, Turning
 from nermo_mjx.control.trajectory import neutral_feet
 from nermo_mjx.kinematics.body import feet_positions
 from nermo_mjx.kinematics.spine import joint_angle, transform

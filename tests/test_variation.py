@@ -20,8 +20,8 @@ from nermo_mjx.physics.mjx_engine import MjxEngine
 from nermo_mjx.physics.servo_play import PLAY_FIELDS
 from nermo_mjx.physics.variation import DERIVED_FIELDS, compile_model
 from nermo_mjx.robot import ModelParameters, ParameterError, Robot, assemble, load_robot
-from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front
+from nermo_mjx.robot.model_parameters import gravity_vector
 from nermo_mjx.robot.quantity import quantities, replace_quantities
 
 pytestmark = pytest.mark.compiles

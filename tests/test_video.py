@@ -15,12 +15,9 @@ import pytest
 from PIL import Image, ImageSequence
 
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, render, strips
-from nermo_mjx.view.camera import smooth_path
-from nermo_mjx.view.encoding import require_encoder, write_video
-from nermo_mjx.view.side_by_side import Pane, render_side_by_side
-from nermo_mjx.view.support import INSIDE, OUTSIDE, draw_support, is_inside, support_polygon
-from nermo_mjx.view.video import frame_samples
+from nermo_mjx.view import Recording, RecordingError, VideoError, offscreen, overlays, render
+from nermo_mjx.view.camera import INSIDE, OUTSIDE, draw_support, is_inside, smooth_path, support_polygon
+from nermo_mjx.view.video import Pane, frame_samples, render_side_by_side, require_encoder, write_video
 
 pytestmark = pytest.mark.draws
 
@@ -211,14 +208,14 @@ def test_the_footfall_passes_below_the_picture_in_step_with_the_time(model: mujo
     recording = trotting(model)
     path = render(recording, model, tmp_path / "w.mp4", fps=4, width=320, height=96, overlays=("gait", "support"))
     frames = [np.asarray(frame).astype(int) for frame in imageio.get_reader(path)]
-    assert frames[0].shape[0] == 96 + strips.Strip(recording, strips.gait_panels(recording), 320).height
-    room = 320 - strips.MARGIN
+    assert frames[0].shape[0] == 96 + overlays.Strip(recording, overlays.gait_panels(recording), 320).height
+    room = 320 - overlays.MARGIN
     for i, seconds in ((1, 0.25), (8, 2.0), (11, 2.75), (16, 4.0)):
-        strip = frames[i][96 + 11, strips.MARGIN :]  # the row of the front left foot
+        strip = frames[i][96 + 11, overlays.MARGIN :]  # the row of the front left foot
         blue = strip[:, 2] - strip[:, 0] > 100
-        first = np.clip(seconds - strips.PAST, 0.0, 4.0 - strips.PAST - strips.AHEAD)
+        first = np.clip(seconds - overlays.PAST, 0.0, 4.0 - overlays.PAST - overlays.AHEAD)
         for share in (0.1, 0.3, 0.5, 0.65):
-            then = first + share * (strips.PAST + strips.AHEAD)
+            then = first + share * (overlays.PAST + overlays.AHEAD)
             if then < seconds and 0.04 < then % 0.5 < 0.46:
                 assert blue[round(share * room)] == (then % 1.0 < 0.5), (seconds, then)
 

@@ -21,13 +21,18 @@ from nermo_mjx.plotting.style import FOOT
 from nermo_mjx.robot import LIMBS
 from nermo_mjx.rollout import Run
 from nermo_mjx.view import RecordingError, model_hash, recording_of, robot_of
-from nermo_mjx.view.caption import details_of, headline_of, title_of
-from nermo_mjx.view.motion import Motion, finite_samples, motion_of
-from nermo_mjx.view.packing import MISSING, Packer
+from nermo_mjx.view.clip import MISSING, Packer, shapes_of
 from nermo_mjx.view.page import Page
-from nermo_mjx.view.recorded_robot import recorded_model
-from nermo_mjx.view.shapes import shapes_of
-from nermo_mjx.view.signals import plots_of
+from nermo_mjx.view.recorded import (
+    Motion,
+    details_of,
+    finite_samples,
+    headline_of,
+    motion_of,
+    plots_of,
+    recorded_model,
+    title_of,
+)
 
 WEB = Path(__file__).parents[1] / "nermo_mjx" / "view" / "web"
 
@@ -190,7 +195,7 @@ def test_all_shapes_are_packed_with_their_colours() -> None:
 
 
 def test_plots_show_what_the_sensors_read(walk: Recording, motion: Motion) -> None:
-    from nermo_mjx.kinematics.attitude import attitude
+    from nermo_mjx.kinematics.body import attitude
 
     plots = {plot.key: plot for plot in plots_of(walk, motion)}
     angles = np.rad2deg(np.asarray(attitude(walk.sensors["orientation"])))

@@ -17,7 +17,7 @@ from PIL import Image
 from nermo_mjx import Recording, load_robot, show
 from nermo_mjx.rollout import Run
 from nermo_mjx.view import recording_of, robot_of
-from nermo_mjx.view.motion import motion_of
+from nermo_mjx.view.recorded import motion_of
 
 #: What must be within reach in any window.
 CONTROLS = ["play", "scrub", "speed", "loop", "plots-toggle", "help-toggle", "canvas", "plot-list", "view"]

@@ -114,5 +114,5 @@ def test_the_gradient_is_that_of_the_c_engine(walk):
 
 
 def test_forward_mode_can_be_lowered_for_gpus_and_tpus(walk):
-    """For both at once; in float32, and as `bench gpu-plan` has it, with `pytest -m long` (test_gpu_plan.py)."""
+    """For both at once."""
     assert walk.ahead[-1] == set(HELD)

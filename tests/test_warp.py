@@ -14,9 +14,8 @@ from conftest import WALKS
 from mujoco.batch import Batch
 
 from nermo_mjx import Setup, load_robot
-from nermo_mjx.physics import make_engine, resolve_engine, warp_engine
-from nermo_mjx.physics.mjx_engine import MjxEngine
-from nermo_mjx.physics.warp_engine import WarpEngine
+from nermo_mjx.physics import make_engine, mjx_engine, resolve_engine
+from nermo_mjx.physics.mjx_engine import MjxEngine, WarpEngine
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.loop import ClosedLoop
 
@@ -31,7 +30,7 @@ def machine(monkeypatch):
 
     def seem(backend: str, cuda: bool, warp: bool) -> None:
         monkeypatch.setattr(jax, "default_backend", lambda: backend)
-        monkeypatch.setattr(warp_engine.backend, "backends", lambda: {"cpu": None} | ({"cuda": None} if cuda else {}))
+        monkeypatch.setattr(mjx_engine.backend, "backends", lambda: {"cpu": None} | ({"cuda": None} if cuda else {}))
         find = importlib.util.find_spec
         spec = find("numpy") if warp else None
         monkeypatch.setattr(importlib.util, "find_spec", lambda name: spec if name == "warp" else find(name))

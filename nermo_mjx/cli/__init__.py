@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-
 import click
 
-from nermo_mjx.cli.group import CommandGroup
+from nermo_mjx.cli import directories, jobs, tools, view, walk
+from nermo_mjx.cli.output import CommandGroup
 from nermo_mjx.version import __version__
 
 EPILOG = """\b
@@ -30,8 +29,11 @@ def main() -> None:
     """
 
 
-for name in (
-    "sweep", "merge", "replay", "compare", "sensitivity", "search", "tune", "train", "landscape", "experiment",
-    "identify", "walk", "render", "view", "play", "plot", "status", "schema", "servos", "model", "bench", "completion",
-):  # fmt: skip
-    main.add_command(importlib.import_module(f"nermo_mjx.cli.{name}").command)
+for command in (
+    *(jobs.sweep_command, jobs.merge_command, walk.replay_command, directories.compare_command),
+    *(directories.sensitivity_command, jobs.search_command, jobs.tune_command, jobs.train_command),
+    *(jobs.landscape_command, jobs.experiment_command, jobs.identify_command, walk.walk_command, view.render_command),
+    *(view.view_command, view.play_command, directories.plot_command, directories.status_command),
+    *(tools.schema_command, walk.servos_command, tools.model_command, tools.bench_command, tools.completion_command),
+):
+    main.add_command(command)

@@ -1,11 +1,11 @@
-"""Options shared by commands, and short ways to declare them."""
+"""Options shared by commands, short ways to declare them, and their completion in a shell. It imports nothing heavy."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib.util
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -28,11 +28,122 @@ from nermo_mjx.cli.choices import (
     TRAJECTORIES,
     VIEWS,
 )
-from nermo_mjx.cli.completing import FileKind, assignments, names
+from nermo_mjx.cli.output import WrongUse
 from nermo_mjx.runtime import THREADS
 
 if TYPE_CHECKING:
+    from nermo_mjx.robot import Quantity
     from nermo_mjx.runs.workers import Workers
+
+
+Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def names(*known: str) -> Completer:
+    """Completes one of these names."""
+
+    def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        return [CompletionItem(name) for name in known if name.startswith(incomplete)]
+
+    return complete
+
+
+def assignment_names(*known: str) -> Completer:
+    """Completes the name in NAME=X."""
+
+    def complete(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        found = [f"{name}=" for name in known if name.startswith(incomplete)]
+        # A shell adds a space after a single offer; a second one prevents that before the value.
+        return [CompletionItem(each) for each in (found if len(found) != 1 else [*found, f"{found[0]}X"])]
+
+    return complete
+
+
+class FileKind(click.Path):
+    """A path completed with files of certain suffixes, and the folders leading to them."""
+
+    def __init__(self, *endings: str, **settings: Any) -> None:
+        super().__init__(path_type=Path, **settings)
+        self.endings = endings
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        found = offered(incomplete, self.endings)
+        # If nothing matches, the shell offers its own completions.
+        return [CompletionItem(each) for each in found] or [CompletionItem(incomplete, type="file")]
+
+
+def offered(incomplete: str, endings: tuple[str, ...]) -> list[str]:
+    """Files with one of the suffixes, and folders with a slash, that begin with the typed text.
+
+    A single folder is entered, because a shell adds a space after a single offer.
+    """
+    folder, _, begin = incomplete.rpartition("/")
+    where = Path(folder or ("/" if incomplete.startswith("/") else ".")).expanduser()
+    prefix = incomplete[: len(incomplete) - len(begin)]
+    try:
+        entries = sorted(where.iterdir())
+    except OSError:
+        return []
+    fitting = [e for e in entries if e.name.startswith(begin) and (begin.startswith(".") or e.name[0] != ".")]
+    folders = [f"{prefix}{e.name}/" for e in fitting if e.is_dir()]
+    files = [f"{prefix}{e.name}" for e in fitting if not e.is_dir() and e.name.endswith(endings)]
+    if len(folders) == 1 and not files:
+        return offered(folders[0], endings) or folders
+    return sorted(folders + files)
+
+
+LISTED = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
+
+
+def assigned(texts: Iterable[str], known: Mapping[str, Quantity], unknown: str) -> dict[str, float]:
+    """Names and values of every NAME=X, where NAME may be a pattern; ranges are not checked. The last one wins.
+
+    Args:
+        texts: as given.
+        known, unknown: see `_assignment`.
+
+    Raises:
+        WrongUse: a text is something else.
+    """
+    from nermo_mjx.specs.walk import is_pattern, matches
+
+    values: dict[str, float] = {}
+    for text in texts:
+        pattern, equals, number = text.partition("=")
+        names = matches(pattern.strip(), known) if equals and is_pattern(pattern) else [pattern]
+        if not names:
+            raise WrongUse(f"--set {text}: {pattern.strip()} matches no parameter; `nermo-mjx sweep --list-parameters` "
+                           "prints all.")  # fmt: skip
+        values |= dict(_assignment(name + equals + number, known, unknown) for name in names)
+    return values
+
+
+def _assignment(text: str, known: Mapping[str, Quantity], unknown: str) -> tuple[str, float]:
+    """Name and number of NAME=X; its range is not checked.
+
+    Args:
+        known: the parameters that may be named.
+        unknown: the message for another name if none is similar: what it is not, and what is allowed, joined by ";".
+
+    Raises:
+        WrongUse: the text is something else.
+    """
+    name, equals, number = text.partition("=")
+    name = name.strip()
+    if not equals:
+        example = next(iter(known.items()))
+        raise WrongUse(f"--set {text}: expected NAME=VALUE, such as {example[0]}={example[1].default:g}.")
+    if name not in known:
+        from nermo_mjx.robot.quantity import nearest
+
+        near = nearest(name, known)
+        what, _, hint = unknown.partition("; ")
+        raise WrongUse(f"--set {text}: {name} {what}; {f'did you mean {near}?' if near else hint}")
+    try:
+        return name, float(number)
+    except ValueError:
+        raise WrongUse(f"--set {text}: {number!r} is not a number; allowed is {known[name].allowed()}.") from None
+
 
 F = TypeVar("F", bound=Callable[..., Any])
 POSITIVE = click.FloatRange(0, min_open=True)
@@ -152,10 +263,10 @@ def camera(function: F) -> F:
                         shell_complete=names(*VIEWS, "eyes", "left_eye", "right_eye", "stereo"))(function)  # fmt: skip
 
 
-def assigned(about: str) -> Callable[[F], F]:
+def set_option(about: str) -> Callable[[F], F]:
     """`--set`."""
     return click.option("--set", "assignments", multiple=True, metavar="NAME=X", help=about,
-                        shell_complete=assignments(*PARAMETERS))  # fmt: skip
+                        shell_complete=assignment_names(*PARAMETERS))  # fmt: skip
 
 
 def gait(function: F) -> F:
@@ -184,7 +295,7 @@ def gait(function: F) -> F:
 
 
 def report_out(function: F) -> F:
-    """`--out` of what is found in finished tables; see `nermo_mjx.sweep.reports`."""
+    """`--out` of what is found in finished tables; see `nermo_mjx.sweep.table`."""
     about = "A directory for table, JSON and figures, or FILE.csv or FILE.parquet for the table only."
     return click.option("--out", metavar="DIR|FILE", type=click.Path(path_type=Path), help=about)(function)
 

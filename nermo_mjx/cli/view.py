@@ -1,4 +1,4 @@
-"""`nermo-mjx view`: a recording, or two, or all runs of a directory as a page in the browser."""
+"""The commands that show a recording: view in the browser, render as a video, play in MuJoCo's viewer."""
 
 from __future__ import annotations
 
@@ -6,22 +6,168 @@ import os
 import sys
 import tempfile
 import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.completing import FileKind
-from nermo_mjx.cli.group import WrongUse
-from nermo_mjx.cli.kinds import kind_of_directory
-from nermo_mjx.cli.output import print_json, stdout_reserved
-from nermo_mjx.cli.recordings import load_recording
+from nermo_mjx.cli.choices import OVERLAYS
+from nermo_mjx.cli.directories import kind_of_directory
+from nermo_mjx.cli.options import FileKind
+from nermo_mjx.cli.output import WrongUse, print_json, stdout_reserved
+from nermo_mjx.cli.progress import Progress
 
 if TYPE_CHECKING:
-    from nermo_mjx.view import Page
+    from nermo_mjx.plotting.files import Figures
+    from nermo_mjx.rollout import Setup
+    from nermo_mjx.view import Page, Recording
 
-EPILOG = """\b
+
+def load_recording(path: Path) -> Recording:
+    """The recording of a file.
+
+    Raises:
+        WrongUse: it is none, is not one of this version's robot, or has nothing to show; the sentence names the file.
+    """
+    from nermo_mjx.view import Recording, RecordingError, robot_of
+    from nermo_mjx.view.recorded import finite_samples
+
+    try:
+        recording = Recording.load(path)
+        robot_of(recording)
+        finite_samples(recording)
+    except RecordingError as error:
+        text = str(error)
+        raise WrongUse(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
+    return recording
+
+
+def figures(path: Path, *, notify: Callable[[str], None]) -> Figures:
+    """The figures of a recording's file; arguments and errors as for `view.plots.figures.figures_of` and above."""
+    from nermo_mjx.view.figures import figures_of
+
+    return figures_of(load_recording(path), notify)
+
+
+RENDER_EPILOG = """\b
+Examples:
+  nermo-mjx render walk.npz --out walk.mp4
+  nermo-mjx render walk.npz --out slow.gif --camera side --speed 0.25 --fps 25
+  nermo-mjx render walk.npz other.npz --out both.mp4 --overlay gait
+"""
+
+
+@click.command("render", epilog=RENDER_EPILOG)
+@click.argument("recordings", metavar="FILE.npz...", nargs=-1, required=True, type=options.RECORDING)
+@options.file("--out", ".mp4", "MP4 (H.264), GIF or WebP.", required=True)
+@options.camera
+@click.option(
+    "--overlay", "overlays", multiple=True, type=click.Choice(OVERLAYS), metavar="NAME",
+    help="gait: footfall; servos: their angles; support: support polygon and centre of mass. Repeatable.",
+)  # fmt: skip
+@options.number("--fps", "Frames per second.", click.IntRange(1, 240), default=30)
+@options.number("--width", "Pixels of one robot's picture.", click.IntRange(16, 7680), default=640)
+@options.number("--height", "Pixels of one robot's picture.", click.IntRange(16, 4320), default=480)
+@options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
+@options.report
+def render_command(recordings: tuple[Path, ...], out: Path, as_json: bool, quiet: bool, **drawn: Any) -> None:
+    """Render a recording of `walk --record` as a video; several are shown side by side, synchronized."""
+    with stdout_reserved():
+        loaded = [load_recording(path) for path in recordings]
+        if len(loaded) == 1:
+            render_video(loaded[0], out, quiet, **drawn)
+        else:
+            _render_side_by_side([path.stem for path in recordings], loaded, out, quiet, **drawn)
+    if as_json:
+        seconds = min(each.duration for each in loaded) / drawn["speed"]
+        print_json({"video": out, "seconds": seconds, **{name: drawn[name] for name in ("width", "height", "fps")}})
+    elif not quiet:
+        click.echo(f"wrote {out}")
+
+
+def check_video(setup: Setup, video: Path | None, camera: str) -> None:
+    """Refuse a video that cannot be made, before anything is simulated."""
+    if video is not None:
+        from nermo_mjx.view import check_video
+
+        check_video(setup.load().model, video, camera=camera)
+
+
+def save_run(recording: Recording, record: Path | None, video: Path | None, camera: str, quiet: bool) -> None:
+    """Save a recording as it is, as a video, or both."""
+    if record is not None:
+        recording.save(record)
+    if video is not None:
+        render_video(recording, video, quiet, camera=camera)
+
+
+def render_video(recording: Recording, path: Path, quiet: bool, **drawn: Any) -> None:
+    """Render with a progress bar; the robot is built from the recording's own setup."""
+    from nermo_mjx.view import render, robot_of, shown_model
+
+    model = shown_model(recording, robot_of(recording))
+    with Progress("video", "frames", quiet=quiet) as progress:
+        render(recording, model, path, progress=progress.count, **drawn)
+
+
+def _render_side_by_side(names: list[str], recordings: list[Recording], path: Path, quiet: bool, **drawn: Any) -> None:
+    """Render several recordings of one robot, each below the name of its file, its title and its figures."""
+    from nermo_mjx.view import robot_of, shown_model
+    from nermo_mjx.view.recorded import headline_of, title_of
+    from nermo_mjx.view.video import Pane, render_side_by_side
+
+    panes = []
+    for name, each in zip(names, recordings, strict=True):
+        figures = ", ".join(" ".join(row) for row in headline_of(each))
+        lines = [line for line in (title_of(each), figures) if line]
+        panes.append(Pane(each, name, lines, shown_model(each, robot_of(each))))
+    robot = robot_of(recordings[0])
+    with Progress("video", "frames", quiet=quiet) as progress:
+        render_side_by_side(panes, robot.model, path, progress=progress.count, **drawn)
+
+
+PLAY_EPILOG = """\b
+Examples:
+  nermo-mjx play walk.npz
+  nermo-mjx play walk.npz --speed 0.25
+  nermo-mjx play walk.npz --xml walk.xml
+"""
+
+
+@click.command("play", epilog=PLAY_EPILOG)
+@click.argument("recording", metavar="FILE.npz", type=options.RECORDING)
+@options.number("--speed", "1 is real time, 0.25 a quarter of it.", options.POSITIVE, default=1.0)
+@click.option("--once", is_flag=True, help="Stop at the end instead of looping.")
+@options.file("--xml", ".xml", "Write MJCF with the recording as keyframes instead.")
+@options.number("--rate", "Keyframes per second.", options.POSITIVE, default=25.0)
+@options.report
+def play_command(
+    recording: Path, speed: float, once: bool, xml: Path | None, rate: float, as_json: bool, quiet: bool
+) -> None:
+    """Play a recording in MuJoCo's viewer; it needs a display.
+
+    With --xml, no window is opened: the file contains the robot, its scene and
+    the recording, and plain MuJoCo can show it anywhere with
+    `python -m mujoco.viewer --mjcf=FILE.xml` and its slider over keyframes.
+    """
+    with stdout_reserved():
+        from nermo_mjx.view import play, write_keyframes
+
+        loaded = load_recording(recording)
+        if xml is None:
+            play(loaded, speed=speed, loop=not once)
+            keys = None
+        else:
+            keys = write_keyframes(loaded, xml, rate=rate)
+    if as_json:
+        print_json({"recording": recording, "seconds": loaded.duration, "xml": xml, "keyframes": keys})
+    elif xml is not None and not quiet:
+        click.echo(f"wrote {xml}, with {keys} keyframes")
+
+
+VIEW_EPILOG = """\b
 Examples:
   nermo-mjx view walk.npz
   nermo-mjx view walk.npz other.npz
@@ -30,7 +176,7 @@ Examples:
 """
 
 
-@click.command("view", epilog=EPILOG)
+@click.command("view", epilog=VIEW_EPILOG)
 @click.argument("path", metavar="PATH", type=FileKind(".npz"))
 @click.argument("other", metavar="[OTHER.npz]", required=False, type=options.RECORDING)
 @options.file("--out", ".html", "Write the page to this file.")
@@ -38,7 +184,7 @@ Examples:
                 click.IntRange(0), metavar="N")  # fmt: skip
 @click.option("--no-open", is_flag=True, help="Do not open a browser.")
 @options.report
-def command(
+def view_command(
     path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool, as_json: bool, quiet: bool
 ) -> None:
     """View a recording, or all runs of a directory, in the browser.

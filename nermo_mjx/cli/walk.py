@@ -1,24 +1,184 @@
-"""`nermo-mjx walk`: one run."""
+"""The commands that walk the robot, or only its controller: walk, replay of a row, a table of servo angles."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from nermo_mjx.cli import options
-from nermo_mjx.cli.choices import PILOTS, ROBOTS, TAILS
-from nermo_mjx.cli.output import print_json, stdout_reserved
+from nermo_mjx.cli.choices import ENGINES, PILOTS, ROBOTS, TAILS
+from nermo_mjx.cli.options import LISTED, assigned
+from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved
 from nermo_mjx.cli.progress import Progress
-from nermo_mjx.cli.render import check_video, save_run
-from nermo_mjx.cli.walk_plan import Plan, plan
-from nermo_mjx.cli.walk_report import print_walk
+from nermo_mjx.cli.view import check_video, load_recording, save_run
 
 if TYPE_CHECKING:
-    from nermo_mjx.rollout import RunResult
+    from nermo_mjx.hardware.live import Sent
+    from nermo_mjx.hardware.table import ServoTable
+    from nermo_mjx.rollout import Run, RunResult, Setup
+    from nermo_mjx.sweep.replay import Replay, SweepRow
 
-EPILOG = """\b
+
+#: Options that set one parameter, and the setup for which the parameter has an effect.
+PARAMETER_OPTIONS: dict[str, tuple[str, tuple[str, str] | None]] = {
+    "frequency": ("frequency", None),
+    "stride": ("stride", None),
+    "spine_amplitude": ("spine.amplitude", ("spine", "stride_extension")),
+    "spine_phase": ("spine.phase", ("spine", "stride_extension")),
+    "turn_rate": ("pilot.turn_rate", ("pilot", "open_loop")),
+    "offset_compensation": ("spine.offset_compensation", None),
+}
+SETUP_OPTIONS = ("robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory",
+                 "head", "tail_motion", "controller", "metrics")  # fmt: skip
+DEFAULT_CYCLES, DEFAULT_WARMUP = 8.0, 2.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """One run: its static choices, its length, the values the user gave, and all parameters with their defaults."""
+
+    setup: Setup
+    run: Run
+    values: Mapping[str, float]
+    parameters: Mapping[str, float]
+
+    @property
+    def theory(self) -> float:
+        """Speed of feet that neither slip nor lag, strides lengthened by the spine (5.21, 5.33) [m/s, simulated].
+
+        NaN for custom controllers.
+        """
+        import numpy as np
+
+        from nermo_mjx.experiments import theory
+
+        if self.setup.controller is not None:
+            return float("nan")
+        values = {name: np.asarray(value) for name, value in self.parameters.items()}
+        # Only the bend at the moment when the diagonal pairs switch lengthens a stride.
+        extends = "stride_extension" in self.setup.spine.split("+")
+        values["spine.amplitude"] = values["spine.amplitude"] * extends * np.cos(values["spine.phase"])
+        return float(theory.speed(values))
+
+
+def plan(
+    *,
+    pilot: str | None,
+    assignments: tuple[str, ...],
+    seed: int | None,
+    cycles: float | None,
+    duration: float | None,
+    warmup: float | None,
+    **options: Any,
+) -> Plan:
+    """Join and check the options; raises `WrongUse` or `ParameterError`."""
+    from nermo_mjx.robot.quantity import values_of
+    from nermo_mjx.rollout import Setup, all_parameters
+
+    pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
+    setup = Setup(pilot=pilot, **{name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None})
+    known = all_parameters(setup)
+    values: dict[str, float] = {} if seed is None else _shifted_start(seed)
+    for option, (name, needs) in PARAMETER_OPTIONS.items():
+        if options[option] is None:
+            continue
+        flag = f"--{option.replace('_', '-')}"
+        if name not in known:
+            raise WrongUse(f"{flag} sets {name}, which is not a parameter of {setup.controller}.")
+        if setup.controller is None and needs is not None and needs[1] not in getattr(setup, needs[0]).split("+"):
+            raise WrongUse(
+                f"{flag} has no effect with --{needs[0]} {getattr(setup, needs[0])}: add --{needs[0]} {needs[1]}."
+            )
+        values[name] = options[option]
+    values |= assigned(assignments, known, LISTED)
+    for name, value in values.items():
+        known[name].check(name, value)
+    parameters = {name: float(value) for name, value in values_of(setup.world(values))}
+    return Plan(setup, _length(cycles, duration, warmup), values, parameters)
+
+
+def _length(cycles: float | None, duration: float | None, warmup: float | None) -> Run:
+    from nermo_mjx.rollout import Run
+
+    if cycles is not None and duration is not None:
+        raise WrongUse("Give --cycles or --duration, not both.")
+    total = duration if duration is not None else cycles if cycles is not None else DEFAULT_CYCLES
+    before = min(DEFAULT_WARMUP, total / 4) if warmup is None else warmup
+    if before >= total:
+        raise WrongUse(f"--warmup is {before:g}: it must be shorter than the run, {total:g}.")
+    return Run(cycles=total, warmup_cycles=before) if duration is None else Run(duration=total, warmup=before)
+
+
+def _shifted_start(seed: int) -> dict[str, float]:
+    import numpy as np
+
+    from nermo_mjx.rollout.run import START_SPREAD
+
+    random = np.random.default_rng(seed)
+    return {name: float(random.uniform(-width, width)) for name, width in START_SPREAD.items()}
+
+
+ANGLES = ("roll", "pitch", "yaw")
+#: Other lines of the table: metric, how it is called, its unit, and the factor from SI.
+LINES = (
+    ("distance", "distance", "mm", 1e3),
+    ("duration", "measured time", "s", 1.0),
+    ("lateral_drift", "lateral drift", "mm", 1e3),
+    ("slip", "slip of loaded feet", "mm/s", 1e3),
+    ("servo_work", "servo work", "J", 1.0),
+    ("cost_of_transport", "cost of transport", "", 1.0),
+)
+
+
+def print_walk(report: dict[str, Any], plan: Plan, files: list[Path]) -> None:
+    """Print a report of what `walk` had planned."""
+    from nermo_mjx.rollout.metrics import Ending
+
+    metrics, setup = report["metrics"], report["setup"]
+    how = setup["controller"] or f"{setup['gait']} at {report['parameters']['frequency']:g} Hz, spine {setup['spine']}"
+    what = f"{how}, {setup['tail']} tail, engine {report['engine']}"
+    lines = [("speed", metrics.get("speed"), "mm/s", 1e3)]
+    if math.isfinite(theory := plan.theory):
+        lines.append(("speed in theory", theory, "mm/s", 1e3))
+    lines += [(title, metrics[name], unit, factor) for name, title, unit, factor in LINES if name in metrics]
+    rows = [[title, _number(value, factor), unit] for title, value, unit, factor in lines]
+    rows += [[own.name, f"{metrics[own.name]:.4g}", own.unit] for own in plan.setup.own_metrics]
+    headings = [("", "left"), ("", "right"), ("", "left")]
+    ratio = report["parameters"].get("tracking.clock_ratio", 1.0)
+    if ratio != 1.0:
+        # Seconds of the controller's clock, in which frequencies are given, before simulated ones.
+        scaled = {"mm/s": ratio, "s": 1.0 / ratio}
+        for row, (_, value, unit, factor) in zip(rows, lines, strict=False):
+            row.insert(1, _number(value, factor * scaled.get(unit, 1.0)))
+        for row in rows[len(lines) :]:
+            row.insert(1, "")
+        headings = [("", "left"), ("controller's clock", "right"), ("simulated", "right"), ("", "left")]
+    print_table(f"Nermo walked: {what}", headings, rows)
+    degrees = math.degrees(1.0)
+    parts = ("mean", "std", "min", "max")
+    angles = [[angle, *(_number(metrics.get(f"{angle}_{part}"), degrees) for part in parts)] for angle in ANGLES]
+    print_table("Orientation [degrees]", [("", "left"), *((part, "right") for part in parts)], angles)
+    ending = Ending[metrics["status"]]
+    if ending is not Ending.ok:
+        click.echo(ending.value)
+    for file in files:
+        click.echo(f"wrote {file}")
+
+
+def _number(value: float | None, factor: float) -> str:
+    if value is None or not math.isfinite(value):
+        return "-"
+    value *= factor
+    return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
+
+
+WALK_EPILOG = """\b
 Examples:
   nermo-mjx walk
   nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
@@ -30,7 +190,7 @@ Examples:
 """
 
 
-@click.command("walk", epilog=EPILOG)
+@click.command("walk", epilog=WALK_EPILOG)
 @options.gait
 @click.option("--controller", metavar="FILE", help="Custom controller: FILE.py:NAME, or a policy FILE.npz.")
 @click.option("--metrics", multiple=True, metavar="FILE.py[:NAME]", help="Custom metrics; repeatable.")
@@ -42,21 +202,21 @@ Examples:
 @options.scene
 @options.choice("--tail", TAILS)
 @options.physics
-@options.assigned("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
 @options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.file("--record", ".npz", "Save the whole run.")
 @options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
 @options.camera
 @options.report
-def command(
+def walk_command(
     engine: str, record: Path | None, video: Path | None, camera: str, as_json: bool, quiet: bool, **chosen: Any
 ) -> None:
     """Simulate one walk, and summarize it."""
     with stdout_reserved():
         wanted = plan(**chosen)
         check_video(wanted.setup, video, camera)
-        result = _run(wanted, engine, bool(record or video), quiet)
+        result = _run_walk(wanted, engine, bool(record or video), quiet)
         if result.trace is not None:
             save_run(result.recording(), record, video, camera, quiet)
     report = result.about()
@@ -66,9 +226,228 @@ def command(
         print_walk(report, wanted, [path for path in (record, video) if path is not None])
 
 
-def _run(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult:
+def _run_walk(wanted: Plan, engine: str, record: bool, quiet: bool) -> RunResult:
     from nermo_mjx.rollout import Simulator
 
     with Progress("walk", quiet=quiet, compiles=True) as progress:
         simulator = Simulator(wanted.setup, engine=engine)
         return simulator.run(wanted.values, wanted.run, record=record, progress=progress.share)
+
+
+REPLAY_EPILOG = """\b
+Examples:
+  nermo-mjx replay runs/quickstart --row 57 --video row57.mp4
+  nermo-mjx replay runs/quickstart --row 57 --engine mjx --json
+  nermo-mjx replay runs/atlas --row 8123 --video gait.mp4
+"""
+
+
+@click.command("replay", epilog=REPLAY_EPILOG)
+@click.argument("out", metavar="DIR", type=click.Path(path_type=Path))
+@options.number("--row", "Row of the table, from 0.", int, required=True, metavar="N")
+@options.choice("--engine", ENGINES, "By default the directory's own.", default=None)
+@options.file("--record", ".npz", "Save the whole run.")
+@options.file("--video", ".mp4", "Render it; MP4, GIF or WebP.")
+@options.camera
+@options.report
+def replay_command(
+    out: Path, row: int, engine: str | None, record: Path | None, video: Path | None, camera: str, as_json: bool,
+    quiet: bool,
+) -> None:  # fmt: skip
+    """Rerun one row of a sweep's or a search's directory on its own.
+
+    It has the parameters, start and duration that the sweep gives it, whether
+    or not the sweep has reached it; for a search, those of a row of its table.
+    Its metrics are compared with those in the table: with the engine c on the
+    same machine, they are bit-identical. DIR is only read.
+    """
+    files = [path for path in (record, video) if path is not None]
+    with stdout_reserved():
+        from nermo_mjx.runs.files import make_writable
+        from nermo_mjx.sweep.replay import find_row, replay_row, report_of
+
+        if (out / "search.yaml").exists():
+            from nermo_mjx.search.batches import find_evaluation
+
+            found = find_evaluation(out, row)
+        else:
+            found = find_row(out, row)
+        wanted = Plan(found.walk.setup, found.walk.run, found.values, found.parameters)
+        for path in files:
+            make_writable(path.parent)
+        check_video(wanted.setup, video, camera)
+        with Progress("replay", quiet=quiet, compiles=True) as progress:
+            replay = replay_row(found, engine, progress.share)
+        report = report_of(found, replay)
+        if files:
+            if not len(replay.history.time):
+                raise Failure(f"row {row} diverged in its first tick: there is nothing to record or to show.")
+            from nermo_mjx.runs.text import plain
+
+            recording = dataclasses.replace(replay.recording(), metadata=plain(report))
+            save_run(recording, record, video, camera, quiet)
+    if as_json:
+        print_json(report)
+    elif not quiet:
+        _print_replay(found, wanted, replay, report, files)
+
+
+def _print_replay(found: SweepRow, wanted: Plan, replay: Replay, report: dict[str, Any], files: list[Path]) -> None:
+    values = "".join(f", {name} {label}" for name, label in found.walk.labels.items())
+    values += "".join(f", {name} {value:.4g}" for name, value in found.values.items())
+    click.echo(f"Row {found.row} of {found.out}: variant {report['variant']}, repeat {report['repeat']}{values}\n")
+    print_walk(report, wanted, [])
+    for flag, what in (("fell", "fell"), ("diverged", "lost its numbers")):
+        if report["metrics"][flag]:
+            click.echo(f"It {what} at {replay.metrics['failure_time']:.2f} s, of {found.end:.2f} s.")
+    click.echo(report["compared"])
+    for file in files:
+        click.echo(f"wrote {file}")
+
+
+SERVOS_EPILOG = """\b
+Examples:
+  nermo-mjx servos --frequency 0.8 --out trot.csv
+  nermo-mjx servos --gait lat --turn-rate 0.5 --rate 100 --out turn.csv
+  nermo-mjx servos --spine stride_extension --cycles 3 --out walk.csv
+  nermo-mjx servos --channels published --send mqtt://127.0.0.1 --seconds 10
+  nermo-mjx servos --recording walk.npz --out policy.csv
+"""
+
+
+@click.command("servos", epilog=SERVOS_EPILOG)
+@options.gait
+@options.number("--rate", "Rows per second; by default that of the channels, or 50.", options.POSITIVE)
+@options.number("--cycles", "Whole gait cycles, by default 1.", click.IntRange(1))
+@click.option("--channels", metavar="FILE.yaml", type=options.SPEC,
+              help="Channel, direction, zero and limits of each servo; published: the author's order, whole degrees "
+                   "at 30 Hz.")  # fmt: skip
+@options.choice("--robot", ROBOTS)
+@options.choice("--tail", TAILS)
+@options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@click.option("--recording", metavar="FILE.npz", type=options.RECORDING,
+              help="Instead of a gait: what was commanded in a recorded walk, such as that of a policy.")  # fmt: skip
+@options.file("--out", ".csv", "File for the table.")
+@click.option(
+    "--send",
+    metavar="URL",
+    help="Send the angles to the robot in real time: mqtt://HOST[:PORT], or ws://HOST[:PORT] of a rosbridge.",
+)
+@click.option("--topic", default="q_values", show_default=True, metavar="NAME", help="MQTT or ROS topic.")
+@options.number("--seconds", "Duration of sending; by default until Ctrl-C.", options.POSITIVE)
+@options.report
+def servos_command(
+    rate: float | None,
+    cycles: int | None,
+    channels: Path | None,
+    recording: Path | None,
+    out: Path | None,
+    send: str | None,
+    topic: str,
+    seconds: float | None,
+    as_json: bool,
+    quiet: bool,
+    **chosen: Any,
+) -> None:
+    """Write the servo angles of a gait as CSV, ready to be played in a loop, or
+    send them to the robot.
+
+    A time column, and a column for each servo in the order of its channel, in
+    degrees. They come from the controller alone, long after its start, so
+    that the last row leads back to the first. Whole gait cycles are divided
+    into whole rows, so the actual rate is the nearest one that fits.
+
+    A channel file has a line for each connected servo,
+    NAME: {channel: 0, direction: -1, zero: 90, low: 20, high: 160}.
+
+    --recording makes the table of a recorded walk, by whatever controller. A
+    policy answers to its sensors, so its targets are those of one walk, to be
+    played once, as an open loop.
+
+    --send plays the table repeatedly in real time. Over MQTT a message
+    is a JSON list of degrees, one per channel; to ROS 2, through a
+    rosbridge server, a Float32MultiArray of radians.
+    """
+    if out is None and send is None:
+        raise WrongUse("Give --out FILE.csv, --send URL, or both.")
+    if send is None and seconds is not None:
+        raise WrongUse("--seconds limits the duration of --send: give --send URL, too.")
+    with stdout_reserved():
+        from nermo_mjx.runs.files import replace_file
+
+        if recording is None:
+            table, words = _of_gait(rate, cycles, channels, chosen)
+        else:
+            table, words = _of_recording(recording, rate, channels)
+        if out is not None:
+            try:
+                out.parent.mkdir(parents=True, exist_ok=True)
+                replace_file(out, table.to_csv(", ".join(words)).encode())
+            except OSError as error:
+                raise Failure(f"{out}: the table cannot be written ({error.strerror}).") from None
+        sent = None if send is None else _sent(table, send, topic, seconds)
+    lows, highs = table.angles.min(axis=0), table.angles.max(axis=0)
+    if as_json:
+        servos = [
+            {"servo": name, "channel": channel.number, "low_deg": low, "high_deg": high, "speed_deg_per_s": speed}
+            for name, channel, low, high, speed in zip(
+                table.names, table.channels, lows, highs, table.speed, strict=True
+            )
+        ]
+        about: dict[str, Any] = {"out": out, "rows": len(table.time), "rate": table.rate, "cycles": table.cycles}
+        about |= {"frequency": table.frequency, "servo_speed_deg_per_s": table.servo_speed}
+        about |= {} if sent is None else {"sent": dataclasses.asdict(sent)}
+        print_json({**about, "servos": servos})
+    elif not quiet:
+        if table.too_fast:
+            click.echo(f"servos: {table.too_fast}", err=True)
+        columns = [("channel", "right"), ("servo", "left"), ("from [deg]", "right"), ("to [deg]", "right"),
+                   ("fastest [deg/s]", "right")]  # fmt: skip
+        rows = [[str(channel.number), name, f"{low:.1f}", f"{high:.1f}", f"{speed:.0f}"] for name, channel, low, high,
+                speed in zip(table.names, table.channels, lows, highs, table.speed, strict=True)]  # fmt: skip
+        print_table(f"{table.how_many}, {len(table.time)} rows, {table.rate:.6g} rows/s", columns, rows)
+        if out is not None:
+            click.echo(f"wrote {out}")
+        if sent is not None:
+            click.echo(f"sent {sent.messages} messages in {sent.seconds:.1f} s, {sent.skipped} skipped; the latest was "
+                       f"{1e3 * sent.latest:.1f} ms late")  # fmt: skip
+
+
+def _of_gait(
+    rate: float | None, cycles: int | None, channels: Path | None, chosen: dict[str, Any]
+) -> tuple[ServoTable, list[str]]:
+    """The table of a gait, and what it is in words."""
+    from nermo_mjx.hardware import servo_table
+
+    wanted = plan(pilot="open_loop", seed=None, cycles=None, duration=None, warmup=None, scene="flat",
+                  physics="reference", **chosen)  # fmt: skip
+    table = servo_table(wanted.setup, wanted.values, rate=rate, cycles=cycles or 1, channels=channels)
+    words = [f"gait {wanted.setup.gait}", f"spine {wanted.setup.spine}", f"steering {wanted.setup.steering}"]
+    named = {"frequency": table.frequency, **wanted.values}
+    return table, words + [f"{name} {value:g}" for name, value in named.items()]
+
+
+def _of_recording(path: Path, rate: float | None, channels: Path | None) -> tuple[ServoTable, list[str]]:
+    """The table of a recorded walk, and what it is in words."""
+    from nermo_mjx.hardware import recorded_table
+    from nermo_mjx.view import robot_of
+
+    kept = ("recording", "rate", "channels", "out", "send", "topic", "seconds", "as_json", "quiet")
+    context = click.get_current_context()
+    for each in context.command.params:
+        source = context.get_parameter_source(each.name or "")
+        if each.name not in kept and source is not ParameterSource.DEFAULT:
+            raise WrongUse(f"{each.opts[0]} has no effect with --recording, whose walk is over: leave one of them out.")
+    recording = load_recording(path)
+    return recorded_table(recording, robot_of(recording), rate=rate, channels=channels), [f"walk {path.name}"]
+
+
+def _sent(table: ServoTable, url: str, topic: str, seconds: float | None) -> Sent:
+    """Send the table; nobody there is a failure, and not wrong use."""
+    from nermo_mjx.hardware.live import SendError, connected, play
+
+    try:
+        with connected(url, topic) as send:
+            return play(table, send, seconds)
+    except SendError as error:
+        raise Failure(str(error)) from None

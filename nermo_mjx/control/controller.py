@@ -15,37 +15,100 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
-from nermo_mjx.control import build, clock, fusion, pilot, trajectory
-from nermo_mjx.control.course import course_through
-from nermo_mjx.control.free_stepping import FREE, FreeStepping
-from nermo_mjx.control.fusion import SpineLike, SpineModes
-from nermo_mjx.control.head import HeadLike, named_head
-from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.path import PATHS, PathPoint
+from nermo_mjx.control import pilot, spine_modes, trajectory
+from nermo_mjx.control.head_and_tail import HeadAngles, HeadLike, Pace, TailLike, named_head, named_tail
+from nermo_mjx.control.parameters import ControlParameters, Stance, published_values, with_gait_factor
+from nermo_mjx.control.path import PATHS, PathPoint, course_through
 from nermo_mjx.control.pilot import Command, Drive, External, Follow, OpenLoop, PilotLike, Walk
 from nermo_mjx.control.protocol import leg_servos
-from nermo_mjx.control.published import with_gait_factor
-from nermo_mjx.control.sagittal import SagittalLike, SagittalModes
-from nermo_mjx.control.state import ControllerState, canonical, with_dtypes_of
-from nermo_mjx.control.stepping import GaitLike, Stepping
-from nermo_mjx.control.sway import Pace
-from nermo_mjx.control.tail import TailLike, named_tail
-from nermo_mjx.kinematics.attitude import attitude
-from nermo_mjx.kinematics.body import rear_foot_rise
+from nermo_mjx.control.spine_modes import SagittalLike, SagittalModes, SpineLike, SpineModes
+from nermo_mjx.control.stepping import FREE, FreeStepping, GaitLike, Stepping
+from nermo_mjx.kinematics.body import attitude, rear_foot_rise
+from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.kinematics.spine import joint_angle
-from nermo_mjx.robot.geometry import geometry_of
-from nermo_mjx.robot.interface import Sensors, ServoAngles
-from nermo_mjx.robot.mass_model import MassModel
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.parameters import ROUTINGS
-from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.shapes import Array, Scalar
+from nermo_mjx.robot.geometry import Geometry, geometry_of, names_geometry
+from nermo_mjx.robot.masses import MassModel
+from nermo_mjx.robot.parameters import LIMBS, ROUTINGS, Sensors, ServoAngles
+from nermo_mjx.robot.quantity import ParameterError, check_quantities, choice, quantities, replace_quantities, values_of
+from nermo_mjx.runtime import start_jax
+from nermo_mjx.shapes import Array, Count, Scalar, Scalars
+
+# ---
+# The controller's state between ticks.
+
+
+State = TypeVar("State")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class ControllerState:
+    """State of the controller.
+
+    Attributes:
+        tick: control ticks since the start.
+        time: simulated time since the start [s].
+        pilot: the pilot's memory, of its last decision.
+        drive: its output, held between pilot ticks.
+        gait: the gait's state.
+        foot: commanded foot positions: those on the path, after offset compensation and tracking lag [m].
+        spine: commanded spine servo angle, positive left [rad].
+        head, tail: memories of these parts.
+        head_angles, tail_angle: their commanded servo angles [rad].
+        spine_vertical: that of Nermo 4.1's vertical servo, positive lifts the hip [rad]; None on Nermo-Lite.
+    """
+
+    tick: Count
+    time: Scalar
+    pilot: Any
+    drive: Drive
+    gait: Any
+    foot: Float[Array, "4 2"]
+    spine: Scalar
+    head: Any
+    head_angles: HeadAngles
+    tail: Any
+    tail_angle: Scalar
+    spine_vertical: Scalar | None = None
+
+    @property
+    def phase(self) -> Scalars:
+        """Of the gait cycle, in [0, 1)."""
+        return self.gait.phase
+
+    @property
+    def stance(self) -> Bool[Array, " 4"]:
+        """Planned contact of the limbs."""
+        return self.gait.stance
+
+    @property
+    def turn_rate(self) -> Scalars:
+        """In [-1, 1], positive left."""
+        return self.drive.turn_rate
+
+
+def canonical(state: State) -> State:
+    """The state with every float in JAX's default precision and no weak types, so that a scan can carry it."""
+    precision = jnp.zeros(()).dtype
+
+    def settle(leaf: Array) -> Array:
+        leaf = jnp.asarray(leaf)
+        return leaf.astype(precision if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf.dtype)
+
+    return jax.tree.map(settle, state)
+
+
+def with_dtypes_of(reference: State, state: State) -> State:
+    """`state` with the dtypes of `reference`, so that a scan can carry it."""
+    return jax.tree.map(lambda old, new: jnp.asarray(new).astype(old.dtype), reference, state)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,13 +230,13 @@ class Controller:
     def check(self, params: ControlParameters) -> None:
         """Reject unreachable strides, see `build.check_workspace`, and limbs that would always or never be in
         stance."""
-        build.check_workspace(params, routing=self.routing)
+        check_workspace(params, routing=self.routing)
         if isinstance(self.gait, FreeStepping):
             self.gait.check(params)
 
     def _start(self, params: ControlParameters, phase: Scalar | float) -> ControllerState:
         memory, drive = self.pilot.start(params)
-        gait, path = self.gait.start(params, clock.wrap(jnp.asarray(phase, dtype=float)), drive)
+        gait, path = self.gait.start(params, trajectory.wrap(jnp.asarray(phase, dtype=float)), drive)
         spine = self.spine(params, gait.phase, drive.turn_rate, path, gait.stance)
         level = jnp.zeros_like(gait.phase)
         vertical = self._vertical(params, gait.phase, drive.turn_rate, level, level)
@@ -207,7 +270,7 @@ class Controller:
         if vertical is not None:
             bends = joint_angle(spine, geometry), joint_angle(vertical, geometry)
             lifted = rear_foot_rise(bends[0], path, bends[1], geometry)
-        return fusion.compensation(params.spine, spine, geometry, lifted, foot)
+        return spine_modes.compensation(params.spine, spine, geometry, lifted, foot)
 
     def _walk(self, params: ControlParameters, state: ControllerState) -> Walk:
         speed, yaw_rate = self.gait.walked(params, state.gait, state.drive)
@@ -222,7 +285,7 @@ class Controller:
 
 
 def published_controller(
-    spine: str | tuple[str, ...] = fusion.NO_MODE,
+    spine: str | tuple[str, ...] = spine_modes.NO_MODE,
     pilot: str = "straight",
     *,
     waypoints: Sequence[Sequence[float]] | None = None,
@@ -249,8 +312,8 @@ def published_controller(
         command: (speed, turn rate) at a simulated time, for the pilot "external"; see `pilot.tabulated`.
         trajectory: form of the foot path, "cubic", "linear" or "parabolic"; "free" is the cubic one with parameters for
             each limb and movable points, see `free_stepping`.
-        head: "none" holds it still, "gaze" keeps its direction in the world; see `control.head`.
-        tail_motion: "none" holds it still, "swing", "counter_yaw" or "counter_roll"; see `control.tail`.
+        head: "none" holds it still, "gaze" keeps its direction in the world; see `control.head_and_tail`.
+        tail_motion: "none" holds it still, "swing", "counter_yaw" or "counter_roll"; see `control.head_and_tail`.
         routing: knee tendon routing of the legs.
         masses: two-mass model of the assembled robot, for the mode "balance".
         control_rate, pilot_rate: see `Controller`.
@@ -259,9 +322,9 @@ def published_controller(
         ParameterError: an unknown name, or choices that cannot be combined.
     """
     stepping = FreeStepping(routing=routing) if trajectory == FREE else Stepping(trajectory)
-    modes = fusion.mode_names(spine)
+    modes = spine_modes.mode_names(spine)
     lateral, vertical = (tuple(name for name in modes if name in kind)
-                         for kind in (fusion.LATERAL_MODES, fusion.SAGITTAL_MODES))  # fmt: skip
+                         for kind in (spine_modes.LATERAL_MODES, spine_modes.SAGITTAL_MODES))  # fmt: skip
     return Controller(
         named_pilot(pilot, waypoints, command), stepping, SpineModes(lateral, masses), routing, control_rate,
         pilot_rate, head=named_head(head), tail=named_tail(tail_motion),
@@ -297,3 +360,136 @@ def _check_rates(control_rate: float, pilot_rate: float) -> None:
     ratio = control_rate / pilot_rate
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
         raise ParameterError(f"pilot_rate is {pilot_rate:g}: allowed is {control_rate:g} Hz divided by a whole number.")
+
+
+# ---
+# Building controller parameters: names, ranges and reachable strides are checked here only.
+
+
+#: Points of each half-cycle at which the nominal foot path is checked, and steps of the search for the longest stride.
+_PATH_POINTS, _STRIDE_STEPS = 9, 41
+
+
+def control_parameters(
+    gait: str = "trt", *, steering: str | None = None, profile: str = "exact", routing: str = "type3", **values: Any
+) -> ControlParameters:
+    """Checked parameters of a published gait with some values changed.
+
+    >>> params = control_parameters("lat", frequency=0.8, **{"spine.amplitude": 0.3})
+    >>> float(params.gait.duty), float(params.spine.amplitude)
+    (0.68, 0.3)
+
+    Args:
+        gait: "trt", "trt1" or "lat". Give duty and offsets in `values` for a custom gait; the gait factor follows
+            the duty factor unless it is given.
+        steering: "leg", "spine" or "mix"; by default that of the profile.
+        profile: one of `PROFILES`.
+        routing: knee tendon routing, for the check of the workspace.
+        values: parameters by name, as `quantities(ControlParameters)` lists them, and lengths and places of the robot
+            (`Geometry`); pass names with a dot as `**{"spine.amplitude": 0.3}`. Numbers, or arrays whose axes are
+            batch axes. They are checked, so they cannot be traced: inside a transformed function use
+            `replace_quantities`.
+
+    Raises:
+        ParameterError: an unknown name, a number out of range, or a stride outside the legs' workspace.
+    """
+    named: dict[str, Any] = {**published_values(gait, steering=steering, profile=profile)}
+    start = ControlParameters(geometry=Geometry() if names_geometry(values) else None)
+    known = dict(quantities(start))
+    for name, value in values.items():
+        known[choice("parameter", name, known)].check(name, value)
+    named |= with_gait_factor({name: np.asarray(value, float) for name, value in values.items()})
+    params = replace_quantities(start, {name: np.asarray(value, float) for name, value in named.items()})
+    check_workspace(params, routing=routing)
+    return params
+
+
+def check(params: ControlParameters, *, routing: str = "type3") -> None:
+    """Reject parameters that are not finite, out of range, or step outside the legs' workspace.
+
+    Args:
+        params: concrete (not traced) parameters; leaves may carry leading batch axes.
+        routing: knee tendon routing.
+
+    Raises:
+        ParameterError: with the field's name, its value and what is allowed.
+    """
+    check_quantities(params)
+    check_workspace(params, routing=routing)
+
+
+def check_workspace(params: ControlParameters, *, routing: str = "type3") -> None:
+    """Reject strides, heights and amplitudes whose nominal foot path leaves a leg's workspace; see `check`."""
+    stride = np.asarray(params.gait.stride, float) * np.asarray(params.stance.max_stride, float)
+    paths = _distinct(_Paths(params.stance, geometry_of(params), stride))
+    start_jax()
+    reached = np.asarray(_reachable(paths, routing))
+    if reached.all():
+        return
+    row, limb = np.argwhere(~reached)[0]
+    one = jax.tree.map(lambda leaf: leaf[row], paths)
+    raise ParameterError(_sentence(one, params, int(limb), routing))
+
+
+class _Paths(NamedTuple):
+    """The inputs of the nominal foot paths, and whether legs reach them; leaves of one shape, (batch,)."""
+
+    stance: Stance
+    geometry: Geometry
+    stride: Any
+
+
+def _distinct(paths: _Paths) -> _Paths:
+    """The distinct combinations of a batch: usually one, because most sweeps vary other things."""
+    leaves, structure = jax.tree.flatten(paths)
+    columns = np.stack(
+        [leaf.reshape(-1) for leaf in np.broadcast_arrays(*(np.asarray(each, float) for each in leaves))]
+    )
+    distinct: _Paths = jax.tree.unflatten(structure, np.unique(columns, axis=1))
+    return distinct
+
+
+@partial(jax.jit, static_argnames="routing")
+def _reachable(paths: _Paths, routing: str) -> Bool[Array, "batch 4"]:
+    """Whether each limb's nominal stance and swing paths lie in its workspace."""
+    stance, geometry, stride = paths
+    progress = jnp.linspace(0.0, 1.0, _PATH_POINTS)[:, None, None]
+    each = jnp.broadcast_to(stride[:, None], (stride.size, len(LIMBS)))
+    down = jnp.asarray([True, False])[:, None, None]
+    points = trajectory.nominal_points(stance, jnp.broadcast_to(down, (2, *each.shape)), each)
+    path = trajectory.position(points[:, None], progress)
+    return jnp.all(inverse(four_legs(geometry), path, routing).reachable, axis=(0, 1))
+
+
+def _sentence(paths: _Paths, params: ControlParameters, limb: int, routing: str) -> str:
+    axle, stance, stride = LIMBS[limb].split("_")[0], paths.stance, float(paths.stride)
+    height = float(getattr(stance, f"{axle}_z"))
+    strides = np.linspace(0.0, stride, _STRIDE_STEPS)
+    batch = jax.tree.map(lambda leaf: np.full(_STRIDE_STEPS, leaf), paths)._replace(stride=strides)
+    reached = np.asarray(_reachable(batch, routing))[:, limb]
+    links = _links(paths.geometry, axle)
+    if not reached[0]:
+        behind, up, down = getattr(stance, f"{axle}_y"), stance.swing_amplitude, stance.stance_amplitude
+        return (
+            f"stance.{axle}_z is {height:g} m: with stance.{axle}_y {behind:g} m, raised by {up:g} m and lowered by "
+            f"{down:g} m, the {axle} foot leaves its leg's workspace even without a stride{links}."
+        )
+    longest = strides[np.argmin(reached) - 1]
+    scale = float(stance.max_stride)
+    varied = np.any(np.asarray(params.gait.stride) != 1.0) and scale > 0.0
+    name, value, most, unit = (
+        ("stride", stride / scale, longest / scale, "") if varied else ("stance.max_stride", stride, longest, " m")
+    )
+    return (
+        f"{name} is {value:g}{unit}: with stance.{axle}_z {height:g} m the {axle} feet reach a stride of "
+        f"{longest:.3f} m{links}, so allowed is [0, {most:.3f}]{unit}."
+    )
+
+
+def _links(geometry: Geometry, axle: str) -> str:
+    """The links of a pair of legs that are not the published ones, in words."""
+    name = f"{axle}_leg"
+    published = dict(values_of(getattr(Geometry(), name)))
+    own = [f"geometry.{name}.{link} {float(length):g} m" for link, length in values_of(getattr(geometry, name))
+           if abs(float(length) - float(published[link])) > 1e-9]  # fmt: skip
+    return f", with {' and '.join(own)}" if own else ""

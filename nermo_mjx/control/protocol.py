@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.kinematics.leg import four_legs, inverse
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import Sensors, ServoAngles
+from nermo_mjx.robot.parameters import Sensors, ServoAngles
 from nermo_mjx.shapes import Array, Scalar
 
 #: What every controller has.
@@ -50,7 +50,6 @@ class ControllerLike(Protocol):
 
 
 @runtime_checkable
-@runtime_checkable
 class FollowsPath(Protocol):
     """A controller with a path, relative to which the robot is measured (`cross_track_rms`, progress along it)."""
 
@@ -71,7 +70,6 @@ class ActsUpon(Protocol):
 
 
 @runtime_checkable
-@runtime_checkable
 class PlansContact(Protocol):
     """A controller that plans contacts (for `swing_loaded_rear`)."""
 
@@ -80,7 +78,6 @@ class PlansContact(Protocol):
 
 
 @runtime_checkable
-@runtime_checkable
 class ChecksParameters(Protocol):
     """A controller with checks of its parameters beyond the ranges of its quantities."""
 
@@ -88,7 +85,6 @@ class ChecksParameters(Protocol):
         """Raise `ParameterError` with one sentence. `params` are not traced, and may have leading batch axes."""
 
 
-@runtime_checkable
 @runtime_checkable
 class CompletesValues(Protocol):
     """A controller with parameters that are derived from others, unless both are named."""

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Final, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Bool, Float
 
-from nermo_mjx.control import clock, trajectory, turning
-from nermo_mjx.control.parameters import ControlParameters
+from nermo_mjx.control import trajectory, turning
+from nermo_mjx.control.parameters import FOOT_POINTS, ControlParameters
 from nermo_mjx.control.pilot import Drive
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.shapes import Array, PerLimb, Scalar, Scalars
+from nermo_mjx.kinematics.leg import four_reaches
+from nermo_mjx.robot.geometry import geometry_of
+from nermo_mjx.robot.parameters import LIMBS, ServoAngles
+from nermo_mjx.robot.quantity import ParameterError, choice
+from nermo_mjx.shapes import Array, PerLimb, Planar, Scalar, Scalars
 
 
 @runtime_checkable
@@ -79,7 +83,7 @@ class Stepping(GaitLike):
     def update(
         self, params: ControlParameters, state: Steps, before: Drive, now: Drive, dt: float
     ) -> tuple[Steps, Float[Array, "4 2"]]:
-        phase = clock.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
+        phase = trajectory.advance(state.phase, params.gait.frequency, dt / params.tracking.clock_ratio)
         limbs = self.limbs(params, phase)
         points, share = self._half_cycles(params, state, limbs, before, now, dt)
         return Steps(phase, limbs.stance, points, share), self._feet(params, points, share, limbs)
@@ -90,11 +94,11 @@ class Stepping(GaitLike):
 
     def _duty(self, params: ControlParameters) -> Array:
         """Stance share of the cycle, of all limbs () or of each (4,)."""
-        return clock.stance_share(params.gait.duty)
+        return trajectory.stance_share(params.gait.duty)
 
-    def limbs(self, params: ControlParameters, phase: Scalars) -> clock.LimbStates:
+    def limbs(self, params: ControlParameters, phase: Scalars) -> trajectory.LimbStates:
         """Planned contact of the limbs, and each one's progress in its half-cycle, at phases."""
-        return clock.limb_states(params.gait, phase)
+        return trajectory.limb_states(params.gait, phase)
 
     def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
         stride = turning.stride_length(params.gait, params.stance, drive.speed)
@@ -105,12 +109,18 @@ class Stepping(GaitLike):
         return None
 
     def _feet(
-        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: clock.LimbStates
+        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: trajectory.LimbStates
     ) -> Float[Array, "4 2"]:
         return trajectory.position(points, limbs.progress, self.form)
 
     def _half_cycles(
-        self, params: ControlParameters, state: Steps, limbs: clock.LimbStates, before: Drive, now: Drive, dt: float
+        self,
+        params: ControlParameters,
+        state: Steps,
+        limbs: trajectory.LimbStates,
+        before: Drive,
+        now: Drive,
+        dt: float,
     ) -> tuple[Float[Array, "4 3 2"], PerLimb]:
         """Control points of the legs' current half-cycles, and their shares of a straight walk's strides.
 
@@ -131,9 +141,9 @@ class Stepping(GaitLike):
             return later + jnp.where(ago <= in_tick, ago / in_tick, 1.0) * (earlier - later)
 
         share = commanded(shares, since)
-        switched = clock.switches(limbs.stance, state.stance)
+        switched = trajectory.switches(limbs.stance, state.stance)
         # A half-cycle shorter than a tick may go unnoticed; the foot has still moved along its path.
-        skipped = ~switched & (since < in_tick - 0.5 * clock.SHORTEST_HALF)
+        skipped = ~switched & (since < in_tick - 0.5 * trajectory.SHORTEST_HALF)
         moved = self._moved(params, commanded(shares, since + other))
         passed = trajectory.end_points(params.stance, ~limbs.stance, commanded(strides, since + other), moved)
         start = jnp.where(skipped[:, None], passed, state.points[:, 2])
@@ -141,3 +151,155 @@ class Stepping(GaitLike):
         planned = trajectory.plan(params.stance, start, limbs.stance, commanded(strides, since), moved)
         begins = switched | skipped
         return jnp.where(begins[:, None, None], planned, state.points), jnp.where(begins, share, state.share)
+
+
+# ---
+# Gaits with many parameters: the published stepping with parameters per limb, and foot paths through free points.
+#
+# All parameters are offsets to the published gait and default to zero, so that the defaults give the published gait,
+# bit for bit.
+#
+# A foot's path is a loop through eight points. Touch-down (1) and lift-off (5) are the ends of the half-cycles, each of
+# which begins where the previous one ended, so that the path is always closed and continuous. In between, at a
+# quarter, the half and three quarters of stance (2-4) and swing (6-8), a spline through the points is added, which
+# changes neither the position nor the velocity at both ends. A turn shortens the way of the points back and forth as it
+# does the stride. Points outside the leg's workspace are moved inside (`within`).
+
+
+#: The name of this trajectory, in addition to `trajectory.FORMS`.
+FREE: Final = "free"
+#: Width of the border of the workspace within which feet are moved inside [m]. The published rear feet come within 0.05
+#: mm of it in mid-swing, where their knee servos are almost at their limit.
+BORDER: Final = 4e-5
+
+#: Knots of the spline; it is 0 at its ends.
+_KNOTS: Final = np.linspace(0.0, 1.0, FOOT_POINTS // 2 + 1)
+
+
+def _spline() -> np.ndarray:
+    """Coefficients of the splines that are 1 at one inner knot each: (power bases of `bumps`, knots)."""
+    count, step = len(_KNOTS), _KNOTS[1]
+    value = np.eye(count)[:, 1:-1]
+    rise = np.diff(value, axis=0) / step
+    # The acceleration is continuous at the inner knots; the slope is 0 at the ends.
+    slope, inner = np.zeros_like(value), count - 2
+    slope[1:-1] = np.linalg.solve(
+        4 * np.eye(inner) + np.eye(inner, k=1) + np.eye(inner, k=-1), 3 * (rise[1:] + rise[:-1])
+    )
+    square = (3 * rise - 2 * slope[:-1] - slope[1:]) / step
+    cube = (slope[:-1] + slope[1:] - 2 * rise) / step**2
+    # At a knot only the third derivative changes.
+    return np.concatenate([square[:1], cube[:1], np.diff(cube, axis=0)])
+
+
+_SPLINE: Final = _spline()
+
+
+@dataclasses.dataclass(frozen=True)
+class FreeStepping(Stepping):
+    """Stepping with the parameters `limb`, `foot` and `trim` in addition to the published ones.
+
+    Attributes:
+        form: of the path whose points are moved.
+        routing: knee tendon routing, for the workspace.
+    """
+
+    routing: str = "type3"
+
+    def trim(self, params: ControlParameters, servos: ServoAngles) -> ServoAngles:
+        """The servo angles plus the offset of each [rad]."""
+        trim = params.trim
+        return dataclasses.replace(
+            servos, hip=servos.hip + _added(trim.hip), knee=servos.knee + _added(trim.knee),
+            spine=servos.spine + trim.spine,
+        )  # fmt: skip
+
+    def check(self, params: ControlParameters) -> None:
+        """Reject limbs that would always or never be in stance; `params` are not traced, and may have leading batch
+        axes."""
+        added = np.asarray(params.limb.duty, float)
+        duty = np.asarray(params.gait.duty, float)[..., None] + np.repeat(added[..., :2], 2, axis=-1) + added[..., 2:]
+        for place, name in enumerate(LIMBS):
+            wrong = ~((duty[..., place] > 0.0) & (duty[..., place] < 1.0))
+            if wrong.any():
+                value = duty[..., place][wrong].flat[0]
+                raise ParameterError(
+                    f"limb.duty.{name} gives the limb a duty factor of {value:g}: allowed is (0, 1) for duty, what its "
+                    "pair adds and what it adds itself."
+                )
+
+    def _duty(self, params: ControlParameters) -> Array:
+        return trajectory.stance_share(params.gait.duty[..., None] + _added(params.limb.duty))
+
+    def limbs(self, params: ControlParameters, phase: Scalars) -> trajectory.LimbStates:
+        """See `Stepping.limbs`."""
+        gait = dataclasses.replace(params.gait, offset=params.gait.offset + _added(params.limb.phase))
+        return trajectory.limb_states(gait, phase, _added(params.limb.duty))
+
+    def _strides(self, params: ControlParameters, drive: Drive) -> Float[Array, " 4"]:
+        pair, limb = _both(params.limb.stride)
+        return super()._strides(params, drive) * (pair * limb)
+
+    def _moved(self, params: ControlParameters, share: PerLimb) -> trajectory.Moved:
+        points = _points(params, share)
+        return trajectory.Moved(points[..., 0, :], points[..., FOOT_POINTS // 2, :], _added(params.limb.lift))
+
+    def _feet(
+        self, params: ControlParameters, points: Float[Array, "4 3 2"], share: PerLimb, limbs: trajectory.LimbStates
+    ) -> Float[Array, "4 2"]:
+        own, half = _points(params, share), FOOT_POINTS // 2
+        inner = jnp.where(limbs.stance[:, None, None], own[:, 1:half], own[:, half + 1 :])
+        path = super()._feet(params, points, share, limbs) + jnp.sum(bumps(limbs.progress)[..., None] * inner, axis=-2)
+        return within(*four_reaches(geometry_of(params), self.routing), path)
+
+
+def bumps(progress: Scalars) -> Float[Array, "*batch 3"]:
+    """Weight of each inner point of a half-cycle at `progress` in [0, 1].
+
+    Cubic splines, 1 at their own point and 0 at the others; value and slope are 0 at both ends.
+    """
+    p = jnp.asarray(progress)[..., None]
+    past = jnp.maximum(p - jnp.asarray(_KNOTS[1:-1], p.dtype), 0.0)
+    bases = jnp.concatenate([p**2, p**3, past**3], axis=-1)
+    return jnp.sum(bases[..., None] * jnp.asarray(_SPLINE, p.dtype), axis=-2)
+
+
+def within(nearest: Scalars, farthest: Scalars, foot: Planar) -> Planar:
+    """The foot (y, z) from the leg's axis, moved into the ring between both distances [m].
+
+    Within the ring it is unchanged, bit for bit, except in a border of width `BORDER`: there and beyond, the distance
+    nears the ring's end with a slope that is 1 where the border begins and above 0 everywhere, so that a gradient leads
+    back.
+    """
+    distance = jnp.sqrt(jnp.maximum(jnp.sum(foot**2, axis=-1), 1e-12))
+    low, high = nearest + BORDER, farthest - BORDER
+
+    def drawn(beyond: Array) -> Array:
+        positive = jnp.maximum(beyond, 0.0)
+        return BORDER * positive / (BORDER + positive)
+
+    kept = jnp.where(distance > high, high + drawn(distance - high), low - drawn(low - distance))
+    share = jnp.where((distance >= low) & (distance <= high), 1.0, kept / distance)
+    return foot * share[..., None]
+
+
+def _both(value: Any) -> tuple[Array, Array]:
+    """The values of each limb's pair, and each limb's own, (..., 4) each."""
+    value = jnp.asarray(value)
+    front, rear = value[..., 0], value[..., 1]
+    return jnp.stack([front, front, rear, rear], axis=-1), value[..., 2:]
+
+
+def _added(value: Any) -> Array:
+    pair, limb = _both(value)
+    return pair + limb
+
+
+def _points(params: ControlParameters, share: PerLimb) -> Float[Array, "*batch 4 8 2"]:
+    """Displacements of the points of each foot's path at a share of its stride, (y, z) in the leg's frame [m]."""
+    foot = params.foot
+    front, rear = jnp.asarray(foot.front), jnp.asarray(foot.rear)
+    moved = jnp.stack(
+        [front + foot.front_left, front + foot.front_right, rear + foot.rear_left, rear + foot.rear_right], axis=-2
+    )
+    return jnp.stack([share[..., None] * moved[..., :FOOT_POINTS], moved[..., FOOT_POINTS:]], axis=-1)

@@ -14,10 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.parameters import ControlParameters, Gait, Stance, Turning
-from nermo_mjx.control.power import signed_power
-from nermo_mjx.control.trajectory import neutral_feet
+from nermo_mjx.control.trajectory import neutral_feet, signed_power
 from nermo_mjx.kinematics.body import feet_positions
-from nermo_mjx.kinematics.root import bracketed_root
+from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.kinematics.spine import joint_angle, transform, yaw
 from nermo_mjx.robot.geometry import Geometry, dh_table, geometry_of
 from nermo_mjx.robot.parameters import LIMBS, SPINE

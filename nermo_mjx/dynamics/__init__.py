@@ -2,8 +2,9 @@
 
 `step` and `forward` take the place of `mjx.step` and `mjx.forward`, `checkpointed_scan` that of `jax.lax.scan` where a
 long run is differentiated in reverse mode, `check_gradient` compares a gradient with differences, `not_simulated` says
-what they leave out of a model, `fitted` makes a model fit for MJX, and `MassConstants` and `PlaceConstants` compute the
-constants that MuJoCo derives from masses, and from masses and positions. Nothing here depends on the robot.
+what they leave out of a model and `approximated` what they do otherwise than MuJoCo C, `fitted` makes a model fit for
+MJX, and `MassConstants` and `PlaceConstants` compute the constants that MuJoCo derives from masses, and from masses and
+positions. Nothing here depends on the robot.
 docs/howto/step.md shows the use with any model.
 
 Names are imported on first use: `precision`, for example, works without MJX.
@@ -17,26 +18,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nermo_mjx.dynamics.checking import GradientCheck, check_gradient
     from nermo_mjx.dynamics.checkpointing import checkpointed_scan
-    from nermo_mjx.dynamics.coverage import not_simulated
+    from nermo_mjx.dynamics.coverage import approximated, fitted, not_simulated
     from nermo_mjx.dynamics.differentiable import forward, step
-    from nermo_mjx.dynamics.fitting import fitted
     from nermo_mjx.dynamics.mass_constants import MassConstants
     from nermo_mjx.dynamics.place_constants import PlaceConstants
 
 _HOMES = {
     "nermo_mjx.dynamics.checking": ("GradientCheck", "check_gradient"),
     "nermo_mjx.dynamics.checkpointing": ("checkpointed_scan",),
-    "nermo_mjx.dynamics.coverage": ("not_simulated",),
+    "nermo_mjx.dynamics.coverage": ("approximated", "fitted", "not_simulated"),
     "nermo_mjx.dynamics.differentiable": ("forward", "step"),
-    "nermo_mjx.dynamics.fitting": ("fitted",),
     "nermo_mjx.dynamics.mass_constants": ("MassConstants",),
     "nermo_mjx.dynamics.place_constants": ("PlaceConstants",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "GradientCheck", "MassConstants", "PlaceConstants", "check_gradient", "checkpointed_scan", "fitted", "forward",
-    "not_simulated", "step",
+    "GradientCheck", "MassConstants", "PlaceConstants", "approximated", "check_gradient", "checkpointed_scan", "fitted",
+    "forward", "not_simulated", "step",
 ]  # fmt: skip
 
 

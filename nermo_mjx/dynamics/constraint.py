@@ -31,10 +31,10 @@ def gradient(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
     return problem.inertia @ qacc - problem.smooth - problem.jacobian.T @ force
 
 
-def rounding(layout: Layout, problem: Problem, qacc: Dofs) -> Dofs:
-    """The size of g(a) that is left where it should vanish: the rounding of its terms."""
+def rounding(layout: Layout, problem: Problem, sizes: Problem, qacc: Dofs) -> Dofs:
+    """The size of g(a) that is left where it should vanish: the rounding of its terms; `sizes` is |problem|."""
     force = jnp.abs(forces(layout, problem, residual(problem, qacc)))
-    terms = jnp.abs(problem.inertia) @ jnp.abs(qacc) + jnp.abs(problem.smooth) + jnp.abs(problem.jacobian).T @ force
+    terms = sizes.inertia @ jnp.abs(qacc) + sizes.smooth + sizes.jacobian.T @ force
     return ROUNDING * jnp.finfo(qacc.dtype).eps * terms
 
 

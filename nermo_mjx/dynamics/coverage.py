@@ -1,12 +1,17 @@
-"""What MJX leaves out of a MuJoCo model without saying so, and the step does not bring back."""
+"""What MJX leaves out of a MuJoCo model, or does otherwise, without saying so, and the step does not bring back.
+
+`fitted` makes a model fit for MJX, by changes that cost little, each of which is named.
+"""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import mujoco
 import numpy as np
+from jaxtyping import Float
 
 #: Fields that say which elements have a feature, by what is said of it; an element has it where its entry is not zero.
 FEATURES: Final[dict[str, tuple[tuple[str, str], ...]]] = {
@@ -23,6 +28,19 @@ PLUGINS: Final = (
 )  # fmt: skip
 #: What a rangefinder of MJX cannot see.
 UNSEEN: Final = (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_HFIELD, mujoco.mjtGeom.mjGEOM_SDF)
+_OTHERS: Final = "their contacts are MJX's, and may be others than MuJoCo C's"
+_MISSED: Final = "their contacts are MJX's, up to 1 mm off at a depth of 1 mm, or missing, where MuJoCo C has some"
+#: What is said of pairs of kinds of geoms that do not collide altogether as in C.
+APPROXIMATE: Final[dict[tuple[str, ...], str]] = {
+    ("PLANE", "CYLINDER"): "where the axis is along the normal, C turns the contacts with the slightest tilt and has "
+    "no derivative; the step's is that of contacts that do not turn",
+    **{("HFIELD", kind): _OTHERS for kind in ("SPHERE", "CAPSULE", "BOX", "MESH")},
+    **{(kind, "MESH"): _OTHERS for kind in ("PLANE", "SPHERE", "CAPSULE", "BOX", "MESH")},
+    **{(kind, "CYLINDER"): _MISSED for kind in ("CAPSULE", "ELLIPSOID", "CYLINDER")},
+    **{(kind, "BOX"): _OTHERS for kind in ("CAPSULE", "BOX")},
+}
+#: Number of random positions of the joints in which side sites are looked at.
+POSES: Final = 200
 #: Flags of `mjtEnableBit` that MJX takes and does not act on.
 FLAGS: Final = {"mjENBL_SLEEP": "sleep", "mjENBL_IPC": "ipc"}
 
@@ -64,15 +82,203 @@ def _missing(model: mujoco.MjModel) -> Iterator[str]:
     for bit, name in FLAGS.items():
         if model.opt.enableflags & int(getattr(mujoco.mjtEnableBit, bit, 0)):
             yield f"flag {name} is enabled: disable it"
+    for wrap in side_sites(model):
+        spread = wrap.most - wrap.least
+        if wrap.least <= wrap.radius + spread and wrap.most >= wrap.radius - spread and spread > 1e-6 * wrap.radius:
+            names = (
+                named(model, *each) for each in (("tendon", wrap.tendon), ("site", wrap.site), ("geom", wrap.geom))
+            )
+            yield "{} has the side {}, now inside {}, now outside, as joints turn: put it on the same body".format(
+                *names
+            )
     if model.opt.noslip_iterations > 0:
         yield f"noslip_iterations is {model.opt.noslip_iterations}: set it to 0"
     if np.any(model.sensor_type == mujoco.mjtSensor.mjSENS_RANGEFINDER):
         for index in np.flatnonzero(np.isin(model.geom_type, UNSEEN)):
-            yield f"{named(model, 'geom', index)} is not seen by rangefinders: allowed are shapes other than "
-            "cylinder, hfield, sdf"
+            seen = "allowed are shapes other than cylinder, hfield, sdf"
+            yield f"{named(model, 'geom', index)} is not seen by rangefinders: {seen}"
+
+
+def approximated(model: mujoco.MjModel) -> list[str]:
+    """What `step` and `forward` do otherwise than MuJoCo C, and warn of: a sentence for each, none if there is nothing.
+
+    >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><geom type="box" size="1 1 .1"/>
+    ... <body pos="0 0 .3"><freejoint/><geom name="b" type="box" size=".1 .1 .1"/></body></worldbody></mujoco>''')
+    >>> approximated(model)
+    ["geom 0 and geom 'b' are box and box: their contacts are MJX's, and may be others than MuJoCo C's."]
+
+    Args:
+        model: compiled by MuJoCo.
+    """
+    from mujoco.mjx._src import collision_driver
+
+    met: dict[tuple[str, ...], list[Any]] = {}
+    for first, second, _ in collision_driver.geom_pairs(model):
+        kinds = tuple(mujoco.mjtGeom(model.geom_type[each]).name.removeprefix("mjGEOM_") for each in (first, second))
+        if kinds in APPROXIMATE:
+            met.setdefault(kinds, []).append((first, second))
+    said = []
+    for kinds, pairs in met.items():
+        geoms = " and ".join(named(model, "geom", each) for each in pairs[0])
+        more = f", as are {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+        said.append(f"{geoms} are {' and '.join(kinds).lower()}{more}: {APPROXIMATE[kinds]}.")
+    if mujoco.__version__ >= "4":
+        said += [
+            f"{named(model, 'tendon', wrap.tendon)} has a side site: MuJoCo 4 leads it past its geom by another rule "
+            "than MuJoCo 3, which MJX and the step follow; compare ten_length."
+            for wrap in side_sites(model)
+            if wrap.most >= wrap.radius
+        ]
+    return said
+
+
+class SideSite(NamedTuple):
+    """A tendon's wrap with a side site.
+
+    Attributes:
+        wrap: number among the wraps of the model.
+        tendon, geom, site: of it.
+        radius: of the geom [m].
+        least, most: distance of the site from the geom's centre, over random positions of the joints [m].
+    """
+
+    wrap: int
+    tendon: int
+    geom: int
+    site: int
+    radius: float
+    least: float
+    most: float
+
+
+def side_sites(model: mujoco.MjModel) -> list[SideSite]:
+    """All wraps with a side site. C looks in each step whether it is inside of the geom, MJX only when a model is put,
+    at positions that are in the frames of their bodies."""
+    kinds = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    wraps = np.flatnonzero(kinds & (model.wrap_prm >= 0.0))
+    geoms, sites = model.wrap_objid[wraps], np.round(model.wrap_prm[wraps]).astype(int)
+    moves, data = np.any(model.geom_bodyid[geoms] != model.site_bodyid[sites]), mujoco.MjData(model)
+    random, distances = np.random.default_rng(0), []
+    for pose in range(POSES if moves else 1):
+        data.qpos[:] = model.qpos0
+        mujoco.mj_integratePos(model, data.qpos, random.uniform(-np.pi, np.pi, model.nv) * (pose > 0), 1.0)
+        mujoco.mj_kinematics(model, data)
+        distances.append(np.linalg.norm(data.site_xpos[sites] - data.geom_xpos[geoms], axis=1))
+    tendons = np.searchsorted(model.tendon_adr, wraps, side="right") - 1
+    columns = tendons, geoms, sites, model.geom_size[geoms, 0], np.min(distances, 0), np.max(distances, 0)
+    return [SideSite(*(each.item() for each in row)) for row in zip(wraps, *columns, strict=True)]
 
 
 def named(model: mujoco.MjModel, kind: str, index: Any) -> str:
     """An element as a sentence names it: its kind, and its name or else its number."""
     name = getattr(model, kind)(int(index)).name
     return f"{kind} {name!r}" if name else f"{kind} {int(index)}"
+
+
+_CAPSULE, _ELLIPSOID, _CYLINDER, _MESH, _HFIELD = (
+    getattr(mujoco.mjtGeom, f"mjGEOM_{name}") for name in ("CAPSULE", "ELLIPSOID", "CYLINDER", "MESH", "HFIELD")
+)
+#: Flags that MJX refuses and that do not change a model's motion.
+_SILENT: Final = {"energy": mujoco.mjtEnableBit.mjENBL_ENERGY, "fwdinv": mujoco.mjtEnableBit.mjENBL_FWDINV}
+
+
+def fitted(model: mujoco.MjModel) -> tuple[mujoco.MjModel, list[str]]:
+    """A copy of a model that MJX can put, and a sentence for each change; the list is empty if nothing had to change.
+
+    >>> model = mujoco.MjModel.from_xml_string('''<mujoco><worldbody><geom type="box" size="1 1 .1"/>
+    ... <body name="can" pos="0 0 .3"><freejoint/><geom name="wall" type="cylinder" size=".1 .2"/></body></worldbody>
+    ... </mujoco>''')
+    >>> fitted(model)[1]
+    ["geom 'wall' is a capsule, no cylinder: MJX cannot collide it with geom 0."]
+
+    Masses, inertias and sizes of bodies do not change. A capsule is as long as the cylinder, or as the longest axis of
+    the ellipsoid, whose other two it has as their geometric mean; its ends are round.
+
+    Args:
+        model: compiled by MuJoCo; it is not changed.
+
+    Raises:
+        ValueError: MJX refuses the model still; the sentence says what it refuses.
+    """
+    from nermo_mjx.dynamics.mjx_import import mjx
+
+    ours, changes = copy.copy(model), []
+    if ours.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
+        ours.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
+        changes.append("solver is Newton, no PGS.")
+    for name, flag in _SILENT.items():
+        if ours.opt.enableflags & int(flag):
+            ours.opt.enableflags &= ~int(flag)
+            changes.append(f"flag {name} is disabled.")
+    if ours.opt.noslip_iterations:
+        changes.append(f"noslip_iterations is 0, no {ours.opt.noslip_iterations}: contacts may creep.")
+        ours.opt.noslip_iterations = 0
+    changes += _shapes(ours) + _margins(ours)
+    try:
+        mjx.make_data(mjx.put_model(ours))
+    except NotImplementedError as error:
+        raise ValueError(f"MJX refuses the model also after {len(changes)} changes: {error}") from None
+    return ours, changes
+
+
+def _pairs(model: mujoco.MjModel) -> list[tuple[int, int, int]]:
+    """Geoms that may collide, and the number of their explicit pair or -1."""
+    from mujoco.mjx._src import collision_driver
+
+    found: Any = collision_driver.geom_pairs(model)
+    return [(int(first), int(second), int(pair)) for first, second, pair in found]
+
+
+def _shapes(model: mujoco.MjModel) -> list[str]:
+    """Cylinders and ellipsoids become capsules where they meet what MJX cannot collide them with."""
+    from mujoco.mjx._src import collision_driver
+
+    changes = []
+    for pair in _pairs(model):
+        for geom, other in (pair[:2], pair[1::-1]):
+            kinds = [mujoco.mjtGeom(kind) for kind in sorted(model.geom_type[[geom, other]])]
+            kind = mujoco.mjtGeom(model.geom_type[geom])
+            if kind in (_CYLINDER, _ELLIPSOID) and not collision_driver.has_collision_fn(*kinds):
+                was = kind.name.removeprefix("mjGEOM_").lower()
+                changes.append(
+                    f"{named(model, 'geom', geom)} is a capsule, no {was}: MJX cannot collide it with "
+                    f"{named(model, 'geom', other)}."
+                )
+                _become_capsule(model, geom)
+    return changes
+
+
+def _become_capsule(model: mujoco.MjModel, geom: int) -> None:
+    size: Float[np.ndarray, " 3"] = model.geom_size[geom].copy()
+    if model.geom_type[geom] == _CYLINDER:
+        radius, half = size[:2]
+    else:
+        along = int(np.argmax(size))
+        half, radius = size[along], np.sqrt(np.prod(np.delete(size, along)))
+        if along < 2:  # a capsule lies along z
+            axis = np.zeros(3)
+            axis[1 - along] = np.pi / 2 if along == 0 else -np.pi / 2
+            quat = model.geom_quat[geom].copy()
+            mujoco.mju_quatIntegrate(quat, axis, 1.0)
+            model.geom_quat[geom], model.geom_sameframe[geom] = quat, 0
+    half = max(half - radius, 1e-6 * radius)
+    model.geom_type[geom], model.geom_size[geom] = _CAPSULE, (radius, half, 0.0)
+    model.geom_rbound[geom] = radius + half
+    model.geom_aabb[geom] = (0.0, 0.0, 0.0, radius, radius, radius + half)
+
+
+def _margins(model: mujoco.MjModel) -> list[str]:
+    """Margins become 0 where a mesh or a height field meets something."""
+    changes, zeroed = [], set()
+    for first, second, pair in _pairs(model):
+        if not np.isin(model.geom_type[[first, second]], (_MESH, _HFIELD)).any():
+            continue
+        if pair >= 0 and model.pair_margin[pair]:
+            changes.append(f"margin of {named(model, 'pair', pair)} is 0, no {model.pair_margin[pair]:g}.")
+            model.pair_margin[pair] = 0.0
+        for geom in () if pair >= 0 else (first, second):
+            if model.geom_margin[geom] and geom not in zeroed:
+                zeroed.add(geom)
+                changes.append(f"margin of {named(model, 'geom', geom)} is 0, no {model.geom_margin[geom]:g}.")
+                model.geom_margin[geom] = 0.0
+    return changes

@@ -26,7 +26,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from nermo_mjx.dynamics import constraint, rows, solver, stages
 from nermo_mjx.dynamics.checkpointing import KEPT
 from nermo_mjx.dynamics.integration import INTEGRATORS, integrate
-from nermo_mjx.dynamics.mjx_import import Model, mjx
+from nermo_mjx.dynamics.mjx_import import Model, collision_driver, mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.preparing import prepared
 from nermo_mjx.dynamics.rows import Layout, Problem
@@ -113,6 +113,12 @@ def _checked(model: mjx.Model, data: mjx.Data) -> Model:
         raise ValueError(
             "the model was put before nermo_mjx was imported, and MJX does not say what it has left out: "
             "put it again, with mjx.put_model."
+        )
+    contacts = collision_driver.make_condim(model).size
+    if data._impl.ncon != contacts:
+        raise ValueError(
+            f"data has {data._impl.ncon} contacts: allowed are {contacts}, those of the model; make it from the model, "
+            "after nermo_mjx was imported."
         )
     return prepared(model)
 

@@ -19,11 +19,10 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.dynamics import rows, spatial
-from nermo_mjx.dynamics.actuation import force_slopes
+from nermo_mjx.dynamics.forces import damping, drag_slope, force_slopes
 from nermo_mjx.dynamics.jacobians import with_point_jacobians
-from nermo_mjx.dynamics.linear import solve_definite
 from nermo_mjx.dynamics.mjx_import import Model, mjx
-from nermo_mjx.dynamics.passive import damping, drag_slope
+from nermo_mjx.dynamics.spatial import solve_definite
 from nermo_mjx.shapes import Array, Dofs
 
 #: Integrators that `integrate` supports; MJX's enumeration also has DISCRETE, with which it cannot step.

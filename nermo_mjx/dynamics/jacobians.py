@@ -3,6 +3,12 @@
 `mjx.jac` determines on the device, level by level, which velocities move a body, for each end of a tendon and each
 contact: for this robot 130 of a step's launches on a GPU, though none of it depends on the state. Other functions deep
 in MJX's stages with bad derivatives are replaced together with it.
+
+Among these are the wraps of tendons around geoms. MJX computes the wrap of every tendon and selects afterwards. Where
+a tendon runs past its cylinder, or begins within it, that is the arcsine of a number above one, and its NaN propagates
+through the selection as zero times NaN. Here such a tendon first gets ends for which everything is finite; the selected
+values do not change. The angle on the circle is an arctangent: the arccosine has no derivative where the points meet,
+and loses half of float32's digits nearby.
 """
 
 from __future__ import annotations
@@ -11,19 +17,20 @@ import functools
 import threading
 import types
 from collections.abc import Callable
-from typing import Final, ParamSpec, TypeVar
+from typing import Any, Final, ParamSpec, TypeVar
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from mujoco import mjMINVAL
 from mujoco.mjx._src import collision_sdf, constraint, math, smooth, support
 
-from nermo_mjx.dynamics import spatial, wrapping
+from nermo_mjx.dynamics import spatial
 from nermo_mjx.dynamics.impedance import stiffness_damping_impedance
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.tree import tree_of
-from nermo_mjx.shapes import Array, Count, Scalar
+from nermo_mjx.shapes import Array, Count, Scalar, Truth
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -77,8 +84,8 @@ _TENDONS_MATH: Final = types.SimpleNamespace(**{
 def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
     """A function that calls stages of MJX, with the replacements of this module in place while it is traced."""
     ours = {
-        (support, "jac"): point_jacobian, (support, "wrap_circle"): wrapping.circle,
-        (support, "wrap_inside"): wrapping.inside, (support, "_length_circle"): wrapping.arc,
+        (support, "jac"): point_jacobian, (support, "wrap_circle"): circle,
+        (support, "wrap_inside"): inside, (support, "_length_circle"): arc,
         (collision_sdf, "_cylinder"): spatial.cylinder_distance,
         (support, "muscle_dynamics_timescale"): muscle_time_constant, (math, "quat_to_axis_angle"): axis_and_angle,
         (constraint, "_kbi"): stiffness_damping_impedance, (smooth, "math"): _TENDONS_MATH,
@@ -97,3 +104,99 @@ def with_point_jacobians(stage: Callable[P, T]) -> Callable[P, T]:
                     setattr(home, name, function)
 
     return traced
+
+
+_circle: Final = support.wrap_circle
+#: Ends for which a wrap of radius 1 has a solution, from inside and from outside.
+_ROUND: Final = (2.0, -0.5, -2.0, -0.5)
+_THROUGH: Final = (2.0, 1.5, -2.0, 1.5)
+
+#: Both ends (x0, y0, x1, y1) in the plane of a circle about the origin.
+Ends = Float[Array, " 4"]
+Point = Float[Array, " 2"]
+
+
+def circle(ends: Ends, side: Point, has_side: Any, radius: Scalar) -> tuple[Array, Array]:
+    """As MJX's `wrap_circle`: length of the arc (-1 without a wrap) and its ends."""
+    near = jnp.minimum(ends[:2] @ ends[:2], ends[2:] @ ends[2:]) < radius * radius
+    straight = ends[2:] - ends[:2]
+    free = near | (radius < mjMINVAL) | (straight @ straight < mjMINVAL)
+    kept, ring = _or_else(free, _ROUND, ends, radius)
+    length, points = _circle(kept, side, has_side, ring)
+    return jnp.where(free, -1.0, length), jnp.where(free, 0.0, points)
+
+
+def inside(ends: Ends, radius: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Array, Array]:
+    """As MJX's `wrap_inside`: length (-1 without a wrap, else about 0), (1,), and the one point, twice.
+
+    The tangent point solves asin(A z) + asin(B z) - 2 asin(z) + G = 0, with A and B the radius over both distances, and
+    G the angle between the ends. Its derivative is that of the solution, not of the Newton iterations.
+    """
+    between, straight = 0.5 * (ends[:2] + ends[2:]), ends[2:] - ends[:2]
+    cosine = ends[:2] @ ends[2:] / jnp.maximum(_length(ends[:2]) * _length(ends[2:]), mjMINVAL)
+    share = -(straight @ ends[:2]) / jnp.maximum(straight @ straight, mjMINVAL)
+    foot = ends[:2] + share * straight
+    near = jnp.minimum(_length(ends[:2]), _length(ends[2:])) <= radius
+    crosses = (straight @ straight > mjMINVAL) & (share > 0.0) & (share < 1.0) & (foot @ foot <= radius * radius)
+    free = near | crosses | (radius < mjMINVAL) | (cosine < -1.0 + mjMINVAL)
+    parallel = cosine > 1.0 - mjMINVAL
+    kept, ring = _or_else(free | parallel, _THROUGH, ends, radius)
+    one, other = _length(kept[:2]), _length(kept[2:])
+    angle = jnp.arctan2(jnp.abs(kept[0] * kept[3] - kept[1] * kept[2]), kept[:2] @ kept[2:])
+
+    z, lost = _root(ring / one, ring / other, angle, rounds, tolerance, first)
+    # MJX's fallback is the middle of the ends, on the circle.
+    middle = radius * between / jnp.maximum(_length(between), mjMINVAL)
+    begins = kept[0] * kept[3] - kept[1] * kept[2] > 0.0
+    from_, away = jnp.where(begins, kept[:2], kept[2:]), jnp.where(begins, one, other)
+    turn = jnp.arcsin(z) - jnp.arcsin(ring / away * z)
+    cos, sin = jnp.cos(turn), jnp.sin(turn)
+    touched = ring / away * jnp.stack([cos * from_[0] - sin * from_[1], sin * from_[0] + cos * from_[1]])
+    point = jnp.where(free, 0.0, jnp.where(parallel | lost, middle, touched))
+    # The length of a single point is not exactly zero: MJX takes the root of its square.
+    return jnp.where(free, -1.0, mjMINVAL)[None], jnp.tile(point, 2)
+
+
+def _apart(z: Array, a: Array, b: Array, angle: Array) -> Array:
+    return jnp.arcsin(a * z) + jnp.arcsin(b * z) - 2.0 * jnp.arcsin(z) + angle
+
+
+def _root(a: Scalar, b: Scalar, angle: Scalar, rounds: int, tolerance: float, first: float) -> tuple[Scalar, Truth]:
+    """z at which `_apart` vanishes, and whether MJX's iteration would fail."""
+    fixed = jax.lax.stop_gradient((a, b, angle))
+
+    def slope(z: Array) -> Array:
+        return sum(f / jnp.sqrt(jnp.maximum(1.0 - (f * z) ** 2, mjMINVAL)) for f in fixed[:2]) - 2.0 / jnp.sqrt(
+            jnp.maximum(1.0 - z * z, mjMINVAL)
+        )
+
+    def next_round(_: Count, at: tuple[Array, Array]) -> tuple[Array, Array]:
+        z, lost = at
+        value, rise = _apart(z, *fixed), slope(z)
+        moved = jnp.where(jnp.abs(value) <= tolerance, z, z - value / jnp.where(rise == 0.0, mjMINVAL, rise))
+        lost |= (rise > -mjMINVAL) | (moved > z)
+        moved = jnp.clip(moved, 0.0, first)
+        return moved, lost | (_apart(moved, *fixed) > tolerance)
+
+    start = jnp.asarray(first, angle.dtype)
+    z, lost = jax.lax.fori_loop(0, rounds, next_round, (start, _apart(start, *fixed) > 0.0))
+    z = jnp.where(lost, 0.5, z)
+    return z - _apart(z, a, b, angle) / slope(z), lost
+
+
+def _length(vector: Point) -> Scalar:
+    """Length of a vector, at least 1e-15, so that it has a derivative everywhere."""
+    return jnp.sqrt(jnp.maximum(vector @ vector, mjMINVAL**2))
+
+
+def _or_else(replace: Truth, ends: tuple[float, ...], given: Ends, radius: Scalar) -> tuple[Ends, Scalar]:
+    """The given ends, or valid ends around a circle of radius 1."""
+    return jnp.where(replace, jnp.asarray(ends, given.dtype), given), jnp.where(replace, 1.0, radius)
+
+
+def arc(one: Point, other: Point, index: Count, radius: Scalar) -> Scalar:
+    """As MJX's `_length_circle`: length of the arc from one point to the other, in the direction given by `index`."""
+    cross = one[1] * other[0] - one[0] * other[1]
+    angle = jnp.arctan2(jnp.abs(cross), one @ other)
+    far = ((cross > 0.0) & (index != 0)) | ((cross < 0.0) & (index == 0))
+    return radius * jnp.where(far, 2.0 * jnp.pi - angle, angle)

@@ -1,6 +1,7 @@
 """MJX, imported once and quietly: on import it prints to stdout that warp is missing, which would spoil `--json`.
 
 A model put after this import also has what MJX leaves out and the step brings back, and says what the step does not.
+Its contacts are those of `collision`, whose number `mjx.make_data` has to know.
 """
 
 # No `from __future__ import annotations`: MJX reads the types of a class's fields.
@@ -9,14 +10,17 @@ import io as standard_io
 
 import jax
 import mujoco
+import numpy as np
 
-from nermo_mjx.dynamics.coverage import not_simulated
+from nermo_mjx.dynamics.coverage import approximated, not_simulated, side_sites
 
 with contextlib.redirect_stdout(standard_io.StringIO()):
     from mujoco import mjx
-    from mujoco.mjx._src import io
+    from mujoco.mjx._src import collision_driver, io, math
 
-__all__ = ["Model", "mjx"]
+    from nermo_mjx.dynamics import collision
+
+__all__ = ["Model", "collision_driver", "mjx"]
 
 
 class Model(mjx.Model):
@@ -24,13 +28,14 @@ class Model(mjx.Model):
 
     Attributes:
         actuator_armature, actuator_damping, actuator_dampingpoly: that actuators give their joints and tendons.
-        not_simulated: what the step leaves out, see `coverage.not_simulated`.
+        not_simulated, approximated: what the step leaves out, and does otherwise than C, see `coverage`.
     """
 
     actuator_armature: jax.Array
     actuator_damping: jax.Array
     actuator_dampingpoly: jax.Array
     not_simulated: tuple[str, ...]
+    approximated: tuple[str, ...]
 
 
 _put = io._put_model_jax
@@ -41,7 +46,15 @@ def _put_model(model: mujoco.MjModel, device: jax.Device | None = None) -> Model
     ours = _put(model, device)
     fields = {field.name: getattr(ours, field.name) for field in mjx.Model.fields()}
     more = {name: getattr(model, name) for name in ("actuator_armature", "actuator_damping", "actuator_dampingpoly")}
-    return Model(**fields, **jax.device_put(more, device), not_simulated=tuple(not_simulated(model)))
+    wraps = np.isin(model.wrap_type, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER))
+    within = np.zeros(model.nwrap, bool)
+    for side in side_sites(model):
+        within[side.wrap] = side.most < side.radius
+    fields["_impl"] = ours._impl.replace(is_wrap_inside=within[wraps])
+    said = {"not_simulated": tuple(not_simulated(model)), "approximated": tuple(approximated(model))}
+    return Model(**fields, **jax.device_put(more, device), **said)
 
 
 io._put_model_jax = _put_model
+collision_driver._COLLISION_FUNC.update(collision.OURS)
+math.closest_segment_point = collision.closest_on_segment

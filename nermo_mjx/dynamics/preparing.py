@@ -11,7 +11,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 
 from nermo_mjx.dynamics.mjx_import import Model, mjx
@@ -37,11 +36,10 @@ def prepared(model: Model) -> Model:
     if model.not_simulated:
         others = len(model.not_simulated) - 1
         raise ValueError(model.not_simulated[0] + (f" There are {others} more, see not_simulated." if others else ""))
-    if mujoco.__version__ >= "4" and _has_side_sites(model):
-        warnings.warn(
-            "a tendon has a side site: MuJoCo 4 leads it past its geom by another rule than MuJoCo 3, which MJX "
-            "and the step follow; compare ten_length.", stacklevel=3,
-        )  # fmt: skip
+    if model.approximated:
+        others = len(model.approximated) - 1
+        warnings.warn(model.approximated[0] + (f" There are {others} more, see approximated." if others else ""),
+                      stacklevel=4)  # fmt: skip
     changes = _of_actuators(model) | _flags(model)
     if not model.nmat and np.any(model.sensor_type == mjx.SensorType.RANGEFINDER):
         changes["mat_rgba"] = jnp.ones((1, 4))  # MJX's ray reads one even where no geom has a material
@@ -52,12 +50,6 @@ def prepared(model: Model) -> Model:
         without: dict[str, Any] = {name: jnp.zeros_like(getattr(model, name)) for name in names}
         model = model.tree_replace(without | {"opt.disableflags": model.opt.disableflags & ~disabled})
     return model
-
-
-def _has_side_sites(model: Model) -> bool:
-    """Whether a tendon has a side site outside of the geom that it wraps."""
-    geoms = np.isin(model.wrap_type, (mjx.WrapType.SPHERE, mjx.WrapType.CYLINDER))
-    return bool(np.any((np.asarray(model.wrap_prm)[geoms] >= 0.0) & ~np.asarray(model._impl.is_wrap_inside)))
 
 
 def _of_actuators(model: Model) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Float
 
@@ -61,11 +62,11 @@ def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
         layout, problem: the constraint problem.
         start: initial guess; the solution does not depend on it.
     """
-    no = jnp.zeros((), bool)
+    no, sizes = jnp.zeros((), bool), jax.tree.map(jnp.abs, problem)
     first = Solution(start, no, no, jnp.zeros((), jnp.int32))
 
     def next_round(solution: Solution) -> Solution:
-        qacc, small, stays = _round(layout, problem, solution.qacc)
+        qacc, small, stays = _round(layout, problem, sizes, solution.qacc)
         moved = Solution(qacc, small & (stays | solution.small), small, solution.rounds + 1)
         return jax.tree.map(lambda old, new: jnp.where(solution.converged, old, new), solution, moved)
 
@@ -81,7 +82,7 @@ def solve(layout: Layout, problem: Problem, start: Dofs) -> Solution:
     return found
 
 
-def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, Array]:
+def _round(layout: Layout, problem: Problem, sizes: Problem, qacc: Dofs) -> tuple[Array, Array, Array]:
     """The next acceleration, whether the step to it was small, and whether all rows stayed in their zones."""
     factor = cho_factor(constraint.hessian(layout, problem, qacc))
     gradient = constraint.gradient(layout, problem, qacc)
@@ -102,8 +103,9 @@ def _round(layout: Layout, problem: Problem, qacc: Dofs) -> tuple[Array, Array, 
     # continue.
     small = ~(energy > jnp.finfo(qacc.dtype).eps ** 1.5 * (qacc @ (problem.inertia @ qacc)))
     # At rest the acceleration itself is rounding, and no step is small beside it.
-    weight = 1.0 / jnp.diagonal(problem.inertia)
-    small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, qacc) ** 2
+    own = np.arange(len(qacc))
+    weight = 1.0 / problem.inertia[own, own]
+    small |= weight @ gradient**2 <= weight @ constraint.rounding(layout, problem, sizes, qacc) ** 2
     full = small | (slopes[-1] <= -ACCEPTED * before)
     return qacc + jnp.where(full, 1.0, _zero(shares, slopes)) * step, small, jnp.all(zones[0] == zones[-1])
 

@@ -2,14 +2,18 @@
 
 A spatial vector (..., 6) has its angular part first. A spatial inertia (..., 10) is xx, yy, zz, xy, xz, yz of the
 moments about a point, the mass times the offset of its centre from there, and the mass.
+`solve_definite` solves a linear system with a derivative that costs no more than the solution.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Float
 
 from nermo_mjx.shapes import Array
@@ -141,3 +145,17 @@ def length(vector: Float[Array, "*#n d"]) -> Float[Array, "*#n"]:
     square = jnp.sum(vector * vector, -1)
     is_zero = square <= 0.0
     return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
+
+
+def solve_definite(matrix: Float[Array, "n n"], vector: Float[Array, " n"]) -> Float[Array, " n"]:
+    """x with A x = b for a symmetric positive definite A.
+
+    Its derivative is A dx = db - dA x. That of a Cholesky decomposition, by which MJX solves, costs ten times as much.
+    """
+
+    def solve(_: Callable[[Array], Array], right: Array) -> Array:
+        solution: Array = cho_solve(cho_factor(jax.lax.stop_gradient(matrix)), right)
+        return solution
+
+    found: Array = jax.lax.custom_linear_solve(lambda x: matrix @ x, vector, solve, symmetric=True)
+    return found

@@ -6,14 +6,13 @@ there are none; for this robot that is a third of the operations. XLA cannot kno
 
 from __future__ import annotations
 
-from nermo_mjx.dynamics import equality, rows, tree
-from nermo_mjx.dynamics.actuation import actuated
+from nermo_mjx.dynamics import impedance, rows, tree
+from nermo_mjx.dynamics.forces import actuated, passive
 from nermo_mjx.dynamics.impedance import make_constraint
 from nermo_mjx.dynamics.jacobians import with_point_jacobians
-from nermo_mjx.dynamics.linear import solve_definite
 from nermo_mjx.dynamics.mjx_import import Model, mjx
-from nermo_mjx.dynamics.passive import passive
 from nermo_mjx.dynamics.preparing import is_zero
+from nermo_mjx.dynamics.spatial import solve_definite
 
 
 @with_point_jacobians
@@ -30,8 +29,8 @@ def position(model: Model, data: mjx.Data) -> mjx.Data:
 
 @with_point_jacobians
 def velocity(model: Model, data: mjx.Data) -> mjx.Data:
-    """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `equality`)."""
-    data = equality.with_rates(model, tree.com_vel(model, rows.with_velocities(data)))
+    """As `mjx.fwd_velocity`, with the rates of equalities' Jacobians (see `impedance`)."""
+    data = impedance.with_rates(model, tree.com_vel(model, rows.with_velocities(data)))
     data = tree.rne(model, passive(model, data))
     return data if is_zero(model.tendon_armature) else mjx.tendon_bias(model, data)
 

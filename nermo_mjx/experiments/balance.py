@@ -21,14 +21,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from scipy.spatial.transform import Rotation
 
-from nermo_mjx.control import fusion
-from nermo_mjx.control.parameters import ControlParameters, Spine
-from nermo_mjx.control.published import AS_BUILT, PUBLISHED_CLOCK_RATIO, body_values
+from nermo_mjx.control import spine_modes
+from nermo_mjx.control.parameters import AS_BUILT, PUBLISHED_CLOCK_RATIO, ControlParameters, Spine, body_values
 from nermo_mjx.experiments.cases import BODY, LABELS, Column, Outcome, Settings, body_count
 from nermo_mjx.experiments.theory import stability
-from nermo_mjx.kinematics.attitude import attitude
-from nermo_mjx.kinematics.balance import diagonal_distance
-from nermo_mjx.kinematics.body import hips, shoulders
+from nermo_mjx.kinematics.body import attitude, diagonal_distance, hips, shoulders
 from nermo_mjx.kinematics.leg import forward, four_legs, inverse
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.physics import Engine, Trace, Variation, make_engine
@@ -36,11 +33,9 @@ from nermo_mjx.physics.variation import compile_model
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import LIMBS, ModelParameters, Robot, ServoAngles, load_robot
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
-from nermo_mjx.rollout.result import History
-from nermo_mjx.rollout.simulator import BLOCK
-from nermo_mjx.rollout.start import TAUT
+from nermo_mjx.robot.quantity import check_quantities, choice, quantities, replace_quantities, values_of
+from nermo_mjx.rollout.run import TAUT
+from nermo_mjx.rollout.simulator import BLOCK, History
 
 # --- protocol: a `physics.engine.Loop` whose servo angles are a pure function of (parameters, time). The published test
 # commands joint angles instead of feet, so the foot tracking lag of `as_published` does not apply; its clock does.
@@ -149,8 +144,10 @@ class BalanceLoop:
     def spine_servo(self, params: BalanceParameters) -> Float[Array, ""]:
         """Servo angle that balances the robot on the three other feet [rad] (5.35, 5.45); 0 without SBC."""
         feet = forward(four_legs(Geometry()), STANCE, ROUTING).foot
-        angle = fusion.balance(params.spine, self.robot.mass_model, feet, jnp.asarray(params.lifted) < 0.5, Geometry())
-        return jnp.asarray(params.sbc) * fusion.fuse(params.spine, jnp.zeros(()), angle)
+        angle = spine_modes.balance(
+            params.spine, self.robot.mass_model, feet, jnp.asarray(params.lifted) < 0.5, Geometry()
+        )
+        return jnp.asarray(params.sbc) * spine_modes.fuse(params.spine, jnp.zeros(()), angle)
 
     def servos(self, params: BalanceParameters, time: ArrayLike) -> ServoAngles:
         """Commanded angles at a time of the protocol [s], continuous in time.
@@ -161,7 +158,7 @@ class BalanceLoop:
         spine = during(time, "shift") * self.spine_servo(params)
         lifted = jnp.asarray(params.lifted)[:, None]
         legs = four_legs(Geometry())
-        shift = (1.0 - lifted) * fusion.compensation(params.spine, spine, Geometry())
+        shift = (1.0 - lifted) * spine_modes.compensation(params.spine, spine, Geometry())
         level = inverse(legs, forward(legs, STANCE, ROUTING).foot + shift, ROUTING).servo
         # Exactly the stance if there is nothing to compensate: a round trip through the foot would lose some digits.
         stance = jnp.where(shift[:, 1:] == 0.0, jnp.asarray(STANCE, level.dtype), level)

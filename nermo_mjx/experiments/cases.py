@@ -10,14 +10,13 @@ from typing import Any, Final
 import numpy as np
 
 from nermo_mjx.control.loading import controller_digest, load_controller
+from nermo_mjx.control.parameters import AS_BUILT, PROFILES, body_values, published_values
 from nermo_mjx.control.protocol import ActsUpon
-from nermo_mjx.control.published import AS_BUILT, PROFILES, body_values, published_values
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import ParameterError
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import METRICS, Run, RunResult, Setup, Simulator
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.sweep.spec import START_SPREAD
 
 #: Published amplitude of the stride extension [rad of spine servo]: 0.1 rad in each joint.

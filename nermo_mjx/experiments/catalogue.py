@@ -9,7 +9,7 @@ from typing import Final
 from nermo_mjx.experiments import balance, stands, walks
 from nermo_mjx.experiments.cases import Outcome, Settings, settable
 from nermo_mjx.experiments.lines import Figure, figures
-from nermo_mjx.robot.nearest import choice
+from nermo_mjx.robot.quantity import choice
 
 
 @dataclasses.dataclass(frozen=True)

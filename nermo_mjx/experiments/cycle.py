@@ -15,9 +15,8 @@ from jaxtyping import Float
 from scipy.signal import find_peaks
 
 from nermo_mjx.experiments.cases import Column, Worlds
-from nermo_mjx.kinematics.attitude import attitude
-from nermo_mjx.robot.interface import SERVOS
-from nermo_mjx.robot.parameters import LIMBS
+from nermo_mjx.kinematics.body import attitude
+from nermo_mjx.robot.parameters import LIMBS, SERVOS
 from nermo_mjx.rollout import History, Run, Simulator
 
 #: Parts of a gait cycle over which curves are folded; in the profile as_published it has 50 ticks.

@@ -23,7 +23,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
-from nermo_mjx.control.published import AS_PUBLISHED_BODY, body_values
+from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, worlds
 from nermo_mjx.experiments.ensemble import (
     FREE_IN,
@@ -46,8 +46,7 @@ from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BAND, BEST, LINE, MUTED, SHADE
 from nermo_mjx.plotting.style import MISSING as GREY
 from nermo_mjx.robot import ModelParameters, ParameterError
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import quantities
+from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.code import CodeStamp, stamp

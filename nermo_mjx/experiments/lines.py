@@ -34,7 +34,7 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import yaml
 
-from nermo_mjx.control.published import PROFILES
+from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments.cases import BODY, Outcome
 from nermo_mjx.experiments.measures import Value, Words
 

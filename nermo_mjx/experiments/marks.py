@@ -18,10 +18,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from nermo_mjx.control.published import SIMULATED
+from nermo_mjx.control.parameters import SIMULATED
 from nermo_mjx.experiments.cases import Outcome
 from nermo_mjx.experiments.lines import Line
-from nermo_mjx.kinematics.attitude import attitude
+from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.plotting.shown import shown as in_shown_unit
 from nermo_mjx.plotting.style import INK, MUTED, OKABE_ITO, SHADE, horizontal_grid, light
 from nermo_mjx.recording import Recording

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.control.published import PUBLISHED_CLOCK_RATIO
+from nermo_mjx.control.parameters import PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments import theory
 from nermo_mjx.experiments.cases import AMPLITUDE, FREQUENCIES, Outcome
 from nermo_mjx.experiments.walks import FULL_LOCK, GAITS, HARDWARE_STRIDE, STRATEGIES

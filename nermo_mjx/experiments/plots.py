@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 
-from nermo_mjx.control.published import PROFILES, SIMULATED
+from nermo_mjx.control.parameters import PROFILES, SIMULATED
 from nermo_mjx.experiments import stands, walks
 from nermo_mjx.experiments.cases import Outcome
 from nermo_mjx.experiments.catalogue import EXPERIMENTS

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.control.published import PROFILES, PUBLISHED_CLOCK_RATIO
+from nermo_mjx.control.parameters import PROFILES, PUBLISHED_CLOCK_RATIO
 from nermo_mjx.experiments.cases import Column, Outcome
 from nermo_mjx.experiments.lines import AGREES, KINDS, Line, counts, set_ups
 from nermo_mjx.plotting.shown import shown

@@ -20,7 +20,7 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from nermo_mjx.control.published import PROFILES
+from nermo_mjx.control.parameters import PROFILES
 from nermo_mjx.experiments.cases import (
     BODY,
     QUICK_REPEATS,

@@ -19,14 +19,11 @@ from nermo_mjx.experiments.cases import BODY, LABELS, Column, Outcome, Settings,
 from nermo_mjx.kinematics import leg
 from nermo_mjx.kinematics.spine import joint_angle
 from nermo_mjx.robot import LIMBS, ModelParameters, ParameterError, assemble_leg, assemble_spine, load_robot
-from nermo_mjx.robot.equipment import VISUAL_GROUP
-from nermo_mjx.robot.flexure import chain_of
+from nermo_mjx.robot.equipment import VISUAL_GROUP, chain_of
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import SERVO_RANGE
 from nermo_mjx.robot.masses import mass_values
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SPINE
-from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
+from nermo_mjx.robot.parameters import LEGS, ROUTINGS, SERVO_RANGE, SPINE
+from nermo_mjx.robot.quantity import check_quantities, choice, quantities, replace_quantities, values_of
 
 #: Torque of the published load case [N m].
 TORQUE: Final = 0.125

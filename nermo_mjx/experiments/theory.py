@@ -16,14 +16,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from nermo_mjx.control import turning
-from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.published import STEERING
+from nermo_mjx.control.parameters import STEERING, ControlParameters
 from nermo_mjx.control.trajectory import neutral_feet
-from nermo_mjx.kinematics.balance import diagonal_distance
-from nermo_mjx.kinematics.body import centre_of_mass, feet_positions, stride_gain
+from nermo_mjx.kinematics.body import centre_of_mass, diagonal_distance, feet_positions, stride_gain
 from nermo_mjx.kinematics.spine import joint_angle, transform
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.masses import MassModel
 from nermo_mjx.robot.parameters import SPINE
 
 #: Number of times in a stance over which `equal_stride_radius` averages.

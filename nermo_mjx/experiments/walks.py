@@ -14,8 +14,8 @@ from typing import Any, Final
 import mujoco
 import numpy as np
 
-from nermo_mjx.control.course import Course, course_through
-from nermo_mjx.control.published import SIMULATED
+from nermo_mjx.control.parameters import SIMULATED
+from nermo_mjx.control.path import Course, course_through
 from nermo_mjx.experiments import cycle, theory
 from nermo_mjx.experiments.cases import (
     AMPLITUDE,

@@ -2,7 +2,6 @@
 
 from nermo_mjx.hardware.channels import Channel, Channels, read_channels
 from nermo_mjx.hardware.live import connected, play
-from nermo_mjx.hardware.recorded import recorded_table
-from nermo_mjx.hardware.table import ServoTable, servo_table
+from nermo_mjx.hardware.table import ServoTable, recorded_table, servo_table
 
 __all__ = ["Channel", "Channels", "ServoTable", "connected", "play", "read_channels", "recorded_table", "servo_table"]

@@ -27,7 +27,7 @@ from jaxtyping import Float
 from pydantic import Field, create_model
 
 from nermo_mjx.robot import SERVOS
-from nermo_mjx.robot.interface import servo_range
+from nermo_mjx.robot.parameters import servo_range
 from nermo_mjx.specs.fields import Fields, optional, read
 from nermo_mjx.specs.reading import read_file, read_mapping
 from nermo_mjx.specs.values import Finite, Whole

@@ -1,8 +1,4 @@
-"""The servo angles of a gait as a table over time, open loop, from the controller alone: no physics runs.
-
-The rows fill whole gait cycles exactly and evenly, so that the table can be played in a loop. `recorded` has the table
-of controllers that answer to sensors.
-"""
+"""The servo angles of a gait, or of a recorded walk, as a table for the real robot."""
 
 from __future__ import annotations
 
@@ -18,14 +14,15 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.fusion import mode_names
-from nermo_mjx.control.head import GAZE
+from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE
 from nermo_mjx.control.parameters import ControlParameters
-from nermo_mjx.control.tail import COUNTER_ROLL, COUNTER_YAW
+from nermo_mjx.control.spine_modes import mode_names
 from nermo_mjx.hardware.channels import Channel, Channels, default_channels, read_channels
-from nermo_mjx.robot import ParameterError, Robot, Sensors
+from nermo_mjx.recording import Recording
+from nermo_mjx.robot import ModelParameters, ParameterError, Robot, Sensors
+from nermo_mjx.robot.quantity import quantities, replace_quantities
 from nermo_mjx.rollout import Setup
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.rollout.setup import WorldParameters
 
 #: Lowest rate of the controller, in simulated time [Hz]; a table of a lower rate contains every nth of its ticks.
 CONTROL_RATE: Final = 100.0
@@ -303,3 +300,45 @@ def check_limits(channels: Channels, angles: np.ndarray, time: np.ndarray) -> No
                     f"{channel.servo} would go to {column[at]:.1f} deg at {time[at]:.3f} s, {word} its limit of "
                     f"{limit:.1f} deg: take a shorter stride, or another zero or direction of the servo."
                 )
+
+
+def recorded_table(
+    recording: Recording,
+    robot: Robot,
+    *,
+    rate: float | None = None,
+    channels: Channels | Mapping[str, Any] | str | os.PathLike[str] | None = None,
+) -> ServoTable:
+    """The servo angles that were commanded in a recorded walk, from its first to its last sample.
+
+    Played on the robot, they are an open loop: what a policy commanded there answered to the sensors of the simulated
+    robot. Between two samples the angles are interpolated linearly.
+
+    Args:
+        recording: of a walk, by whatever controller.
+        robot: that walked.
+        rate: rows per second of simulated time [Hz]; by default that of the channels, or else 50.
+        channels: as for `servo_table`.
+
+    Raises:
+        ParameterError: an invalid argument, a recording of less than two rows, or an angle beyond a servo's limit.
+    """
+    if recording.ctrl.shape[1] != len(robot.servos):
+        raise ParameterError(f"recording has {recording.ctrl.shape[1]} servos, and the robot has {len(robot.servos)}.")
+    connected = channels_of(channels, robot)
+    rate = next(each for each in (rate, connected.rate, DEFAULT_RATE) if each is not None)
+    check_rate(rate)
+    rows = math.floor(recording.duration * rate + 1e-6) + 1
+    if rows < 2:
+        raise ParameterError(f"rate is {rate:g} Hz: a recording of {recording.duration:g} s has one row then.")
+    time = np.arange(rows) / rate
+    commanded = [np.interp(recording.time[0] + time, recording.time, column) for column in recording.ctrl.T]
+    angles = sent_angles(connected, robot.servos, np.degrees(np.stack(commanded, axis=-1)))
+    check_limits(connected, angles, time)
+    fastest = np.abs(np.diff(angles, axis=0)).max(axis=0) * rate
+    known = dict(quantities(ModelParameters))
+    given = {name: float(value) for name, value in (recording.metadata.get("parameters") or {}).items()
+             if name.startswith("servo.") and name in known}  # fmt: skip
+    possible = math.degrees(float(replace_quantities(ModelParameters(), given).servo.top_speed))
+    names = tuple(channel.servo for channel in connected)
+    return ServoTable(names, time, angles, rate, None, None, connected, fastest, possible)

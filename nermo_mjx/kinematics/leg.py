@@ -16,6 +16,8 @@ are finite for every finite input: outside the workspace the result is the neare
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -24,13 +26,160 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from nermo_mjx.kinematics.root import bracketed_root
-from nermo_mjx.kinematics.tendon import arm_range, knee_range
-from nermo_mjx.robot.geometry import Geometry, leg_geometry
-from nermo_mjx.robot.interface import SERVOS, servo_range
-from nermo_mjx.robot.leg_plane import check_routing, pull, shank
-from nermo_mjx.robot.parameters import LegGeometry
+from nermo_mjx.robot.geometry import TINY, Geometry, check_routing, lead_height, leg_geometry, pull, shank
+from nermo_mjx.robot.parameters import IDLER_RADIUS, SERVOS, LegGeometry, servo_range
 from nermo_mjx.shapes import Array, PerLimb, Planar, Scalars
+
+# ---
+# Roots of monotonic scalar equations: safeguarded Newton iteration with an implicit derivative.
+
+
+#: Maximum number of steps: ten reach rounding everywhere in the workspace, in double precision; the rest is a margin.
+STEPS: Final = 14
+
+
+class _Search(NamedTuple):
+    """Number of steps, the bracket's ends, the current estimate of the root, and where it has converged."""
+
+    steps: Array
+    low: Array
+    high: Array
+    root: Array
+    found: Array
+
+
+def bracketed_root(
+    residual: Callable[[Array], Array],
+    low: ArrayLike,
+    high: ArrayLike,
+    slope_floor: float,
+    start: ArrayLike | None = None,
+) -> Scalars:
+    """The x in [low, high] with residual(x) = 0, element by element.
+
+    Args:
+        residual: elementwise and monotonic (rising or falling) in x, of opposite signs (or zero) at the ends; it
+            broadcasts over leading axes of x. It may close over traced arrays; derivatives flow to them by the
+            implicit function theorem.
+        low, high: ends of the bracket, of any shapes that broadcast with the residual's. The root's derivative does not
+            depend on them. An end that is a root takes no step.
+        slope_floor: lower limit of the residual's slope; keeps the derivative finite where it is flat.
+        start: a guess in [low, high]; without one, the middle. A good one only saves steps.
+    """
+    low, high = jnp.broadcast_arrays(low, high)
+    value = jax.eval_shape(residual, low)
+    shape, dtype = jnp.broadcast_shapes(low.shape, value.shape), jnp.promote_types(low.dtype, value.dtype)
+    low, high = (jax.lax.stop_gradient(jnp.broadcast_to(end.astype(dtype), shape)) for end in (low, high))
+    guess = 0.5 * (low + high) if start is None else jax.lax.stop_gradient(jnp.broadcast_to(start, shape).astype(dtype))
+    slack, small = 8 * jnp.finfo(dtype).eps, 0.1 * float(jnp.finfo(dtype).eps) ** 0.5
+
+    def divide(value: Array, slope: Array) -> Array:
+        return value / jnp.where(jnp.abs(slope) < slope_floor, jnp.where(slope < 0, -slope_floor, slope_floor), slope)
+
+    def solve(f: Callable[[Array], Array], start: Array) -> Array:
+        at_low, at_high = f(low), f(high)
+        rising = at_high >= at_low
+
+        def goes_on(state: _Search) -> Array:
+            return (state.steps < STEPS) & ~state.found.all()
+
+        def step(state: _Search) -> _Search:
+            i, a, b, x, found = state
+            value, slope = jax.jvp(f, (x,), (jnp.ones_like(x),))
+            above = jnp.where(rising, value, -value)
+            a, b = jnp.where(above <= 0, x, a), jnp.where(above >= 0, x, b)
+            newton = x - divide(value, slope)
+            inside = (newton >= a - slack) & (newton <= b + slack)
+            # A step out of the bracket goes to its end, where saturated roots lie, or to its middle, alternately.
+            safe = jnp.where(i % 2 == 0, jnp.clip(newton, a, b), 0.5 * (a + b))
+            after = jnp.where(inside, jnp.clip(newton, a, b), safe)
+            # Newton's error after a step goes like the square of the step. Converged elements are left unchanged, so
+            # that no element depends on the others.
+            near = inside & (jnp.abs(after - x) <= small * jnp.maximum(jnp.abs(x), 1e-3))
+            return _Search(i + 1, a, b, jnp.where(found, x, after), found | near)
+
+        at_end = (at_low == 0) | (at_high == 0)
+        start = jnp.where(at_low == 0, low, jnp.where(at_high == 0, high, start))
+        first = _Search(jnp.int32(0), low, high, start, at_end)
+        # Gives the same root. On an accelerator a loop of unknown length waits for the host in each step.
+        return jax.lax.platform_dependent(
+            first,
+            cpu=lambda search: jax.lax.while_loop(goes_on, step, search).root,
+            default=lambda search: jax.lax.fori_loop(0, STEPS, lambda _, each: step(each), search).root,
+        )
+
+    def tangent_solve(linear: Callable[[Array], Array], value: Array) -> Array:
+        return divide(value, linear(jnp.ones_like(value)))
+
+    def broadcast_residual(x: Array) -> Array:
+        return jnp.broadcast_to(residual(x), x.shape).astype(dtype)
+
+    return jax.lax.custom_root(broadcast_residual, guess, solve, tangent_solve)
+
+
+# ---
+# The routings of the knee tendon from the servo's pulley to the shin, and the knee angles each can hold.
+#
+# All obey one law, l_t = l_t0 + r_p (theta_2 + k q2). `pull` is the length less the wrap, l_t - r_p theta_2, which
+# depends on hip and knee angle alone (`robot.geometry`); the servo angle is then (pull - l_t0) / (k r_p). As there,
+# lengths are worked out in a frame whose y is multiplied by the knee direction s.
+
+
+#: Margin to the singular ends of the knee's range, where the foot or the tendon no longer determines the knee [rad].
+KNEE_MARGIN: Final = 0.05
+
+
+def knee_range(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array, Array]:
+    """Lowest and highest knee angle theta_1 [rad] at hip angle q1, and whether the routing works there.
+
+    Two conditions bound it, each with a margin of `KNEE_MARGIN`. The foot must determine the knee (`arm_range`),
+    and the tendon must flex it: the tendon's lever on the knee vanishes where B lies on the line from A to the hip axis
+    (type 3, at 0 and pi), to the guide point (type 2) or along the tangent to the pulley (type 1). Between these two
+    dead centres `pull` is monotonic. With type 3 the range is 0.05 to 2.93 rad in front and 0.54 to 3.09 rad behind.
+    Type 1 works while the pulley is farther from the knee than B, which fails only with the leg turned upward.
+    """
+    low, high = arm_range(leg)
+    limit, works = _dead_centre(leg, q1, routing)
+    low = jnp.maximum(low, limit - math.pi + KNEE_MARGIN)
+    high = jnp.maximum(jnp.minimum(high, limit - KNEE_MARGIN), low + KNEE_MARGIN)
+    return low, high, works
+
+
+def arm_range(leg: Leg) -> tuple[Array, Array]:
+    """Lowest and highest knee angle [rad] at which the foot's distance from O determines the knee, independent of the
+    tendon.
+
+    From knee and arm O-A-H both stretched to both folded; they differ because the ankle turns H by gamma off the shin.
+    """
+    bend = leg.knee_direction * shank(leg)[1]
+    low = jnp.maximum(bend, 0.0) + KNEE_MARGIN
+    return low, jnp.minimum(bend, 0.0) + math.pi - KNEE_MARGIN
+
+
+def _dead_centre(leg: Leg, q1: ArrayLike, routing: str) -> tuple[Array, Array]:
+    """Folded knee angle at which the tendon's line passes through the knee; it is pi for type 3."""
+    check_routing(routing)
+    if routing == "type3":
+        return jnp.full(jnp.shape(leg.l1), math.pi), jnp.asarray(True)
+    if routing == "type2":
+        y, z = leg.knee_direction * leg.guide[..., 0], leg.guide[..., 1]
+    elif routing == "type3_idler":
+        y, z = 0.0, lead_height(leg)
+    else:
+        y, z = 0.0, leg.pulley_height
+    sin, cos = jnp.sin(leg.knee_direction * q1), jnp.cos(q1)
+    # From the knee A to the guide point or pulley centre: along the upper leg towards O, and across it.
+    towards = leg.l1 - (y * sin - z * cos)
+    across = -(y * cos + z * sin)
+    angle = math.pi + jnp.arctan2(across, towards)
+    if routing == "type2":
+        return angle, jnp.asarray(True)
+    if routing == "type3_idler":  # on the other side of the axis than type 1 of the pulley, or straight past the idler
+        return jnp.maximum(math.pi + jnp.arcsin(IDLER_RADIUS / leg.l1), angle), jnp.asarray(True)
+    distance = jnp.sqrt(jnp.maximum(towards**2 + across**2, TINY**2))
+    turned = jnp.arcsin(jnp.minimum(leg.pulley_radius / distance, 0.9))
+    return angle - turned, distance**2 > (leg.l2 + TINY) ** 2 + leg.pulley_radius**2
+
 
 #: Tolerance beyond the range within which a foot or tendon counts as reached: float32 rounding [m].
 REACH_TOLERANCE: Final = 1e-6

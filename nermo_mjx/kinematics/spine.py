@@ -15,7 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from nermo_mjx.kinematics.root import bracketed_root
+from nermo_mjx.kinematics.leg import bracketed_root
 from nermo_mjx.robot.geometry import SEGMENT_ROWS, Geometry
 from nermo_mjx.robot.parameters import SPINE
 from nermo_mjx.shapes import Array, Scalars

@@ -9,9 +9,8 @@ from nermo_mjx.learn.acting import Modulation, Residual, Targets
 from nermo_mjx.learn.environment import SENTENCES, Environment, State
 from nermo_mjx.learn.policy import Policy, load_policy
 from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.rewards import TERMS, Term
 from nermo_mjx.learn.short_horizon import ShortHorizon
-from nermo_mjx.learn.task import Outcome, Task, task_parameters
+from nermo_mjx.learn.task import TERMS, Outcome, Task, Term, task_parameters
 
 if TYPE_CHECKING:
     from nermo_mjx.learn.run import TrainingResult, run_training

@@ -8,24 +8,27 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Annotated, Any, Final, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
+from pydantic import Field
 
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
-from nermo_mjx.robot.interface import SERVOS
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import check_quantities, quantities, replace_quantities, values_of
+from nermo_mjx.robot.parameters import SERVOS
+from nermo_mjx.robot.quantity import check_quantities, did_you_mean, quantities, replace_quantities, values_of
 from nermo_mjx.shapes import Array, Scalar
+from nermo_mjx.specs.model import Spec, one_of
+from nermo_mjx.specs.values import Ends
 
 #: Servos that actions reach: those of the legs and the spine. The neck and the tail look straight ahead and back.
 ACTED: Final = SERVOS[:9]
 
 Action = Float[Array, " a"]
+_Range = Annotated[float, Field(ge=0, le=1.6)]
 
 
 @runtime_checkable
@@ -47,16 +50,17 @@ class ActionKind(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class ServoAction:
-    """What `Residual` and `Targets` have in common: a range for each group of servos, by which an action moves them.
+class ServoAction(Spec):
+    """What `Residual` and `Targets` have in common: a range for each group of servos, by which an action moves them."""
 
-    Attributes:
-        hip, knee, spine: range to either side [rad]; a group with 0 does not belong to the action.
-    """
-
-    hip: float
-    knee: float
-    spine: float
+    what = "a group of servos"
+    expected = "{hip: rad, knee: rad, spine: rad}"
+    hip: _Range
+    """range of the hips' servos to either side [rad]; 0: they do not belong to the action"""
+    knee: _Range
+    """range of the knees' servos to either side [rad]; 0: they do not belong to the action"""
+    spine: _Range
+    """range of the spine's servo to either side [rad]; 0: it does not belong to the action"""
 
     def __post_init__(self) -> None:
         called, ranges = type(self).__name__.lower(), dataclasses.asdict(self)
@@ -91,18 +95,18 @@ class ServoAction:
 
 @dataclasses.dataclass(frozen=True)
 class Residual(ServoAction):
-    """Nine corrections of the controller's servo targets, those of the publications on this robot.
+    """Corrections of the controller's servo targets; the default nine are those of the publications on this robot.
 
     >>> Residual(spine=0.0).names[-1]
     'rear_right_knee'
-
-    Attributes:
-        hip, knee, spine: largest correction of these servos [rad]; a group with 0 is left to the controller.
     """
 
-    hip: float = 0.3
-    knee: float = 0.3
-    spine: float = 0.2
+    hip: _Range = 0.3
+    """largest correction of a hip's servo [rad]; 0: the hips are left to the controller"""
+    knee: _Range = 0.3
+    """largest correction of a knee's servo [rad]; 0: the knees are left to the controller"""
+    spine: _Range = 0.2
+    """largest correction of the spine's servo [rad]; 0: the spine is left to the controller"""
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
         """See `ActionKind`."""
@@ -111,15 +115,14 @@ class Residual(ServoAction):
 
 @dataclasses.dataclass(frozen=True)
 class Targets(ServoAction):
-    """Servo targets around those of the standing robot; only the controller's clock is used.
+    """Servo targets around those of the standing robot; only the controller's clock is used."""
 
-    Attributes:
-        hip, knee, spine: range to either side [rad]; a group with 0 keeps its standing pose.
-    """
-
-    hip: float = 0.8
-    knee: float = 0.8
-    spine: float = 0.4
+    hip: _Range = 0.8
+    """range of a hip's servo to either side [rad]; 0: the hips keep their standing pose"""
+    knee: _Range = 0.8
+    """range of a knee's servo to either side [rad]; 0: the knees keep their standing pose"""
+    spine: _Range = 0.4
+    """range of the spine's servo to either side [rad]; 0: the spine keeps its standing pose"""
 
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
         """See `ActionKind`."""
@@ -134,18 +137,18 @@ MODULATED: Final[Mapping[str, tuple[float, float]]] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Modulation:
-    """Parameters of the controller that are changed while it runs.
+class Modulation(Spec):
+    """Changes of the controller's parameters while it runs.
 
     An action of -1 sets the low end of the range, 0 the value that the controller has without it, 1 the high end,
-    with linear interpolation in between.
-
-    Attributes:
-        ranges: parameter -> (low, high), in its unit; any named parameter of the controller. The turn rate is read by
-            the pilot `open_loop` alone, the spine's amplitude and phase by its mode `stride_extension`.
+    with linear interpolation in between. The turn rate is read by the pilot `open_loop` alone, the spine's amplitude
+    and phase by its mode `stride_extension`.
     """
 
-    ranges: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=lambda: dict(MODULATED))
+    what = "an option of 'modulation'"
+    expected = "{ranges: {parameter: [low, high]}}"
+    ranges: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(MODULATED))
+    """parameters of the controller, and their ranges (low, high), each in its unit"""
 
     def __hash__(self) -> int:
         return hash(tuple(self.ranges.items()))
@@ -181,6 +184,12 @@ class Modulation:
     def servo(self, servo: ServoAngles, home: ServoAngles, action: Action) -> ServoAngles:
         """See `ActionKind`."""
         return servo
+
+
+#: What an action does, by the name in files.
+ACTIONS: Final[dict[str, Any]] = {"residual": Residual, "modulation": Modulation, "targets": Targets}
+#: A field that says what an action does.
+ActionField = Annotated[ActionKind, one_of("Action", "is not what an action does", ACTIONS)]
 
 
 @jax.tree_util.register_dataclass

@@ -8,7 +8,7 @@ import math
 import time
 from typing import Final
 
-from nermo_mjx.learn.learned import RESET
+from nermo_mjx.learn.experience import RESET
 from nermo_mjx.learn.run import engine_for
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs.checkpoints import KEPT

@@ -25,8 +25,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from nermo_mjx.learn.experience import Learned
 from nermo_mjx.learn.history import FILE, Curves, history_table
-from nermo_mjx.learn.learned import Learned
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.runs import OtherCode, RunDirectory, stamp
 from nermo_mjx.runs.checkpoints import Checkpoints
@@ -35,7 +35,7 @@ from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import changes
 
-POLICY: Final = "policy.npz"
+POLICY_FILE: Final = "policy.npz"
 EVALUATION: Final = "evaluation.parquet"
 SUMMARY: Final = "summary.json"
 SPEC: Final = "training.yaml"
@@ -124,7 +124,7 @@ class Directory:
         """Make history.parquet and policy.npz of the latest checkpoint."""
         self.held.write(FILE, parquet_bytes(history_table(curves, units, self.training.digest())))
         if policy is not None:
-            self.held.write(POLICY, policy)
+            self.held.write(POLICY_FILE, policy)
 
     def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
         here, there = self.training.identity(), about["identity"]

@@ -1,20 +1,161 @@
-"""Steps of a batch of worlds under a policy: traced as one scan where the environment is pure, else step by step."""
+"""What is learned and from what: networks, returns, the steps of many worlds, and the state of learning as one pytree.
+
+Actor and critic are two small networks over normalized observations, as plain pytrees. The actor's mean is tanh of its
+last layer, whose weights begin at zero: an untrained policy has no effect, so a residual starts as the controller that
+it is added to. Its standard deviation is one parameter per action.
+
+Generalized advantages and TD(lambda) targets distinguish terminations from time limits: a terminated episode has no
+future; one truncated at its time limit does, and is bootstrapped with the value at the observation before the reset.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+import optax
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, UInt
 
 from nermo_mjx.learn.mixture import Mixture
-from nermo_mjx.learn.networks import Actor, Statistics
 from nermo_mjx.runtime import compiler_options
+
+#: Weights (in, out) and bias (out,) of each layer.
+Layers = tuple[tuple[Array, Array], ...]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Running mean and variance of what networks see, by the parallel rule of Chan, Golub and LeVeque (1979).
+
+    Attributes:
+        count: values so far; 0 before the first.
+        mean, variance: of each entry (k,).
+    """
+
+    count: Float[Array, ""]
+    mean: Float[Array, " k"]
+    variance: Float[Array, " k"]
+
+    @classmethod
+    def none(cls, size: int) -> Statistics:
+        """Empty statistics, which leave values unchanged."""
+        return cls(jnp.zeros((), jnp.float32), jnp.zeros(size, jnp.float32), jnp.ones(size, jnp.float32))
+
+    def extended(self, values: Float[Array, "*batch k"]) -> Statistics:
+        """With more values."""
+        more = values.reshape(-1, values.shape[-1])
+        count, mean, variance = jnp.float32(len(more)), more.mean(axis=0), more.var(axis=0)
+        total, apart = self.count + count, mean - self.mean
+        spread = self.variance * self.count + variance * count + apart**2 * self.count * count / total
+        return Statistics(total, self.mean + apart * count / total, spread / total)
+
+    def normalized(self, values: Float[Array, "*batch k"]) -> Float[Array, "*batch k"]:
+        """Values in standard deviations from the mean, at most ten."""
+        return jnp.clip((values - self.mean) / jnp.sqrt(self.variance + 1e-6), -10.0, 10.0)
+
+    def first(self, size: int) -> Statistics:
+        """Those of the first entries."""
+        return Statistics(self.count, self.mean[:size], self.variance[:size])
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Actor:
+    """A Gaussian policy.
+
+    Attributes:
+        layers: of the network.
+        log_std: logarithm of each action's standard deviation (a,).
+    """
+
+    layers: Layers
+    log_std: Float[Array, " a"]
+
+    def mean(self, seen: Float[Array, "*batch o"]) -> Float[Array, "*batch a"]:
+        """The mean action, within (-1, 1), at normalized observations."""
+        return jnp.tanh(apply(self.layers, seen))
+
+    def sample(self, seen: Float[Array, "*batch o"], noise: Float[Array, "*batch a"]) -> Float[Array, "*batch a"]:
+        """The action at standard normal noise; differentiable in policy and observation."""
+        return self.mean(seen) + jnp.exp(self.log_std) * noise
+
+    def log_density(self, seen: Float[Array, "*batch o"], action: Float[Array, "*batch a"]) -> Float[Array, "*batch"]:
+        """The logarithm of an action's probability density."""
+        z = (action - self.mean(seen)) * jnp.exp(-self.log_std)
+        return -0.5 * (z**2).sum(axis=-1) - self.log_std.sum() - 0.5 * len(self.log_std) * jnp.log(2 * jnp.pi)
+
+    def entropy(self) -> Float[Array, ""]:
+        """Differential entropy [nat]."""
+        return (self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e)).sum()
+
+
+def new_actor(key: PRNGKeyArray, observed: int, actions: int, hidden: Sequence[int], std: float) -> Actor:
+    """An actor whose mean is zero everywhere."""
+    layers = new_layers(key, (observed, *hidden, actions))
+    last, bias = layers[-1]
+    return Actor((*layers[:-1], (jnp.zeros_like(last), bias)), jnp.full(actions, jnp.log(std), jnp.float32))
+
+
+def new_layers(key: PRNGKeyArray, sizes: Sequence[int]) -> Layers:
+    """Layers of these sizes: orthogonal weights, so that signals keep their length, and no bias."""
+    orthogonal = jax.nn.initializers.orthogonal(jnp.sqrt(2.0))
+    keys = jax.random.split(key, len(sizes) - 1)
+    return tuple((orthogonal(each, (a, b), jnp.float32), jnp.zeros(b, jnp.float32))
+                 for each, a, b in zip(keys, sizes[:-1], sizes[1:], strict=True))  # fmt: skip
+
+
+def apply(layers: Layers, x: Float[Array, "*batch i"]) -> Float[Array, "*batch o"]:
+    """The network's output: tanh behind each layer but the last."""
+    for weights, bias in layers[:-1]:
+        x = jnp.tanh(x @ weights + bias)
+    weights, bias = layers[-1]
+    return x @ weights + bias
+
+
+def advantages(
+    reward: Float[Array, "t n"],
+    value: Float[Array, "t n"],
+    next_value: Float[Array, "t n"],
+    terminated: Bool[Array, "t n"],
+    truncated: Bool[Array, "t n"],
+    discount: float,
+    trace: float,
+) -> Float[Array, "t n"]:
+    """Generalized advantage estimates: sums of TD errors, discounted by `discount * trace` within an episode.
+
+    Schulman et al. (2016), equation 16. The TD(lambda) target of a critic is `value + advantages`.
+
+    >>> one = jnp.ones((2, 1))
+    >>> cut = jnp.array([[True], [False]])
+    >>> advantages(one, 0 * one, 4 * one, ~cut & False, cut, 0.5, 1.0).ravel().tolist()
+    [3.0, 3.0]
+    >>> advantages(one, 0 * one, 4 * one, cut, ~cut & False, 0.5, 1.0).ravel().tolist()
+    [1.0, 3.0]
+
+    Args:
+        reward: of each step.
+        value, next_value: the critic's, before the step and after it; where the step ended an episode, at its last
+            observation, before the reset.
+        terminated, truncated: whether the step ended the episode, and whether only its time was over.
+        discount: of the next step's reward, gamma.
+        trace: lambda; 0 is one step's error, 1 the whole return.
+    """
+    error = reward + discount * jnp.where(terminated, 0.0, next_value) - value
+    goes_on = jnp.where(terminated | truncated, 0.0, discount * trace)
+
+    def back(later: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
+        error, goes_on = step
+        now = error + goes_on * later
+        return now, now
+
+    return jax.lax.scan(back, jnp.zeros_like(error[0]), (error, goes_on), reverse=True)[1]
+
 
 #: Arrays of a traced environment, or NumPy's of one on the host.
 Values = Any
@@ -217,3 +358,71 @@ def _batched(cotangent: Any) -> bool:
 
 
 finite_backwards.defvjp(lambda tree: (tree, None), _backwards)
+
+
+#: Gradients of a network are clipped to this 2-norm.
+LONGEST_STEP = 1.0
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Learned:
+    """A training between two iterations; all that the next one depends on, but for the worlds.
+
+    Attributes:
+        actor, critic: networks; the critic also sees what is privileged.
+        target: a slow copy of the critic, if the algorithm uses one; otherwise the initial critic.
+        statistics: of observation and privileged, side by side.
+        optimizers: states of optax, of actor and critic.
+        rate: learning rate of the actor's next step.
+        key: data of the random key (2,), from which, with the iteration's number, all noise follows.
+        iteration, steps: done so far; steps of all worlds together.
+    """
+
+    actor: Actor
+    critic: Layers
+    target: Layers
+    statistics: Statistics
+    optimizers: tuple[Any, Any]
+    rate: Float[Array, ""]
+    key: UInt[Array, " 2"]
+    iteration: Int[Array, ""]
+    steps: Int[Array, ""]
+
+    def random(self, purpose: int) -> PRNGKeyArray:
+        """A random key for one purpose of this iteration."""
+        key = jax.random.fold_in(jax.random.wrap_key_data(self.key), self.iteration)
+        return jax.random.fold_in(key, purpose)
+
+
+#: Purposes of random numbers.
+RESET, ACTING, SHUFFLING = range(3)
+
+
+def beginning(environment: EnvironmentLike, seed: int, hidden: tuple[int, ...], std: float, rate: float) -> Learned:
+    """The learning state before the first step."""
+    key, first, second = jax.random.split(jax.random.key(seed), 3)
+    actor = new_actor(first, environment.observation_size, environment.action_size, hidden, std)
+    size = environment.observation_size + environment.privileged_size
+    critic = new_layers(second, (size, *hidden, 1))
+    step = descent()
+    return Learned(
+        actor, critic, critic, Statistics.none(size), (step.init(actor), step.init(critic)), jnp.float32(rate),
+        jax.random.key_data(key), jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32),
+    )  # fmt: skip
+
+
+def descent(betas: tuple[float, float] = (0.9, 0.999)) -> optax.GradientTransformation:
+    """Adam's direction; the learning rate comes with each step."""
+    return optax.chain(optax.clip_by_global_norm(LONGEST_STEP), optax.scale_by_adam(*betas, eps=1e-7))
+
+
+def stepped(network: Any, gradient: Any, state: Any, rate: Any, betas: tuple[float, float] = (0.9, 0.999)) -> Any:
+    """The network and its optimizer's state one step later.
+
+    A non-finite gradient changes nothing: the step is skipped, and the optimizer is not updated.
+    """
+    change, after = descent(betas).update(gradient, state)
+    fine = jnp.isfinite(optax.global_norm(gradient))
+    moved = jax.tree.map(lambda x, d: jnp.where(fine, x - rate * d, x).astype(x.dtype), network, change)
+    return moved, jax.tree.map(lambda new, old: jnp.where(fine, new, old), after, state)

@@ -15,13 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.control.state import with_dtypes_of
 from nermo_mjx.learn import observing
 from nermo_mjx.learn.acting import Acting
 from nermo_mjx.learn.observing import Observer, Told
-from nermo_mjx.learn.rewards import Moment, Term, chosen_terms
-from nermo_mjx.learn.task import EpisodeParameters, Outcome, Task
+from nermo_mjx.learn.task import EpisodeParameters, Moment, Outcome, Task, Term, chosen_terms
 from nermo_mjx.robot import ParameterError, Robot, Sensors
 from nermo_mjx.robot.geometry import geometry_of
 from nermo_mjx.rollout.loop import ClosedLoop, LoopState

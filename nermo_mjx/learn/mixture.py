@@ -11,10 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.learn.environment import Environment
+from nermo_mjx.learn.environment import Environment, State
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.task import Task
-from nermo_mjx.learn.worlds import State
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runtime import thread_count

@@ -17,10 +17,8 @@ from ml_collections import ConfigDict
 from mujoco_playground import MjxEnv, State, dm_control_suite
 
 from nermo_mjx.dynamics.mjx_import import mjx
-from nermo_mjx.learn.environment import Environment
-from nermo_mjx.learn.rewards import Term
-from nermo_mjx.learn.task import Outcome, Task
-from nermo_mjx.learn.worlds import MjxWorlds, World, picked
+from nermo_mjx.learn.environment import Environment, MjxWorlds, World, picked
+from nermo_mjx.learn.task import Outcome, Task, Term
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.terrains import TERRAINS
 from nermo_mjx.rollout.setup import Setup

@@ -19,28 +19,25 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues
-from nermo_mjx.control.state import with_dtypes_of
-from nermo_mjx.learn.acting import Acted, ActedState, Acting, ActionKind, Modulation, Residual, Targets
+from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionKind
 from nermo_mjx.learn.environment import Environment
-from nermo_mjx.learn.learned import Learned
-from nermo_mjx.learn.networks import Actor, Statistics
+from nermo_mjx.learn.experience import Actor, Learned, Statistics
 from nermo_mjx.learn.observing import Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import flat, group, parameter_tree, quantities, replace_quantities
+from nermo_mjx.robot.quantity import choice, flat, group, parameter_tree, quantities, replace_quantities
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.shapes import Array, Count, Scalar
+from nermo_mjx.specs.model import named
 
 #: What a file says that it is, and the latest form of it that is read.
 KIND: Final = "nermo-mjx policy"
 FORM: Final = 1
-#: What an action does, by the name in files.
-ACTIONS: Final[dict[str, Any]] = {"residual": Residual, "modulation": Modulation, "targets": Targets}
 #: Choices of a setup that decide the controller that is acted on.
 BASE: Final = (
     "robot", "tail", "routing", "gait", "spine", "steering", "profile", "pilot", "waypoints", "trajectory",
@@ -231,10 +228,10 @@ class Policy:
 
     def facts(self) -> dict[str, Any]:
         """What its numbers are, as JSON knows it."""
-        name, options = action_fields(self.kind)
         return {
-            "action": {name: options}, "actions": list(self.kind.names), "observation": list(self.observer.names),
-            "observer": dataclasses.asdict(self.observer), "decimation": self.decimation,
+            "action": named(self.kind, ACTIONS), "actions": list(self.kind.names),
+            "observation": list(self.observer.names), "observer": dataclasses.asdict(self.observer),
+            "decimation": self.decimation,
             "step_seconds": self.dt * self.decimation, "base": dict(self.base), "fixed": dict(self.fixed),
             "versions": versions(), **self.about,
         }  # fmt: skip
@@ -298,9 +295,3 @@ def _policy(content: bytes) -> Policy:
     if list(policy.observer.names) != about["observation"]:
         raise ParameterError("this version observes other numbers under these names")
     return policy
-
-
-def action_fields(kind: ActionKind) -> tuple[str, dict[str, Any]]:
-    """What an action does, as files name it: its name and its options."""
-    name = next(name for name, each in ACTIONS.items() if isinstance(kind, each))
-    return name, dataclasses.asdict(kind)  # type: ignore[call-overload]

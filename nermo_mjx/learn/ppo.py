@@ -6,49 +6,62 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from pydantic import Field
 
-from nermo_mjx.learn.experience import EnvironmentLike, Experience, collector
-from nermo_mjx.learn.learned import ACTING, SHUFFLING, Learned, beginning, stepped
-from nermo_mjx.learn.networks import apply
-from nermo_mjx.learn.returns import advantages
+from nermo_mjx.learn.experience import (
+    ACTING,
+    SHUFFLING,
+    EnvironmentLike,
+    Experience,
+    Learned,
+    advantages,
+    apply,
+    beginning,
+    collector,
+    stepped,
+)
+from nermo_mjx.specs.model import Spec
+from nermo_mjx.specs.values import Positive, Share, Whole
 
 #: Bounds of a learning rate that follows the policy's change, and the factor of a change of it.
 _SLOWEST, _FASTEST, _FACTOR = 1e-5, 1e-2, 1.5
 
 
 @dataclasses.dataclass(frozen=True)
-class PPO:
-    """Settings of PPO. An iteration is `horizon` steps of all worlds, and `epochs` passes over them.
+class PPO(Spec):
+    """Proximal policy optimization, on MuJoCo C.
 
-    Attributes:
-        horizon: control steps of each world in an iteration.
-        discount: gamma, per control step.
-        trace: lambda of the advantages.
-        epochs, minibatches: passes over an iteration's steps, and parts of each.
-        clip: how far the probability ratio may move.
-        rate: learning rate, the first one if it follows the policy's change.
-        kl: the change of the policy that the learning rate aims at [nat]; None keeps the rate.
-        entropy: weight of the policy's entropy.
-        std: initial standard deviation of the actions.
-        hidden: units of each hidden layer, for both actor and critic.
+    An iteration is `horizon` steps of all worlds, and `epochs` passes over them.
     """
 
-    horizon: int = 16
-    discount: float = 0.97
-    trace: float = 0.95
-    epochs: int = 4
-    minibatches: int = 4
-    clip: float = 0.2
-    rate: float = 1e-3
+    what = "an option of 'ppo'"
+    horizon: Annotated[int, Whole(1, 10_000)] = 16
+    """control steps of each world in an iteration"""
+    discount: Share = 0.97
+    """gamma, of the next control step's reward"""
+    trace: Share = 0.95
+    """lambda of the advantages"""
+    epochs: Annotated[int, Whole(1, 1_000)] = 4
+    """passes over an iteration's steps"""
+    minibatches: Annotated[int, Whole(1, 10_000)] = 4
+    """parts of a pass"""
+    clip: Positive = 0.2
+    """how far the probability ratio may move"""
+    rate: Positive = 1e-3
+    """learning rate, the first one if it follows the policy's change"""
     kl: float | None = 0.01
-    entropy: float = 1e-3
-    std: float = 0.3
-    hidden: tuple[int, ...] = (64, 64)
+    """change of the policy that the rate follows [nat]; null: none"""
+    entropy: Annotated[float, Field(ge=0)] = 1e-3
+    """weight of the policy's entropy"""
+    std: Positive = 0.3
+    """initial standard deviation of the actions"""
+    hidden: Annotated[tuple[Annotated[int, Whole(1, 4096)], ...], Field(strict=False)] = (64, 64)
+    """units of each hidden layer, for both actor and critic"""
 
     def begin(self, environment: EnvironmentLike, seed: int) -> Learned:
         """What there is before the first step."""

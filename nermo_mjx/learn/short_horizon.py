@@ -10,52 +10,67 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
+from pydantic import Field
 
-from nermo_mjx.learn.experience import EnvironmentLike, Experience, both, scanned
-from nermo_mjx.learn.learned import ACTING, SHUFFLING, Learned, beginning, stepped
-from nermo_mjx.learn.networks import Actor, apply
-from nermo_mjx.learn.returns import advantages
+from nermo_mjx.learn.experience import (
+    ACTING,
+    SHUFFLING,
+    Actor,
+    EnvironmentLike,
+    Experience,
+    Learned,
+    advantages,
+    apply,
+    beginning,
+    both,
+    scanned,
+    stepped,
+)
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runtime import compiler_options
+from nermo_mjx.specs.model import Spec
+from nermo_mjx.specs.values import Positive, Share, Whole
 
 #: Decay of Adam's moments: the gradients of successive horizons differ more than those of minibatches.
 BETAS = (0.7, 0.95)
 
 
 @dataclasses.dataclass(frozen=True)
-class ShortHorizon:
-    """Settings of training along the exact gradient. An iteration is `horizon` steps of all worlds and one step of
-    the actor.
+class ShortHorizon(Spec):
+    """The policy's exact gradient over short horizons, on MJX.
 
-    Attributes:
-        horizon: control steps of each world that a derivative passes through.
-        discount: gamma, per control step.
-        trace: lambda of the critic's targets.
-        epochs, minibatches: passes of the critic over an iteration's steps, and parts of each.
-        rate, critic_rate: learning rates. The robot learned nothing at 0.003, which suits a point mass.
-        follow: fraction by which the slow copy moves to the critic per iteration.
-        entropy: weight of the policy's entropy, with respect to its standard deviation.
-        std: initial standard deviation of the actions.
-        hidden: units of each hidden layer, for both actor and critic.
+    An iteration is `horizon` steps of all worlds and one step of the actor.
     """
 
-    horizon: int = 16
-    discount: float = 0.97
-    trace: float = 0.95
-    epochs: int = 16
-    minibatches: int = 4
-    rate: float = 5e-4
-    critic_rate: float = 1e-3
-    follow: float = 0.3
-    entropy: float = 0.0
-    std: float = 0.1
-    hidden: tuple[int, ...] = (64, 64)
+    what = "an option of 'short_horizon'"
+    horizon: Annotated[int, Whole(1, 10_000)] = 16
+    """control steps of each world that a derivative passes through"""
+    discount: Share = 0.97
+    """gamma, of the next control step's reward"""
+    trace: Share = 0.95
+    """lambda of the critic's targets"""
+    epochs: Annotated[int, Whole(1, 1_000)] = 16
+    """passes of the critic over an iteration's steps"""
+    minibatches: Annotated[int, Whole(1, 10_000)] = 4
+    """parts of a pass"""
+    rate: Positive = 5e-4
+    """learning rate of the actor. The robot learned nothing at 0.003, which suits a point mass"""
+    critic_rate: Positive = 1e-3
+    """learning rate of the critic"""
+    follow: Share = 0.3
+    """fraction by which the slow copy moves to the critic per iteration"""
+    entropy: Annotated[float, Field(ge=0)] = 0.0
+    """weight of the policy's entropy, with respect to its standard deviation"""
+    std: Positive = 0.1
+    """initial standard deviation of the actions"""
+    hidden: Annotated[tuple[Annotated[int, Whole(1, 4096)], ...], Field(strict=False)] = (64, 64)
+    """units of each hidden layer, for both actor and critic"""
 
     def begin(self, environment: EnvironmentLike, seed: int) -> Learned:
         """What there is before the first step."""

@@ -4,76 +4,166 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
-from nermo_mjx.learn.acting import Acting
+from nermo_mjx.learn.acting import ACTIONS, Acting
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.loop import EpisodeLoop
 from nermo_mjx.learn.mixture import Mixture, check_alike, check_worlds
 from nermo_mjx.learn.ppo import PPO
-from nermo_mjx.learn.scenes import SceneTask, read_scenes
-from nermo_mjx.learn.sections import (
-    Algorithm,
-    AlgorithmFields,
-    Evaluation,
-    EvaluationFields,
-    SceneFields,
-    TaskFields,
-    algorithm_fields,
-    written_action,
-)
-from nermo_mjx.learn.task import RANDOMIZED, REWARDS, Task, task_parameters
+from nermo_mjx.learn.short_horizon import ShortHorizon
+from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
-from nermo_mjx.specs.fields import Refused, optional, read
+from nermo_mjx.specs.fields import Fields, Refused, optional, read
+from nermo_mjx.specs.model import Spec, named, one_of, plain, written
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError
-from nermo_mjx.specs.values import Numbers, Whole
-from nermo_mjx.specs.walk import WalkSpec, read_walk
-from nermo_mjx.specs.walk_fields import WalkFields
+from nermo_mjx.specs.values import Ends, Finite, Positive, Whole
+from nermo_mjx.specs.walk import Pilot, SceneField, WalkFields, WalkSpec, pilot_options, read_walk, scene_beside
+
+
+class SceneFields(Fields):
+    """One of the `scenes` of a training file."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+    what: ClassVar = "a field of a scene"
+    example: ClassVar = "scene: planks"
+    scene: SceneField
+    """where it walks, as the file's own 'scene'"""
+    pilot: Pilot = optional("what steers the robot there, by default the file's own")
+    corridor: Positive = optional("distance from the path at which an episode fails there [m]")
+    share: Positive = 1.0
+    """of the worlds, relative to those of the other scenes"""
+    set: dict[str, Finite] = Field({})
+    """parameters with one value there"""
+    randomize: dict[str, Ends] = Field({})
+    """what each episode draws there, in addition to the file's own"""
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneTask:
+    """A scene in which a policy learns.
+
+    Attributes:
+        setup: what is chosen by name there.
+        task: what the policy does there.
+        written: as written in a training file.
+        share: of the worlds, relative to those of the other scenes.
+    """
+
+    setup: Setup
+    task: Task
+    written: Mapping[str, Any]
+    share: float = 1.0
+
+
+def read_scenes(doc: Document, fields: Sequence[SceneFields], setup: Setup, task: Task) -> tuple[SceneTask, ...]:
+    """The scenes of a training file.
+
+    Args:
+        doc: the file.
+        fields: its section `scenes`.
+        setup, task: what all scenes have in common.
+
+    Raises:
+        SpecError: a choice that is refused there, or a scene that stands there twice.
+        ParameterError: a value that is refused there.
+    """
+    found: list[SceneTask] = []
+    for i, each in enumerate(fields):
+        at = ("scenes", i)
+        if each.scene in [other.written["scene"] for other in found]:
+            doc.fail((*at, "scene"), f"is {each.scene!r} for a second time: leave one out.")
+        choices: dict[str, Any] = {"scene": scene_beside(doc, each.scene)}
+        values, written = dict(each.set), dict[str, Any](scene=each.scene)
+        if each.pilot is not None:
+            pilot, options = each.pilot.chosen
+            given = pilot_options(doc.data["scenes"][i]["pilot"], pilot, options)
+            if "distance" in given:
+                doc.fail((*at, "pilot", pilot, "distance"), "has no effect on a scene of several: leave it out.")
+            points = tuple(map(tuple, options.points)) if pilot == "waypoints" else None
+            choices |= {"pilot": pilot, "waypoints": points}
+            values |= {f"pilot.{key}": value for key, value in given.items() if key != "points"}
+            written["pilot"] = {pilot: given} if given else pilot
+        try:
+            there = dataclasses.replace(setup, **choices)
+        except ParameterError as error:
+            doc.fail(at, f"is refused: {error}")
+        drawn = {name: ends for name, ends in task.randomize.items() if name not in values}
+        own = dataclasses.replace(
+            task, set={**task.set, **values}, randomize=drawn | each.randomize, corridor=each.corridor or task.corridor
+        )
+        if each.corridor is not None:
+            written["corridor"] = each.corridor
+        written |= {name: plain(section) for name in ("set", "randomize") if (section := getattr(each, name))}
+        written |= {"share": each.share} if each.share != 1.0 else {}
+        found.append(SceneTask(there, own, written, each.share))
+    return tuple(found)
+
 
 #: Fields that do not change what an iteration computes: a training may be resumed with others.
 FREE: Final = ("steps", "run", "evaluate", "plots")
-_Range = Annotated[list[float], Numbers("[low, high]", 2, 2)]
+#: Ways of learning, by the name in files.
+ALGORITHMS: Final[Mapping[str, type[Spec]]] = {"ppo": PPO, "short_horizon": ShortHorizon}
+Algorithm = PPO | ShortHorizon
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation(Spec):
+    """On what a policy is evaluated at the end: unseen bodies and starts, on each of some scenes."""
+
+    what = "a field of the evaluation"
+    bodies: Annotated[int, Whole(1, 100_000)] = 100
+    """unseen bodies and starts, on each scene"""
+    distance: Annotated[float, Field(ge=0)] = 0.0
+    """distance required for success [m]"""
+    scenes: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """where it is evaluated, by default where it learned"""
+    set: dict[str, Finite] = dataclasses.field(default_factory=dict)
+    """parameters that are not drawn there, such as terrain.height, on the scenes that have them"""
+    randomize: dict[str, Ends] = dataclasses.field(default_factory=dict)
+    """ranges that differ from those of the training's draws"""
 
 
 class TrainingFile(WalkFields):
     """A file for `nermo-mjx train`."""
 
+    model_config = ConfigDict(use_attribute_docstrings=True)
     what: ClassVar = "a field of a training"
     sources: ClassVar = "'randomize' or 'set'"
-    task: TaskFields = Field(
-        TaskFields.model_validate({}), description="what a policy does, and what it is rewarded for"
-    )
-    randomize: dict[str, _Range] = Field(
-        {name: list(ends) for name, ends in RANDOMIZED.items()},
-        description="what each episode draws: a parameter, and its range [low, high]",
-    )
+    task: Task = Field(default_factory=Task)
+    """what a policy does, and what it is rewarded for"""
+    randomize: dict[str, Ends] = Field({**RANDOMIZED})
+    """what each episode draws: a parameter, and its range [low, high]"""
     scenes: list[SceneFields] = optional(
         "instead of 'scene': several, on which one policy learns, the worlds divided among them"
     )
-    algorithm: AlgorithmFields = Field(AlgorithmFields(ppo=None), description="how a policy is learned")
-    worlds: Annotated[int, Whole(1, 1_000_000)] = Field(256, description="number of parallel worlds")
-    steps: Annotated[int, Whole(1, 10**12)] = Field(2_000_000, description="control steps of all worlds together")
-    checkpoint: Annotated[int, Whole(1, 10**12)] = Field(
-        200_000, description="control steps between two checkpoints, after each of which new episodes begin"
+    algorithm: Annotated[Algorithm, one_of("Algorithm", "is not a way of learning", ALGORITHMS)] = Field(
+        default_factory=PPO
     )
-    seed: Annotated[int, Whole(0, 2**32 - 1)] = Field(0, description="of all that is drawn")
-    validation: Annotated[int, Whole(0, 100_000)] = Field(
-        0,
-        description="walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; "
-        "0: the last one does. The best one succeeds most on the scene where it succeeds least",
-    )
-    evaluate: EvaluationFields = Field(
-        EvaluationFields.model_validate({}), description="on what the policy is evaluated at the end"
-    )
-    plots: bool = Field(True, description="whether figures are made at the end")
+    """how a policy is learned"""
+    worlds: Annotated[int, Whole(1, 1_000_000)] = 256
+    """number of parallel worlds"""
+    steps: Annotated[int, Whole(1, 10**12)] = 2_000_000
+    """control steps of all worlds together, rounded up to whole iterations"""
+    checkpoint: Annotated[int, Whole(1, 10**12)] = 200_000
+    """control steps between two checkpoints, after each of which new episodes begin"""
+    seed: Annotated[int, Whole(0, 2**32 - 1)] = 0
+    """of all that is drawn"""
+    validation: Annotated[int, Whole(0, 100_000)] = 0
+    """walks on each scene of the evaluation by which the best of all checkpoints becomes the policy; 0: the last one
+    does. The best one succeeds most on the scene where it succeeds least"""
+    evaluate: Evaluation = Field(default_factory=Evaluation)
+    """on what the policy is evaluated at the end"""
+    plots: bool = True
+    """whether figures are made at the end"""
 
     @classmethod
     def refuse(cls, key: str) -> None:
@@ -89,32 +179,21 @@ class Training(WalkSpec, Described):
     >>> Training.from_dict({"worlds": 64, "steps": 10_000}).iterations
     10
 
-    Attributes:
-        setup, run, fixed, pilot: see `WalkSpec`; the run is that of the evaluation.
-        task: what a policy does, observes, and is rewarded for.
-        scenes: where it learns, if it is on several; then the setup's own scene is none of them.
-        algorithm: how it is learned.
-        worlds: number of parallel worlds.
-        steps: control steps of all worlds together, rounded up to whole iterations.
-        checkpoint: control steps between two checkpoints.
-        seed: of all that is drawn.
-        validation: walks on each scene of the evaluation by which the best of all checkpoints becomes the policy;
-            with 0 the last one does.
-        evaluation: on what the policy is evaluated at the end.
-        plots: whether figures are made at the end.
+    The fields from `task` on are those of `TrainingFile`, which documents them. The run is that of the evaluation. A
+    training on several `scenes` does not learn on the setup's own.
     """
 
     kind: ClassVar = "training"
     task: Task
-    scenes: tuple[SceneTask, ...] = ()
-    algorithm: Algorithm = dataclasses.field(default_factory=PPO)
-    worlds: int = 256
-    steps: int = 2_000_000
-    checkpoint: int = 200_000
-    seed: int = 0
-    validation: int = 0
-    evaluation: Evaluation = dataclasses.field(default_factory=Evaluation)
-    plots: bool = True
+    scenes: tuple[SceneTask, ...]
+    algorithm: Algorithm
+    worlds: int
+    steps: int
+    checkpoint: int
+    seed: int
+    validation: int
+    evaluation: Evaluation
+    plots: bool
 
     @classmethod
     def of_document(cls, doc: Document) -> Training:
@@ -172,31 +251,19 @@ class Training(WalkSpec, Described):
 
     def resolved(self, folder: Path | None = None) -> dict[str, Any]:
         """See `Described`."""
-        task, data = self.task, self.walk_fields(folder)
-        data["task"] = {
-            "action": written_action(task.action),
-            "observe": list(task.observe),
-            "rewards": {str(name): float(weight) for name, weight in task.rewards.items()},
-            "set": {name: value for name, value in task.set.items() if name not in self.constants},
-            "bodies": task.bodies,
-            "decimation": task.decimation,
-            "duration": task.duration,
-        }
-        data["task"] |= {name: getattr(task, name) for name in ("distance", "corridor")
-                         if getattr(task, name) is not None}  # fmt: skip
-        data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in task.randomize.items()}
+        data = self.walk_fields(folder)
+        data["task"] = written(self.task) | {"action": named(self.task.action, ACTIONS)}
+        data["task"]["rewards"] = {str(name): float(weight) for name, weight in self.task.rewards.items()}
+        data["task"]["set"] = {name: value for name, value in self.task.set.items() if name not in self.constants}
+        data["randomize"] = {name: [float(low), float(high)] for name, (low, high) in self.task.randomize.items()}
         if self.scenes:
             data["scenes"] = [dict(each.written) for each in self.scenes]
             del data["scene"]
-        data["algorithm"] = algorithm_fields(self.algorithm)
+        data["algorithm"] = named(self.algorithm, ALGORITHMS)
         data |= {name: getattr(self, name) for name in ("worlds", "steps", "checkpoint", "seed")}
         data |= {"validation": self.validation} if self.validation else {}
-        evaluation: dict[str, Any] = {"bodies": self.evaluation.bodies, "distance": self.evaluation.distance}
-        evaluation |= {"scenes": list(self.evaluation.scenes)} if self.evaluation.scenes else {}
-        evaluation |= {"set": dict(self.evaluation.set)} if self.evaluation.set else {}
-        drawn = {name: [float(low), float(high)] for name, (low, high) in self.evaluation.randomize.items()}
-        evaluation |= {"randomize": drawn} if drawn else {}
-        return data | {"evaluate": evaluation, "plots": self.plots}
+        data["evaluate"] = {name: value for name, value in written(self.evaluation).items() if value not in ([], {})}
+        return data | {"plots": self.plots}
 
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a controller counts by what it is."""
@@ -227,10 +294,9 @@ def _read(doc: Document) -> Training:
     if setup.controller is not None:
         doc.fail(("controller",), "is a custom controller: a policy file can only store a published one; "
                  "learn in Python, by nermo_mjx.learn.Environment.")  # fmt: skip
-    algorithm = _said(doc, ("algorithm",), file.algorithm.algorithm)
     fixed = {**walk["fixed"], **{f"pilot.{key}": value for key, value in walk["pilot"].items()
                                  if f"pilot.{key}" in setup.defaults()}}  # fmt: skip
-    task = _said(doc, ("task",), lambda: _task(file, fixed))
+    task = dataclasses.replace(file.task, set={**fixed, **file.task.set}, randomize=file.randomize)
     _said(doc, (), lambda: task.check(setup))
     _said(doc, ("task",), lambda: _try_out(setup, task))
     if file.scenes and "scene" in doc.data:
@@ -244,14 +310,11 @@ def _read(doc: Document) -> Training:
         loops[str(each.setup.scene)] = _said(doc, ("scenes", i), lambda each=each: _try_out(each.setup, each.task))
     if scenes:
         _said(doc, (), lambda: check_alike(loops))
-    for scene in file.evaluate.scenes or ():
+    for scene in file.evaluate.scenes:
         _said(doc, ("evaluate", "scenes"), lambda scene=scene: dataclasses.replace(setup, scene=scene))
-    evaluation = Evaluation(file.evaluate.bodies, tuple(file.evaluate.scenes or ()), file.evaluate.distance,
-                            file.evaluate.set,
-                            {name: (low, high) for name, (low, high) in file.evaluate.randomize.items()})  # fmt: skip
-    names = ("worlds", "steps", "checkpoint", "seed", "validation", "plots")
-    training = Training(**walk, task=task, scenes=scenes, algorithm=algorithm, evaluation=evaluation,
-                        **{name: getattr(file, name) for name in names})  # fmt: skip
+    names = ("algorithm", "worlds", "steps", "checkpoint", "seed", "validation", "plots")
+    same = {name: getattr(file, name) for name in names}
+    training = Training(**walk, task=task, scenes=scenes, evaluation=file.evaluate, **same)
     _said(doc, (), training.check_division)
     _check_evaluation(doc, training)
     return training
@@ -282,17 +345,6 @@ def _evaluated(setup: Setup, task: Task, evaluation: Evaluation) -> Task:
     drawn = {name: ends for name, ends in ranges.items() if name not in values}
     fixed = {name: value for name, value in task.set.items() if name not in drawn}
     return dataclasses.replace(task, set={**fixed, **values}, randomize=drawn)
-
-
-def _task(file: TrainingFile, fixed: Mapping[str, float]) -> Task:
-    fields = file.task
-    rewards: Mapping[Any, float] = fields.rewards or REWARDS
-    return Task(
-        action=fields.action.kind(), observe=tuple(fields.observe), rewards=rewards,
-        set={**fixed, **fields.set}, randomize={name: (low, high) for name, (low, high) in file.randomize.items()},
-        bodies=fields.bodies, decimation=fields.decimation, duration=fields.duration, distance=fields.distance,
-        corridor=fields.corridor,
-    )  # fmt: skip
 
 
 def _try_out(setup: Setup, task: Task) -> EpisodeLoop:

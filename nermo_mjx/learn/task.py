@@ -1,34 +1,173 @@
-"""A task: what a policy does and observes, its rewards, when an episode ends, and what differs between episodes."""
+"""A task: what a policy does and observes, its rewards, when an episode ends, and what differs between episodes.
+
+Terms of the reward have a name, a unit and a meaning, and are summed over a control step. The reward of a step is the
+sum of the terms, each times its weight in `Task.rewards`. Terms are what a step adds: the distance in metres, not the
+speed; so a return does not depend on the length of a control step.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Collection, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Collection, Mapping
+from typing import Annotated, Any, Final, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field, GetCoreSchemaHandler
+from pydantic_core import core_schema
+from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.control import turning
 from nermo_mjx.control.controller import Controller
 from nermo_mjx.control.pilot import OpenLoop
 from nermo_mjx.control.protocol import ControllerLike
-from nermo_mjx.learn.acting import Acted, Acting, ActionKind, Residual
-from nermo_mjx.learn.observing import OBSERVED, Sensing
-from nermo_mjx.learn.rewards import Term
-from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, identified
+from nermo_mjx.learn.acting import Acted, Acting, ActionField, ActionKind, Residual
+from nermo_mjx.learn.observing import OBSERVED, SENSED, TOLD, Sensing
+from nermo_mjx.robot import ModelParameters, ParameterError, Quantity, Robot, Sensors, identified
 from nermo_mjx.robot.geometry import names_geometry
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import group, parameter_tree, quantities, quantity, replace_quantities
+from nermo_mjx.robot.quantity import (
+    did_you_mean,
+    group,
+    nearest,
+    parameter_tree,
+    quantities,
+    quantity,
+    replace_quantities,
+)
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout.loop import LoopParameters, loop_parameters
-from nermo_mjx.rollout.metrics import Ending
-from nermo_mjx.rollout.parameters import Window
-from nermo_mjx.rollout.setup import Setup, all_parameters
-from nermo_mjx.rollout.start import StartPose
-from nermo_mjx.shapes import Array, Count
+from nermo_mjx.rollout.metrics import Ending, MetricState
+from nermo_mjx.rollout.run import StartPose
+from nermo_mjx.rollout.setup import Setup, Window, all_parameters
+from nermo_mjx.shapes import Array, Count, Scalar, Truth
+from nermo_mjx.specs.fields import JsonSchema, Refused
+from nermo_mjx.specs.model import Spec
+from nermo_mjx.specs.values import Checked, Choice, Ends, Finite, Positive, Whole
+
+#: Errors at which the terms that track a command have fallen to 1/e: speed [m/s], yaw rate [rad/s].
+SPEED_WIDTH: Final = 0.05
+YAW_RATE_WIDTH: Final = 0.3
+
+
+class Moment(NamedTuple):
+    """A control step of one world that has just ended.
+
+    Attributes:
+        before, now: metrics at its start and its end.
+        sensors: readings at its end.
+        seconds: its length [s].
+        speed: smoothed over a gait cycle [m/s].
+        command: name -> value commanded, for `speed` [m/s] and `yaw_rate` [rad/s].
+        action, last_action: of this step and the one before.
+        failed, arrived: whether the episode ends with it.
+    """
+
+    before: MetricState
+    now: MetricState
+    sensors: Sensors
+    seconds: Scalar
+    speed: Scalar
+    command: Mapping[str, Scalar]
+    action: Float[Array, " a"]
+    last_action: Float[Array, " a"]
+    failed: Truth
+    arrived: Truth
+
+
+@dataclasses.dataclass(frozen=True)
+class Term:
+    """A term of the reward.
+
+    Attributes:
+        name: in `Task.rewards`, and of its column.
+        unit: of its value.
+        doc: what it is.
+        value: of a `Moment`, pure JAX, unbatched.
+        needs: the command without which it is meaningless.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    value: Callable[[Moment], Scalar]
+    needs: str | None = None
+
+
+def _kernel(error: Scalar, width: float) -> Scalar:
+    return jnp.exp(-((error / width) ** 2))
+
+
+def _sum_square(values: Array) -> Scalar:
+    return jnp.sum(values**2)
+
+
+_TERMS: Final = (
+    Term("progress", "m", "distance along the path, or along the smoothed heading",
+         lambda m: m.now.travelled - m.before.travelled),
+    Term("speed", "s", f"time at the commanded speed: exp(-(error / {SPEED_WIDTH:g} m/s)^2)",
+         lambda m: m.seconds * _kernel(m.speed - m.command["speed"], SPEED_WIDTH), "speed"),
+    Term("headway", "s", f"time, times tanh(speed / ({SPEED_WIDTH:g} m/s)): being stuck costs more than haste earns",
+         lambda m: m.seconds * jnp.tanh(m.speed / SPEED_WIDTH)),
+    Term("yaw_rate", "s", f"time at the commanded yaw rate: exp(-(error / {YAW_RATE_WIDTH:g} rad/s)^2)",
+         lambda m: m.seconds * _kernel(m.now.turning - m.command["yaw_rate"], YAW_RATE_WIDTH), "yaw_rate"),
+    Term("deviation", "m s", "distance from the path, over time", lambda m: m.seconds * jnp.abs(m.now.readings[3])),
+    Term("tilt", "rad^2 s", "roll and pitch, squared, over time",
+         lambda m: m.seconds * _sum_square(m.now.readings[:2])),
+    Term("sway", "rad^2/s", "angular velocity about roll and pitch, squared, over time",
+         lambda m: m.seconds * _sum_square(m.sensors.gyro[:2])),
+    Term("work", "J", "mechanical work of the servos", lambda m: m.now.work - m.before.work),
+    Term("torque", "N^2 m^2 s", "torques of the servos, squared, over time",
+         lambda m: m.seconds * _sum_square(m.sensors.servo_torque)),
+    Term("slip", "m", "distance that loaded feet slide, the sum of all four",
+         lambda m: jnp.sum(m.now.slid - m.before.slid)),
+    Term("dragging", "s", "time in which feet are loaded in their commanded swing, the sum of all four",
+         lambda m: jnp.sum(m.now.swing_loaded - m.before.swing_loaded)),
+    Term("tail", "s", "time in which the tail bears load", lambda m: m.now.tail_loaded - m.before.tail_loaded),
+    Term("action", "1", "the action, squared", lambda m: _sum_square(m.action)),
+    Term("action_change", "1", "the action's change since the last step, squared",
+         lambda m: _sum_square(m.action - m.last_action)),
+    Term("alive", "s", "time", lambda m: jnp.asarray(m.seconds)),
+    Term("failed", "1", "1 where the robot fell, lost its way, or the simulation diverged",
+         lambda m: jnp.asarray(m.failed, m.speed.dtype)),
+    Term("arrived", "1", "1 where the robot has walked its distance",
+         lambda m: jnp.asarray(m.arrived, m.speed.dtype)),
+)  # fmt: skip
+#: All terms, by name.
+TERMS: Final[Mapping[str, Term]] = {term.name: term for term in _TERMS}
+
+
+def chosen_terms(weights: Mapping[str | Term, float], commands: tuple[str, ...]) -> dict[Term, float]:
+    """The terms of a task and their weights.
+
+    Args:
+        weights: name of one of `TERMS`, or a custom term, and its weight.
+        commands: what the task commands.
+
+    Raises:
+        ParameterError: there is no such term, it needs a command that the task does not give, or its weight is no
+            number.
+    """
+    found: dict[Term, float] = {}
+    for given, weight in weights.items():
+        name = given.name if isinstance(given, Term) else given
+        if not isinstance(given, Term) and name not in TERMS:
+            near = nearest(str(name), list(TERMS))
+            hint = f"did you mean {near!r}? " if near else ""
+            raise ParameterError(f"rewards has {name!r}: {hint}allowed is one of {', '.join(TERMS)}, or a Term.")
+        term = given if isinstance(given, Term) else TERMS[name]
+        if term.needs is not None and term.needs not in commands:
+            raise ParameterError(
+                f"rewards has {name!r}, and nothing is commanded: name command.{term.needs} under set or randomize."
+            )
+        if not isinstance(weight, (int, float)) or not jnp.isfinite(weight):
+            raise ParameterError(f"rewards.{name} is {weight!r}: expected a number.")
+        found[term] = float(weight)
+    if len({term.name for term in found}) < len(found):
+        raise ParameterError("rewards has two terms of one name: give one of them another.")
+    return found
 
 
 class Outcome(enum.Enum):
@@ -66,41 +205,61 @@ REWARDS: Final[Mapping[str | Term, float]] = {
 }  # fmt: skip
 
 
+class _Rewards(Checked):
+    """Weights by the names of the reward's terms."""
+
+    def inner(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(_terms, handler.generate_schema(dict[str, Finite]))
+
+    def schema(self, own: JsonSchema) -> JsonSchema:
+        properties = {
+            name: {"type": "number", "description": f"{term.doc} [{term.unit}]"} for name, term in TERMS.items()
+        }
+        return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def _terms(given: Any) -> Any:
+    for name in given if isinstance(given, dict) else ():
+        if name not in TERMS:
+            raise Refused(f"is no term of the reward; allowed are {', '.join(TERMS)}.", name)
+    return given or dict(REWARDS)
+
+
 @dataclasses.dataclass(frozen=True)
-class Task:
+class Task(Spec):
     """What defines an `Environment` in addition to its setup.
 
     >>> Task(randomize={"contact.friction": (1.0, 1.6)}, distance=1.0).decimation
     1
-
-    Attributes:
-        action: `Residual`, `Modulation` or `Targets`.
-        observe: groups of `observing.SENSED` and `TOLD`.
-        rewards: weight of each term, see `rewards.TERMS`; also of a custom `Term`.
-        set: parameter -> its value in all episodes: parameters of the setup, `sensing.*` and `command.*`.
-        randomize: parameter -> (low, high), drawn uniformly for each episode.
-        bodies: draw a body of the identified ensemble for each episode.
-        decimation: control ticks for which an action is held. The default is the published controller's own tick: the
-            residual learners on this robot act at each one, and a policy costs a tenth of a tick's physics.
-        duration: of an episode [s].
-        distance: at which an episode ends [m]; None for never.
-        corridor: distance from the path at which an episode ends [m]; None for never.
 
     A command is named like any parameter: with `command.speed` or `command.yaw_rate` under `set` or `randomize` the
     policy is told it, and the published controller obeys it as far as it can (the yaw rate with the pilot `open_loop`).
     With a pilot that follows a path, the path is the command.
     """
 
-    action: ActionKind = dataclasses.field(default_factory=Residual)
-    observe: tuple[str, ...] = OBSERVED
-    rewards: Mapping[str | Term, float] = dataclasses.field(default_factory=lambda: dict(REWARDS))
-    set: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    randomize: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
+    what = "a field of a task"
+    elsewhere = ("randomize",)
+    action: ActionField = dataclasses.field(default_factory=Residual)
+    """what an action does: `Residual`, `Modulation` or `Targets`"""
+    observe: Annotated[tuple[Annotated[str, Choice((*SENSED, *TOLD))], ...], Field(strict=False)] = OBSERVED
+    """what a policy observes: groups of `observing.SENSED` and `TOLD`"""
+    rewards: Annotated[Mapping[Any, float], _Rewards()] = dataclasses.field(default_factory=lambda: dict(REWARDS))
+    """weights of the reward's terms, see `rewards.TERMS`; in Python also of a custom `Term`"""
+    set: dict[str, Finite] = dataclasses.field(default_factory=dict)
+    """value in all episodes of parameters, commands and sensors: command.speed, sensing.delay, ..."""
+    randomize: dict[str, Ends] = dataclasses.field(default_factory=lambda: dict(RANDOMIZED))
+    """range (low, high) of each parameter that is drawn, uniformly, for each episode"""
     bodies: bool = False
-    decimation: int = 1
-    duration: float = 10.0
-    distance: float | None = None
-    corridor: float | None = None
+    """whether each episode draws one of the identified bodies"""
+    decimation: Annotated[int, Whole(1, 100)] = 1
+    """control ticks for which an action is held. The residual learners on this robot act at each one, and a policy
+    costs a tenth of a tick's physics"""
+    duration: Positive = 10.0
+    """length of an episode [s]"""
+    distance: Positive = None  # type: ignore[assignment]  # none cannot be written in a file
+    """distance at which an episode ends [m]; by default it ends at none"""
+    corridor: Positive = None  # type: ignore[assignment]
+    """distance from the path at which an episode fails [m]; by default it fails at none"""
 
     def __post_init__(self) -> None:
         if not isinstance(self.action, ActionKind):

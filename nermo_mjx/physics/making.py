@@ -27,7 +27,7 @@ def resolve_engine(name: str) -> str:
         return "c"
     if name not in ("auto", "warp"):
         return name
-    from nermo_mjx.physics.warp_engine import obstacle
+    from nermo_mjx.physics.mjx_engine import obstacle
 
     found = obstacle()
     if name == "auto":
@@ -61,7 +61,7 @@ def make_engine(name: str, robot: Robot, loop: Loop, devices: int | None = None,
 
         return CEngine(robot, loop, threads)
     if chosen == "warp":
-        from nermo_mjx.physics.warp_engine import WarpEngine
+        from nermo_mjx.physics.mjx_engine import WarpEngine
 
         return WarpEngine(robot, loop, devices)
     from nermo_mjx.physics.mjx_engine import MjxEngine

@@ -6,6 +6,9 @@ batches, and MJX's integer fields, which change type under x64, stay out of the 
 
 from __future__ import annotations
 
+import copy
+import dataclasses
+import importlib.util
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -14,7 +17,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend import backend
+from jax.extend.core import ClosedJaxpr, Var, jaxpr_as_fun
 from jaxtyping import Bool, Float
 from mujoco.batch import Batch
 
@@ -24,14 +28,51 @@ from nermo_mjx.dynamics.coverage import not_simulated
 from nermo_mjx.dynamics.mjx_import import mjx
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.dynamics.solver import ROUNDS
-from nermo_mjx.physics.devices import FIRST, NOWHERE, SECOND, batch_limit, choose_devices
-from nermo_mjx.physics.engine import Loop, Trace
-from nermo_mjx.physics.reading import read_entries, with_sensors
+from nermo_mjx.physics.engine import FIRST, NOWHERE, SECOND, Loop, Trace, batch_limit, choose_devices
 from nermo_mjx.physics.servo_play import SERVO_PLAY, Play, played, servo_addresses, without_play
 from nermo_mjx.physics.variation import DERIVED_FIELDS, moves_constants, vary
 from nermo_mjx.robot import ParameterError, Robot
 from nermo_mjx.runtime import compiler_options
 from nermo_mjx.shapes import Array, Count, Dofs, Truth
+
+# ---
+# Skips sensors that are not read: an accelerometer alone takes a pass over the whole tree and back.
+
+
+def read_entries(program: ClosedJaxpr, size: int) -> Bool[np.ndarray, " size"]:
+    """The entries of its last argument that a program's results depend on.
+
+    Args:
+        program: its last argument is (..., size); any use other than slicing counts as reading all of it.
+        size: length of that argument's last axis.
+    """
+    last, read = program.jaxpr.invars[-1], np.zeros(size, bool)
+    needed = {var for var in program.jaxpr.outvars if isinstance(var, Var)}
+    for step in reversed(program.jaxpr.eqns):
+        if not (step.effects or needed.intersection(step.outvars)):
+            continue
+        needed.update(var for var in step.invars if isinstance(var, Var))
+        if step.primitive.name == "slice" and step.invars[0] is last:
+            read[step.params["start_indices"][-1] : step.params["limit_indices"][-1]] = True
+        elif any(var is last for var in step.invars):
+            read[:] = True
+    read |= last in program.jaxpr.outvars
+    return read
+
+
+def with_sensors(model: mjx.Model, read: Bool[np.ndarray, " nsensordata"]) -> mjx.Model:
+    """The model with only the sensors whose entries are read; the entries keep their positions."""
+    if read.all():
+        return model
+    kept = np.array(
+        [read[start : start + size].any() for start, size in zip(model.sensor_adr, model.sensor_dim, strict=True)], bool
+    )
+    fields = {
+        field.name: np.asarray(getattr(model, field.name))[kept]
+        for field in dataclasses.fields(model)
+        if field.name.startswith("sensor_")
+    }
+    return model.replace(nsensor=int(kept.sum()), **fields)
 
 
 class MjxState(NamedTuple):
@@ -116,7 +157,7 @@ class MjxEngine:
         """One step of physics in one world."""
         with warnings.catch_warnings():
             # Of side sites, while this is traced: `load_robot` says for which robot they matter.
-            warnings.filterwarnings("ignore", "a tendon has a side site")
+            warnings.filterwarnings("ignore", "tendon .* has a side site")
             return differentiable.step(model, data)
 
     def is_unsolved(self, data: mjx.Data) -> Truth:
@@ -306,3 +347,82 @@ def _constants(
     batch.bind("qpos")[...] = qpos
     batch.forward()
     return sensordata.copy(), fields | derived
+
+
+# ---
+# MJX with MuJoCo Warp below it: the fastest batches on an NVIDIA GPU, in single precision and without derivatives.
+#
+# Controller, metrics and scan are those of the engine `mjx`; a step of physics is one call of MuJoCo Warp for all
+# worlds of a device.
+
+
+def obstacle() -> str | None:
+    """Why Warp cannot run in this process, as a clause with the remedy; None if it can."""
+    if jax.default_backend() != "gpu" or "cuda" not in backend.backends():
+        return (
+            f"it needs an NVIDIA GPU, and JAX computes on {jax.default_backend()} here; take the engine mjx or c, or "
+            "install nermo-mjx[cuda,warp] on a machine that has one."
+        )
+    if importlib.util.find_spec("warp") is None:
+        return "the package warp-lang is not installed; add it with pip install 'nermo-mjx[warp]'."
+    if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+        return "it computes in single precision; switch jax_enable_x64 off, or take the engine mjx."
+    return None
+
+
+class WarpEngine(MjxEngine):
+    """Batches through MuJoCo Warp; a new value or number of ticks never recompiles."""
+
+    name = "warp"
+
+    def put(self, model: mujoco.MjModel) -> tuple[mjx.Model, mjx.Data]:
+        """See `MjxEngine.put`."""
+        _silence()
+        self._reference = copy.copy(model)
+        # Warp does not support the flag, and never resets a world by itself.
+        self._reference.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+        self._capacity = rows.capacity(self._reference)
+        self._among: dict[int, mjx.Data] = {}
+        return mjx.put_model(self._reference, impl="warp"), self.data_among(1)
+
+    def data_among(self, worlds: int) -> mjx.Data:
+        """See `MjxEngine.data_among`; all worlds of a device share one list of contacts, whose length is fixed."""
+        if worlds not in self._among:
+            contacts, constraints = self._capacity
+            with jax.ensure_compile_time_eval():  # also called during tracing
+                data = mjx.make_data(self._reference, impl="warp", naconmax=worlds * contacts, njmax=constraints)
+            self._among[worlds] = data
+        return self._among[worlds]
+
+    def physics_step(self, model: mjx.Model, data: mjx.Data) -> mjx.Data:
+        """See `MjxEngine.physics_step`.
+
+        Raises:
+            ParameterError: when a derivative is taken.
+        """
+        return _step(model, data)
+
+    def read_entries(self, program: ClosedJaxpr) -> Bool[np.ndarray, " nsensordata"]:
+        """All of them: Warp's model is a program that computes every sensor."""
+        return np.full(self.model.nsensordata, True)
+
+    def is_unsolved(self, data: mjx.Data) -> Truth:
+        """See `MjxEngine.is_unsolved`; Warp's solver does not report it."""
+        return jnp.zeros((), bool)
+
+
+@jax.custom_jvp
+def _step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    return mjx.step(model, data)
+
+
+@_step.defjvp
+def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    raise ParameterError("engine is 'warp': it has no derivatives; take the engine mjx for gradients.")
+
+
+def _silence() -> None:
+    """Keep Warp's messages about its start and its kernels off standard output."""
+    import warp
+
+    warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)

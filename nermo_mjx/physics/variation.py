@@ -19,11 +19,10 @@ from nermo_mjx.dynamics.mass_constants import MassConstants
 from nermo_mjx.physics.geometry_fields import GeometryFields
 from nermo_mjx.physics.servo_play import PLAY_FIELDS, SERVO_PLAY, UNLIMITED, Play, without_play
 from nermo_mjx.robot import ModelParameters, Robot
-from nermo_mjx.robot.equipment import contact_kinds, is_spine_joint, slack_of
-from nermo_mjx.robot.flexure import chain_of
+from nermo_mjx.robot.equipment import chain_of, contact_kinds, is_spine_joint, slack_of
 from nermo_mjx.robot.geometry import names_geometry
-from nermo_mjx.robot.gravity import gravity_vector
 from nermo_mjx.robot.masses import is_front, mass_values
+from nermo_mjx.robot.model_parameters import gravity_vector
 from nermo_mjx.robot.quantity import replace_quantities
 from nermo_mjx.robot.scene import scene_geoms
 from nermo_mjx.robot.terrains import TERRAINS, TerrainShape, field_shares, geom_names, terrain_values

@@ -1,10 +1,9 @@
 """The robot: its numbers, its assembled MuJoCo model, and the meaning of its indices."""
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble, assemble_leg, assemble_spine
-from nermo_mjx.robot.interface import SERVOS, Sensors, ServoAngles
-from nermo_mjx.robot.mass_model import MassModel
+from nermo_mjx.robot.masses import MassModel
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import GAITS, LIMBS
+from nermo_mjx.robot.parameters import GAITS, LIMBS, SERVOS, Sensors, ServoAngles
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.robot import JointIndex, Robot, load_robot
 

@@ -14,24 +14,23 @@ import mujoco
 import numpy as np
 
 from nermo_mjx.robot.equipment import (
+    MOST_HINGES,
     TAIL_SEGMENTS,
     add_contacts,
+    add_hinges,
     add_sensors,
     add_servos,
+    chain_of,
+    place_hinges,
     set_joints,
     set_masses,
     set_tendons,
 )
-from nermo_mjx.robot.flexure import MOST_HINGES, add_hinges, chain_of, place_hinges
-from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.gravity import gravity_vector
-from nermo_mjx.robot.leg_plane import standing
+from nermo_mjx.robot.geometry import Geometry, standing
 from nermo_mjx.robot.masses import mass_values
-from nermo_mjx.robot.mirror import mirror
-from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import LEGS, LIMBS, ROUTINGS
-from nermo_mjx.robot.placing import load_part, stance_height
-from nermo_mjx.robot.presets import PRESETS, PhysicsPreset, PresetTimestep
+from nermo_mjx.robot.model_parameters import ModelParameters, gravity_vector
+from nermo_mjx.robot.parameters import LEGS, LIMBS, PRESETS, ROUTINGS, PhysicsPreset, PresetTimestep
+from nermo_mjx.robot.parts import load_part, mirror, stance_height
 from nermo_mjx.robot.quantity import ParameterError, replace_quantities
 from nermo_mjx.robot.scene import Scene, load_scene, resolve_scene, scene_geoms, scene_name
 

@@ -6,19 +6,85 @@ The numbers come from the table of masses and the parameter trees; the functions
 from __future__ import annotations
 
 import itertools
+import re
 from typing import Any, Final
 
 import mujoco
 import numpy as np
 
-from nermo_mjx.robot.flexure import chain_of
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.interface import SERVOS, servo_range
 from nermo_mjx.robot.masses import ROBOT_MASSES, is_front, part_of
 from nermo_mjx.robot.model_parameters import ModelParameters
-from nermo_mjx.robot.parameters import LIMBS
-from nermo_mjx.robot.placing import load_part
+from nermo_mjx.robot.parameters import LEGS, LIMBS, SERVOS, SPINE, servo_range
+from nermo_mjx.robot.parts import load_part
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.scene import SceneGeoms
+
+# ---
+# Compliant joints as chains of hinges.
+#
+# Knees, ankles and spine joints are flexures, leaves that bend. One hinge with a torsion spring stands for a leaf by
+# default. A chain of n hinges divides it into n equal parts, with a hinge in the middle of each that is n times as
+# stiff as the leaf: in series they are as stiff as the one hinge, and with growing n they approach an elastica.
+#
+# All hinges of a chain belong to one body, so neither bodies nor masses are added: MuJoCo applies the joints of a body
+# one after the other. No leaf's length is published. Here it is `SpineGeometry.segment_length`, the distance of the
+# vertebrae at a joint, in the legs as well; and the leaves are straight in the published stance, in which a chain
+# therefore coincides with one hinge.
+
+
+#: Most hinges of a chain: MuJoCo allows a body six degrees of freedom.
+MOST_HINGES: Final = 6
+_COMPLIANT: Final = re.compile(r"knee|ankle|(joint|vertical)_\d")
+_HINGE: Final = "_hinge_"
+
+
+def add_hinges(part: mujoco.MjSpec, hinges: int) -> None:
+    """Turn every compliant joint of a leg or the spine into a chain, named `JOINT_hinge_1` to `JOINT_hinge_N`.
+
+    Args:
+        part: before it is attached, so that the angles of all hinges are in its unit.
+        hinges: of each chain; one is left as it is.
+    """
+    if hinges == 1:
+        return
+    for joint in [joint for joint in part.joints if _COMPLIANT.fullmatch(joint.name)]:
+        body, name = joint.parent, joint.name
+        for number in range(1, hinges + 1):
+            hinge = joint if number == 1 else body.add_joint(type=joint.type, axis=joint.axis)
+            hinge.name = f"{name}{_HINGE}{number}"
+
+
+def place_hinges(spec: mujoco.MjSpec, hinges: int) -> None:
+    """Put the hinges of every chain along its leaf, in the robot's zero pose."""
+    for joint in spec.joints:
+        _, chained, number = joint.name.partition(_HINGE)
+        if chained:
+            share = (int(number) - 0.5) / hinges - 0.5
+            joint.pos = share * SPINE.segment_length * _direction(joint, hinges)
+
+
+def chain_of(joint: str) -> str:
+    """The compliant joint that a hinge belongs to, and any other joint itself.
+
+    >>> chain_of("front_left_knee_hinge_2"), chain_of("neck")
+    ('front_left_knee', 'neck')
+    """
+    return joint.partition(_HINGE)[0]
+
+
+def _direction(joint: Any, hinges: int) -> np.ndarray:
+    """Unit vector along a leaf in its body's frame, away from the torso.
+
+    The spine's leaves run along x. Those of the legs halve the angle between the links that they join, which run
+    along -z.
+    """
+    name = chain_of(joint.name)
+    if name.startswith("spine"):
+        return np.array([1.0, 0.0, 0.0])
+    turn = hinges * joint.ref * joint.axis[0] if name.endswith("knee") else -LEGS[name.split("_")[0]].theta3
+    return np.array([0.0, -np.sin(turn / 2), -np.cos(turn / 2)])
+
 
 #: Rotor and gear inertia seen at the joint [kg m^2], as in the author's model.
 ARMATURE: Final = {"servo": 0.00065, "knee": 0.000065, "ankle": 0.000065, "spine": 0.00065, "tail": 0.00065}
@@ -233,3 +299,58 @@ def contact_kinds(model: mujoco.MjModel, scene: SceneGeoms) -> dict[str, np.ndar
             (part,) = names - set(scene.ground)
             kinds["sole" if part.endswith("_sole") else "trunk" if part in TRUNK else "tail"].append(i)
     return {kind: np.array(ids, int) for kind, ids in kinds.items()}
+
+
+# ---
+# How stiff and how damped a servo may be at a time step, before its discrete dynamics alternate instead of settling.
+#
+# A servo of inertia I turns by tau = kp (u - q) - kv w. Euler's method is explicit in both, w' = w + h tau / I and
+# q' = q + h w', so that the eigenvalues z of a step are the roots of
+#
+#     z^2 - (2 - a - b) z + 1 - a = 0,    a = h kv / I,    b = h^2 kp / I.
+#
+# They lie in the unit circle if and only if b + 2 a < 4 (Jury's criterion), that is
+#
+#     h^2 kp + 2 h kv < 4 I.
+#
+# With kp or kv alone these are 4 I / h^2 and 2 I / h; beyond, the torque jumps from limit to limit in each step. I is
+# at least the armature, since the inertia matrix is that of the bodies, which is positive, plus it; the joints'
+# damping, in which Euler's method is implicit, only widens the bound. The standing robot starts to alternate at 1.01
+# times the bound.
+
+
+#: Share of the bound that is allowed: closer to it a servo settles, but rings for longer than a control period.
+ALLOWED: Final = 0.9
+#: Share of it that is allowed for kp: without damping, the rest of the body is enough to make a stiff servo ring.
+ALLOWED_STIFFNESS: Final = 0.75
+
+
+def highest_kp(timestep: float, kv: float) -> float:
+    """The highest proportional gain [N m/rad] at a time step [s], with a damping kv [N m s/rad]."""
+    inertia = 4.0 * ARMATURE["servo"]
+    return min(ALLOWED_STIFFNESS * inertia, ALLOWED * inertia - 2.0 * timestep * kv) / timestep**2
+
+
+def highest_kv(timestep: float, kp: Any) -> Any:
+    """The highest damping [N m s/rad] at a time step [s], with gains kp [N m/rad] of any shape."""
+    return (4.0 * ALLOWED * ARMATURE["servo"] - timestep**2 * kp) / (2.0 * timestep)
+
+
+def check_servo(kp: Any, kv: Any, timestep: float) -> None:
+    """Reject servos whose stiffness and damping together are too high for the time step.
+
+    Args:
+        kp, kv: gains [N m/rad] and damping [N m s/rad], of any shapes that broadcast.
+        timestep: of the physics [s].
+
+    Raises:
+        ParameterError: for the largest excess.
+    """
+    kp, kv = np.broadcast_arrays(np.asarray(kp, float), np.asarray(kv, float))
+    excess = kv - highest_kv(timestep, kp) * (1.0 + 1e-6)
+    if (excess > 0.0).any():
+        worst = np.unravel_index(np.argmax(excess), excess.shape)
+        raise ParameterError(
+            f"servo.kv is {kv[worst]:g}: allowed is [0, {highest_kv(timestep, float(kp[worst])):g}] N m s/rad beside "
+            f"servo.kp {kp[worst]:g} N m/rad at a time step of {timestep:g} s."
+        )

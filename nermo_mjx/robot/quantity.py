@@ -8,9 +8,10 @@ metadata of result tables all use it.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import functools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar, dataclass_transform
 
 import jax
@@ -236,3 +237,36 @@ def flat(sub: type[T]) -> Any:
 def group(sub: type[T]) -> Any:
     """Declare a sub-tree whose quantities are named `field.quantity`."""
     return dataclasses.field(default_factory=sub)
+
+
+# ---
+# Names of which one is allowed, and suggestions for misspelled ones.
+
+
+def nearest(name: str, allowed: Iterable[str]) -> str | None:
+    """The allowed name closest to `name`, or the one that ends with it (`amplitude`: `spine.amplitude`), or None."""
+    names = list(allowed)
+    found = difflib.get_close_matches(name, names, n=1)
+    found += [full for full in names if full.rpartition(".")[2] == name.rpartition(".")[2]]
+    return found[0] if found else None
+
+
+def did_you_mean(name: str, allowed: Iterable[str]) -> str:
+    """`; did you mean 'x'?` for the nearest allowed name, or a full stop where none is near."""
+    found = nearest(name, allowed)
+    return f"; did you mean {found!r}?" if found else "."
+
+
+def choice(field: str, name: str, options: Iterable[str]) -> str:
+    """`name` if it is one of `options`.
+
+    Raises:
+        ParameterError: it is not; the message names the field, the value, the nearest option and all of them.
+    """
+    names = list(options)
+    if name in names:
+        return name
+    near = nearest(str(name), names)
+    hint = f"did you mean {near!r}? " if near else ""
+    allowed = ", ".join(names) if len(names) <= 12 else f"{', '.join(names[:4])}, ... ({len(names)} names)"
+    raise ParameterError(f"{field} is {name!r}: {hint}allowed is one of {allowed}.")

@@ -16,17 +16,13 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.robot.assembly import RobotConfig, assemble, default_parameters
-from nermo_mjx.robot.flexure import chain_of
+from nermo_mjx.robot.equipment import chain_of
 from nermo_mjx.robot.geometry import Geometry
-from nermo_mjx.robot.gravity import gravity_values
-from nermo_mjx.robot.interface import Sensors
-from nermo_mjx.robot.mass_model import MassModel
-from nermo_mjx.robot.masses import is_front
-from nermo_mjx.robot.parameters import LIMBS
-from nermo_mjx.robot.physical import physical_model, reduced_model
+from nermo_mjx.robot.masses import MassModel, is_front, physical_model, reduced_model
+from nermo_mjx.robot.model_parameters import gravity_values
+from nermo_mjx.robot.parameters import LIMBS, Sensors
 from nermo_mjx.robot.quantity import ParameterError, quantities, replace_quantities, values_of
-from nermo_mjx.robot.scene import Scene, scene_geoms, scene_name
-from nermo_mjx.robot.terrain import Terrain
+from nermo_mjx.robot.scene import Scene, Terrain, scene_geoms, scene_name
 from nermo_mjx.shapes import Array
 
 
@@ -141,7 +137,7 @@ class Robot:
 
     def spec_with_geometry(self, geometry: Geometry) -> mujoco.MjSpec:
         """An editable specification, from which `with_geometry` is compiled."""
-        from nermo_mjx.robot.meshes.catalogue import redraw  # needs splines, which a walk need not wait for
+        from nermo_mjx.robot.meshes.body import redraw  # needs splines, which a walk need not wait for
 
         spec = self._with(geometry)
         redraw(spec, geometry)

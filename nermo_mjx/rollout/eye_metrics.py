@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from nermo_mjx.control.sway import wrapped
-from nermo_mjx.kinematics.attitude import attitude, turned_back
+from nermo_mjx.control.head_and_tail import wrapped
+from nermo_mjx.kinematics.body import attitude, turned_back
 from nermo_mjx.robot import SERVOS, Sensors
-from nermo_mjx.robot.interface import servos_by_count
+from nermo_mjx.robot.parameters import servos_by_count
 from nermo_mjx.rollout.path_metrics import root
 from nermo_mjx.shapes import Array, Quaternion, Scalar, Scalars, Spatial
 

@@ -10,14 +10,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
-from nermo_mjx.control.state import canonical, with_dtypes_of
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.terrains import TerrainShape
 from nermo_mjx.rollout import metrics
 from nermo_mjx.rollout.own_metrics import OwnMetric
-from nermo_mjx.rollout.parameters import Start, Window, WorldParameters
+from nermo_mjx.rollout.setup import Start, Window, WorldParameters
 from nermo_mjx.shapes import Array, Count, Scalar
 
 

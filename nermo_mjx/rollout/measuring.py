@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import jax.numpy as jnp
 
-from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.setup import Window
 from nermo_mjx.shapes import Scalar, Truth
 
 #: A tick that begins less than this share of its length before the run's end counts as after it: the accuracy of

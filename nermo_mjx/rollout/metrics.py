@@ -23,14 +23,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from nermo_mjx.control.path import PathPoint
-from nermo_mjx.kinematics.attitude import attitude, uprightness
+from nermo_mjx.kinematics.body import attitude, uprightness
 from nermo_mjx.robot import LIMBS, ModelParameters, Sensors
 from nermo_mjx.rollout import electrical, eye_metrics, path_metrics, reduction
-from nermo_mjx.rollout.catalogue import ANGLES, METRICS, PAIRS
 from nermo_mjx.rollout.measuring import MeasuredPart, begins_in_run, measured_part
-from nermo_mjx.rollout.own_metrics import OwnMetric
-from nermo_mjx.rollout.parameters import Window
+from nermo_mjx.rollout.own_metrics import ANGLES, METRICS, PAIRS, OwnMetric
 from nermo_mjx.rollout.path_metrics import root
+from nermo_mjx.rollout.setup import Window
 from nermo_mjx.shapes import Array, Scalar, Truth
 
 #: A foot is unloaded below the first force and loaded above the second [N], with a smooth transition. 3 % of

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Int
 
-from nermo_mjx.kinematics.attitude import attitude
+from nermo_mjx.kinematics.body import attitude
 from nermo_mjx.physics import Trace
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, Sensors
-from nermo_mjx.robot.nearest import did_you_mean
+from nermo_mjx.robot.quantity import did_you_mean
 
 _XYZ: Final = ("x", "y", "z")
 _WXYZ: Final = ("w", *_XYZ)

@@ -12,25 +12,168 @@ import numpy as np
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller, published_controller
-from nermo_mjx.control.fusion import SpineModes, mode_names
+from nermo_mjx.control.head_and_tail import TAIL_MOTIONS
 from nermo_mjx.control.loading import check_form, load_controller
-from nermo_mjx.control.parameters import with_geometry
+from nermo_mjx.control.parameters import (
+    ControlParameters,
+    ProfileSteering,
+    body_values,
+    published_values,
+    steering_of,
+    with_geometry,
+)
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
-from nermo_mjx.control.published import ProfileSteering, body_values, published_values, steering_of
-from nermo_mjx.control.tail import TAIL_MOTIONS
-from nermo_mjx.robot import ParameterError, Quantity, Robot, RobotConfig, load_robot
-from nermo_mjx.robot.geometry import names_geometry
-from nermo_mjx.robot.gravity import gravity_values
+from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
+from nermo_mjx.robot import ParameterError, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
+from nermo_mjx.robot.geometry import Geometry, check_geometry, names_geometry
 from nermo_mjx.robot.masses import mass_values
-from nermo_mjx.robot.nearest import choice
-from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
+from nermo_mjx.robot.model_parameters import ModelParameters, gravity_values
+from nermo_mjx.robot.quantity import (
+    Quantity,
+    check_quantities,
+    choice,
+    flat,
+    group,
+    parameter_tree,
+    quantities,
+    quantity,
+    replace_quantities,
+    values_of,
+)
 from nermo_mjx.robot.scene import Scene, is_mjcf, load_scene
-from nermo_mjx.robot.terrains import terrain_values
-from nermo_mjx.rollout.catalogue import METRICS, Metric
-from nermo_mjx.rollout.choices import check_kinds, check_names, check_spine, check_terrain, check_timestep
-from nermo_mjx.rollout.own_metrics import OwnMetric, load_metrics
-from nermo_mjx.rollout.parameters import WorldParameters, bounded_by_step, check_ranges
+from nermo_mjx.robot.terrains import scenes_reading, terrain_values
+from nermo_mjx.rollout.own_metrics import METRICS, Metric, OwnMetric, load_metrics
+
+# ---
+# Everything that may differ between the worlds of a batch, under one set of names.
+
+
+@parameter_tree
+class Start:
+    """Position, heading and gait phase at the start."""
+
+    x: Any = quantity(0.0, "m", -100.0, 100.0, "start to the left of the path")
+    y: Any = quantity(0.0, "m", -100.0, 100.0, "start behind the origin")
+    yaw: Any = quantity(0.0, "rad", -np.pi, np.pi, "heading at the start, positive to the left")
+    phase: Any = quantity(0.0, "1", -1.0, 1.0, "phase of the gait cycle at the start")
+
+
+@parameter_tree
+class Window:
+    """When a run is measured; set from `Run`, not by name."""
+
+    begin: Any = quantity(0.0, "s", 0.0, 1e6, "end of the warm-up")
+    end: Any = quantity(1e6, "s", 0.0, 1e6, "end of the run")
+    distance: Any = quantity(1e6, "m", 0.0, 1e6, "path length after which measuring stops")
+
+
+@parameter_tree
+class WorldParameters:
+    """The parameters that a sweep can name: controller, body and start. The parameters of another controller may be any
+    pytree."""
+
+    control: Any = flat(ControlParameters)
+    model: ModelParameters = flat(ModelParameters)
+    start: Start = group(Start)
+
+
+def check_ranges(world: WorldParameters, timestep: float) -> None:
+    """Reject parameters that are not finite, out of range, or not allowed by the time step [s]; see `Setup.check`."""
+    check_quantities(world)
+    for name, about in bounded_by_step(dict(quantities(ModelParameters)), timestep).items():
+        part, field = name.split(".")
+        about.check(name, getattr(getattr(world.model, part), field))
+    check_geometry(world.model.geometry)
+    check_servo(world.model.servo.kp, world.model.servo.kv, timestep)
+
+
+def bounded_by_step(known: Mapping[str, Quantity], timestep: float) -> dict[str, Quantity]:
+    """The parameters whose range depends on the time step, with their remaining range."""
+    contact, kp, kv = (known[name] for name in ("contact.time_constant", "servo.kp", "servo.kv"))
+    stiffest, most_damped = highest_kp(timestep, float(kv.default)), highest_kv(timestep, float(kp.default))  # type: ignore[arg-type]
+    return {
+        # MuJoCo silently lengthens time constants shorter than two time steps.
+        "contact.time_constant": dataclasses.replace(contact, low=max(contact.low, 2 * timestep)),
+        "servo.kp": dataclasses.replace(kp, high=min(kp.high, stiffest)),
+        "servo.kv": dataclasses.replace(kv, high=min(kv.high, most_damped)),
+    }
+
+
+# ---
+# Checks of a setup's choices and of the names of its controller and metrics; each raises a `ParameterError`.
+
+
+#: Columns of tables, which are reserved names for metrics.
+TAKEN: Final = frozenset((
+    "row", "variant", "repeat", "seed", "body", "status", "code", "batch", "cell", "time", "objective", "iteration",
+    "start", "ok", "discarded", "simulated_seconds", "wall_seconds", "trajectory_error", "line", "centre", "width",
+    "side", *RobotConfig.__dataclass_fields__, "gait", "spine", "steering", "pilot", "profile",
+    "trajectory", "head", "tail_motion",
+))  # fmt: skip
+
+
+def check_spine(spine: str, robot: str) -> None:
+    """Reject unknown modes, and those of joints that the robot does not have."""
+    for mode in mode_names(spine):
+        if mode in SAGITTAL_MODES and robot != "nermo_41":
+            raise ParameterError(
+                f"spine is {spine!r}: {mode} bends vertical spine joints, which robot {robot!r} does not have; it goes "
+                "with robot 'nermo_41'."
+            )
+
+
+def check_kinds(metrics: Sequence[Any]) -> None:
+    """Reject objects that are no custom metrics."""
+    for each in metrics:
+        if not isinstance(each, (str, OwnMetric)):
+            raise ParameterError(f"metrics has {each!r}: expected a function under @metric, or its FILE.py:NAME.")
+
+
+def check_timestep(timestep: float, period: float) -> None:
+    """Reject time steps [s] that do not divide the controller's period [s]."""
+    ratio = period / timestep
+    if abs(ratio - round(ratio)) > 1e-9 * ratio or round(ratio) < 1:
+        raise ParameterError(
+            f"timestep is {timestep}: allowed is the control period {period:g} s divided by a whole number."
+        )
+
+
+def check_names(controller: ControllerLike, metrics: Sequence[OwnMetric]) -> None:
+    """Reject parameters of a controller, and custom metrics, whose names are taken."""
+    seen: dict[str, str] = {}
+    for own in metrics:
+        if own.name in METRICS or own.name in TAKEN:
+            whose = "a metric that every run has" if own.name in METRICS else "a column that every table has"
+            raise ParameterError(f"metrics has {own.place}, but {own.name} is {whose}: give it another name.")
+        if own.name in seen:
+            raise ParameterError(f"metrics has {own.place} and {seen[own.name]}: give one of them another name.")
+        seen[own.name] = own.place
+    shared = ControlParameters(geometry=Geometry())
+    taken = {name for name, _ in quantities(WorldParameters)} - {name for name, _ in quantities(shared)}
+    names = [name for name, _ in quantities(controller.parameters)]
+    for name in names:
+        if name in taken:
+            raise ParameterError(f"controller has a parameter {name!r}, which is one of the robot or its start.")
+    for own in metrics:
+        if own.name in taken or own.name in names:
+            raise ParameterError(f"metrics has {own.place}, but {own.name} is a parameter: give it another name.")
+
+
+def check_terrain(scene: str, values: Mapping[str, Any]) -> None:
+    """Reject a terrain shape that the scene does not read; its default is harmless."""
+    for name in values.keys() - terrain_values(scene).keys():
+        scenes, value = scenes_reading(name), values[name]
+        if not scenes:
+            continue
+        default = dict(quantities(ModelParameters))[name].default
+        if isinstance(value, jax.core.Tracer) or not np.allclose(value, default, rtol=1e-6):
+            here = "a custom one" if is_mjcf(scene) else repr(scene)
+            raise ParameterError(
+                f"{name} has no effect: it is read only with scene {' or '.join(scenes)}, and the scene is {here}."
+            )
+
 
 #: Choices that only the published controller has.
 PUBLISHED: Final = (
@@ -60,12 +203,12 @@ class Setup:
         profile: `exact`, `as_published`, the published simulation with its body, or `as_built`, with the body of the
             built robot.
         pilot: `straight`, `arc`, `waypoints`, `open_loop`, or `external` with `command`.
-        waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.course.course_through`.
+        waypoints: for the pilot `waypoints`, (x, y) of each [m], see `control.path.course_through`.
         command: for the pilot `external`, see `control.pilot.tabulated`.
         trajectory: `cubic`, `linear` or `parabolic` foot paths, or `free`: cubic ones with movable points, and
             parameters per limb.
-        head: `none` or `gaze`, see `control.head`.
-        tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the articulated tail, see `control.tail`.
+        head: `none` or `gaze`, see `control.head_and_tail`.
+        tail_motion: `none`, `swing`, `counter_yaw` or `counter_roll` of the tail, see `control.head_and_tail`.
         controller: another controller (see `ControllerLike`), or the name of one, `FILE.py:NAME`, `MODULE:NAME`, or
             `FILE.npz`, a policy. The choices above from `gait` on belong to the published controller and cannot be
             combined with another; with a `Controller` of other parts, gait, steering and profile can. A policy has its

@@ -9,14 +9,11 @@ import numpy as np
 
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.search.gradients import WalkGradients
-from nermo_mjx.search.optimizers import check_library
-from nermo_mjx.search.size import batch_points
-from nermo_mjx.search.space import Space
-from nermo_mjx.search.spec import Search
-from nermo_mjx.sweep.pace import pace
+from nermo_mjx.search.evolution import WalkGradients, check_library
+from nermo_mjx.search.run import batch_points
+from nermo_mjx.search.spec import Search, Space
 from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.simulating import SimulatorLike
+from nermo_mjx.sweep.simulating import SimulatorLike, pace
 
 #: Points whose mean length of a run stands for all.
 _TRIED = 256

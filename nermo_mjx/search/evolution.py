@@ -2,15 +2,57 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+import contextlib
+import dataclasses
+import importlib.metadata
+import importlib.util
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, Protocol
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+from scipy.stats import qmc
 
-from nermo_mjx.search.asking import Asked, Optimizer
-from nermo_mjx.search.scoring import Scores, ranked_cost
-from nermo_mjx.search.space import Space
-from nermo_mjx.search.spec import Search
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout.differentiable import Rollout, cost
+from nermo_mjx.runtime import compiler_options, cpu_batch_limit
+from nermo_mjx.search.spec import Scores, Search, Space, cells_of, ranked_cost
+from nermo_mjx.sweep.axes import Axis
 from nermo_mjx.tune.generations import strategy
+
+# ---
+# The protocol of a search's optimizers: asked for a batch, and told its results. They have no other input.
+#
+# So a search is repeated, or resumed, by telling it the contents of its table again.
+
+
+@dataclasses.dataclass(frozen=True)
+class Asked:
+    """Points to evaluate.
+
+    Attributes:
+        shares: of the bounds, (n, p) in [0, 1].
+        gradients: of this number, from the first on, gradients are requested, too.
+    """
+
+    shares: np.ndarray
+    gradients: int = 0
+
+
+class Optimizer(Protocol):
+    """Chooses points; `ask` and `tell` alternate, and the same results lead to the same requests."""
+
+    def ask(self) -> Asked:
+        """The next batch."""
+        ...
+
+    def tell(self, found: Scores) -> None:
+        """The results of the batch, in its order."""
+        ...
+
 
 #: First standard deviation, as a fraction of the bounds.
 SIGMA: Final = 0.2
@@ -75,3 +117,287 @@ class Evolution(Optimizer):
 
     def _begin(self, start: np.ndarray, sigma: float, population: int) -> None:
         self._strategy = strategy(start, sigma, population, self._rng, tolx=CONVERGED)
+
+
+# ---
+# NSGA-II with constraints, for several objectives: pymoo's, driven by ask and tell.
+
+
+#: Violation of a point that fell: more than any other, so that every walk to the end is better.
+_FALLEN = 1e9
+
+
+class Genetic(Optimizer):
+    """An `Optimizer`. Generations are as large as a batch; the first is a spread of points."""
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        from pymoo.algorithms.moo.nsga2 import NSGA2
+        from pymoo.config import Config
+        from pymoo.core.problem import Problem
+        from pymoo.core.termination import NoTermination
+
+        Config.warnings["not_compiled"] = False
+        objectives = len(search.aim.objective.terms)
+        problem = Problem(n_var=space.dimensions, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
+        self._algorithm = NSGA2(pop_size=batch, sampling=space.spread(batch))
+        # Without an end of its own: the budget is the search's.
+        self._algorithm.setup(problem, termination=NoTermination(), seed=search.sweep.seed, verbose=False)
+
+    def ask(self) -> Asked:
+        self._population = self._algorithm.ask()
+        return Asked(np.clip(self._population.get("X").astype(float), 0.0, 1.0))
+
+    def tell(self, found: Scores) -> None:
+        self._population.set("F", np.where(found.ok[:, None], found.cost, 0.0))
+        self._population.set("G", np.where(found.ok, found.violation, _FALLEN)[:, None])
+        for individual in self._population:
+            individual.evaluated.update(["F", "G"])
+        self._algorithm.tell(infills=self._population)
+
+
+# ---
+# CMA-ME and CMA-MEGA, for an atlas: pyribs's emitters, which search for cells that are empty or can be improved.
+
+
+#: First standard deviation of CMA-ME, as a fraction of the bounds; of CMA-MEGA, of the gradients' coefficients, and the
+#: length of its steps along them.
+ATLAS_SIGMA: Final = 0.15
+COEFFICIENT_SIGMA: Final = 0.2
+LEARNING_RATE: Final = 0.05
+EMITTERS: Final = 4
+#: Value reported to an emitter for a point outside the atlas.
+_WORTHLESS: Final = -1e9
+
+
+class Diversity(Optimizer):
+    """An `Optimizer`. The first batch is a spread of points; then the batch is divided among emitters.
+
+    A batch of CMA-MEGA begins with one point of each emitter, of which it wants gradients, and the next batch is what
+    it makes of them. A point outside of the measures' ranges, one that fell, or that breaks a constraint, is not in
+    the atlas.
+    """
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        with _interpreted():
+            from ribs.archives import GridArchive
+
+        self._space, self._search, self._batch = space, search, batch
+        self._along = search.method == "cma_mega"
+        count = int(search.options.get("emitters", EMITTERS))
+        self._count = max(1, min(count, batch // (3 if self._along else 2)))
+        measures = search.aim.measures
+        self._archive = GridArchive(
+            solution_dim=space.dimensions, dims=[each.cells for each in measures],
+            ranges=[(each.low, each.high) for each in measures], seed=search.sweep.seed,
+        )  # fmt: skip
+        self._emitters: list[Any] = []
+        self._centres = False
+        self._asked = np.empty((0, space.dimensions))
+        self._spreads = 0
+
+    def ask(self) -> Asked:
+        if not self._emitters:
+            self._spreads += 1
+            first = (self._spreads - 1) * self._batch
+            self._asked = self._space.spread(first + self._batch)[first:]
+            return Asked(self._asked)
+        if self._centres:
+            points = [emitter.ask_dqd() for emitter in self._emitters]
+        else:
+            points = [emitter.ask() for emitter in self._emitters]
+        self._sizes = [len(each) for each in points]
+        self._slope = self._space.slope(np.concatenate(points))
+        self._asked = self._space.shares(np.concatenate(points))
+        return Asked(self._asked, len(self._asked) if self._centres else 0)
+
+    def tell(self, found: Scores) -> None:
+        told = self._add(found)
+        if not self._emitters:
+            if len(self._archive):
+                self._begin()
+            return
+        ends = np.cumsum(self._sizes)
+        for emitter, begin, end in zip(self._emitters, ends - self._sizes, ends, strict=True):
+            part = slice(begin, end)
+            add_info = {name: values[part] for name, values in told["add_info"].items()}
+            about = (self._asked[part], told["objective"][part], told["measures"][part])
+            if not self._centres:
+                emitter.tell(*about, add_info)
+            else:
+                assert found.jacobian is not None
+                # A non-finite gradient is useless.
+                jacobian = np.nan_to_num(found.jacobian[part], nan=0.0, posinf=0.0, neginf=0.0)
+                emitter.tell_dqd(*about, jacobian * self._slope[part, None, :], add_info)
+        self._centres = self._along and not self._centres
+
+    def _add(self, found: Scores) -> dict[str, Any]:
+        """Put what has a cell into the archive; what emitters are told of the whole batch."""
+        inside = found.allowed & (cells_of(self._search.aim, found.measures) >= 0)
+        status, value = np.zeros(len(inside), np.int32), np.full(len(inside), _WORTHLESS)
+        objective = np.where(inside, found.quality, _WORTHLESS)
+        measures = np.where(np.isfinite(found.measures), found.measures, 0.0)
+        if inside.any():
+            info = self._archive.add(self._asked[inside], objective[inside], measures[inside])
+            status[inside], value[inside] = info["status"], info["value"]
+        return {"objective": objective, "measures": measures, "add_info": {"status": status, "value": value}}
+
+    def _begin(self) -> None:
+        """Emitters from elites that are evenly spread over the filled cells."""
+        with _interpreted():
+            from ribs.emitters import EvolutionStrategyEmitter, GradientArborescenceEmitter
+
+        elites = self._archive.data(["solution", "index"], return_type="dict")
+        order = np.argsort(elites["index"])
+        chosen = order[np.linspace(0, len(order) - 1, self._count).round().astype(int)]
+        sizes = [len(part) for part in np.array_split(np.arange(self._batch - self._count * self._along), self._count)]
+        options = self._search.options
+        for i, (start, size) in enumerate(zip(elites["solution"][chosen], sizes, strict=True)):
+            common = {"x0": start, "batch_size": size, "seed": self._search.sweep.seed + i + 1, "ranker": "2imp"}
+            self._emitters.append(
+                GradientArborescenceEmitter(
+                    self._archive, sigma0=options.get("sigma", COEFFICIENT_SIGMA), grad_opt="gradient_ascent",
+                    lr=options.get("learning_rate", LEARNING_RATE), **common,
+                ) if self._along else EvolutionStrategyEmitter(
+                    self._archive, sigma0=options.get("sigma", ATLAS_SIGMA), **common
+                )
+            )  # fmt: skip
+        self._centres = self._along
+
+
+@contextlib.contextmanager
+def _interpreted() -> Iterator[None]:
+    """Import pyribs without compiled functions: they save microseconds per batch but take ten seconds to compile."""
+    import numba
+
+    config: Any = numba.config
+    before, config.DISABLE_JIT = config.DISABLE_JIT, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        config.DISABLE_JIT = before
+
+
+# ---
+# The optimizers of a search, by the name of its method.
+
+
+#: The library of each method, beside NumPy and SciPy.
+LIBRARIES: Final = {"cma": "cma", "nsga2": "pymoo", "cma_me": "ribs", "cma_mega": "ribs"}
+
+
+class SobolSample(Optimizer):
+    """Points of one Sobol sequence, starting with the published gait: the baseline for all methods."""
+
+    def __init__(self, space: Space, search: Search, batch: int) -> None:
+        self._batch, self._first = batch, space.first
+        self._points, self._begun = qmc.Sobol(space.dimensions, rng=np.random.default_rng(search.sweep.seed)), False
+
+    def ask(self) -> Asked:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # one point less than a power of two: the published gait stands for it
+            if self._begun:
+                return Asked(self._points.random(self._batch))
+            self._begun = True
+            return Asked(np.concatenate([self._first[None], self._points.random(self._batch - 1)]))
+
+    def tell(self, found: Scores) -> None:
+        """The points do not depend on it."""
+
+
+def make_optimizer(search: Search, batch: int) -> Optimizer:
+    """The optimizer of a search, at its beginning.
+
+    Args:
+        batch: points of a batch; some methods change it during the search.
+
+    Raises:
+        ParameterError: its library is not installed.
+    """
+    check_library(search.method)
+    space = Space(search)
+    if search.method == "sobol":
+        return SobolSample(space, search, batch)
+    if search.method == "cma":
+        return Evolution(space, search, batch)
+    if search.method == "nsga2":
+        return Genetic(space, search, batch)
+
+    return Diversity(space, search, batch)
+
+
+def check_library(method: str) -> None:
+    """Raises `ParameterError` unless what a method needs is installed."""
+    library = LIBRARIES.get(method)
+    if library is not None and importlib.util.find_spec(library) is None:
+        raise ParameterError(f"method is {method}, which needs {library}: pip install 'nermo-mjx[search]'.")
+
+
+def made_by(method: str) -> str:
+    """Name and version of what chooses the points, for the table's metadata."""
+    library = LIBRARIES.get(method, "scipy")
+    return f"{library} {importlib.metadata.version(library)}"
+
+
+# ---
+# Gradients of quality and measures, through MJX: what CMA-MEGA steps along.
+
+
+class Gradients(Protocol):
+    """Jacobians of a batch of runs."""
+
+    def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
+        """d (quality, *measures) / d fraction of the bounds, (runs, 1 + m, p).
+
+        Args:
+            values: every parameter that the search names, name -> (runs,).
+            shares: of the points (points, p), which may have several runs each.
+        """
+        ...
+
+
+class WalkGradients:
+    """Implements `Gradients` by tangents, one a searched parameter: there are more outputs than cotangents pay for."""
+
+    def __init__(self, search: Search) -> None:
+        """Nothing is compiled before the first call."""
+        self._search = search
+        lowest = {each.name: float(each.tried(grid=False).min()) for each in search.sweep.axes}
+        lowest |= {each.name: float(each.at(np.zeros(1))[0]) for each in search.sweep.draws}
+        self._rollout = Rollout(search.setup, search.run, slowest=lowest.get("frequency"))
+        self._function = jax.jit(jax.vmap(self._jacobian), compiler_options=compiler_options())
+
+    @staticmethod
+    def cost_of(search: Search) -> float:
+        """Cost of a run's gradients, in forward runs."""
+        return cost(len(search.names), "forward")
+
+    def __call__(self, values: Mapping[str, np.ndarray], shares: np.ndarray) -> np.ndarray:
+        """See `Gradients`."""
+        runs = len(next(iter(values.values())))
+        # What is the same in all runs is no argument: the length of a run in cycles has to be known.
+        known = {*self._search.names, *self._search.sweep.constants}
+        given = {name: np.asarray(column, float) for name, column in values.items() if name not in known}
+        points = np.repeat(shares, runs // len(shares), axis=0)
+        limit = cpu_batch_limit() or runs
+        parts = []
+        for first in range(0, runs, limit):
+            part = slice(first, first + limit)
+            parts.append(np.asarray(self._function(jnp.asarray(points[part]), {k: v[part] for k, v in given.items()})))
+        return np.concatenate(parts).astype(float)
+
+    def _jacobian(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, "k p"]:
+        return jax.jacfwd(lambda at: self._outputs(at, others))(shares)
+
+    def _outputs(self, shares: Float[Array, " p"], others: Mapping[str, Array]) -> Float[Array, " k"]:
+        aim, axes = self._search.aim, self._search.sweep.axes
+        values: dict[str, Any] = dict(self._search.sweep.constants) | dict(others)
+        metrics = self._rollout(values | {axis.name: _at(axis, at) for axis, at in zip(axes, shares, strict=True)})
+        return jnp.stack([-aim.objective.value(metrics), *(metrics[each.metric] for each in aim.measures)])
+
+
+def _at(axis: Axis, share: Float[Array, ""]) -> Float[Array, ""]:
+    """`Axis.at` of a traced share, within the bounds."""
+    low, high = axis.numbers[:2]
+    return low * (high / low) ** share if axis.form.startswith("log") else low + (high - low) * share

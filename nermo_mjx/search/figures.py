@@ -15,9 +15,9 @@ from nermo_mjx.plotting.page import around, blank, page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, colour_scale, horizontal_grid, set_scales
 from nermo_mjx.rollout import Metric
-from nermo_mjx.search.outcome import Evaluations, atlas_progress, hypervolumes
-from nermo_mjx.search.scoring import cells_of, elites_of
-from nermo_mjx.sweep.trade_off import named_points, trade_off
+from nermo_mjx.search.batches import Evaluations, atlas_progress, hypervolumes
+from nermo_mjx.search.spec import cells_of, elites_of
+from nermo_mjx.sweep.survey import named_points, trade_off
 from nermo_mjx.tune.objective import Term
 
 _WIDTH: Final = 7.2

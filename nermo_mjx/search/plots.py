@@ -11,10 +11,9 @@ from nermo_mjx.plotting.files import Figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.search import figures as drawn
-from nermo_mjx.search.batches import SEARCH
-from nermo_mjx.search.outcome import Evaluations
+from nermo_mjx.search.batches import SEARCH, Evaluations
 from nermo_mjx.search.spec import Search
-from nermo_mjx.sweep.redraw import chosen_figure
+from nermo_mjx.sweep.plots import chosen_figure
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.survey import survey_figures
 
@@ -48,7 +47,7 @@ def figures(
 
     Args:
         out: the directory.
-        x, y, color: columns of one figure, see `nermo_mjx.sweep.redraw.chosen_figure`.
+        x, y, color: columns of one figure, see `nermo_mjx.sweep.plots.chosen_figure`.
         notify: not called: a search is drawn as far as it is.
 
     Raises:

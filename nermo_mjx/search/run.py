@@ -1,5 +1,6 @@
 """Run a search: ask for a batch, simulate what the directory lacks, tell the results, until the budget is
-used up."""
+used up.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import session
@@ -21,21 +23,44 @@ from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
-from nermo_mjx.search.asking import Asked
-from nermo_mjx.search.batches import SEARCH, Batches
-from nermo_mjx.search.gradients import Gradients, WalkGradients
-from nermo_mjx.search.keeping import keep_recordings
-from nermo_mjx.search.optimizers import check_library, make_optimizer
-from nermo_mjx.search.outcome import publish
+from nermo_mjx.runtime import cpu_count
+from nermo_mjx.search.batches import SEARCH, Batches, keep_recordings, publish
+from nermo_mjx.search.evolution import Asked, Gradients, WalkGradients, check_library, make_optimizer
 from nermo_mjx.search.plots import figures_of
-from nermo_mjx.search.scoring import Scores, cells_of, scores_of
-from nermo_mjx.search.size import batch_points
-from nermo_mjx.search.spec import Search
+from nermo_mjx.search.spec import Scores, Search, cells_of, scores_of
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.layout import batch_values
 from nermo_mjx.sweep.results import Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, engine_name
+from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name
+from nermo_mjx.sweep.store import batch_values
+
+# ---
+# The default number of points per batch: enough to fill the machine, few enough for many generations.
+
+
+#: Worlds for each core with MuJoCo C. Half as many as in a sweep: two cores are busy with 16 worlds, and a method that
+#: is told of each of 16 has gone further after 64.
+CORE_WORLDS: Final = 8
+#: An atlas has several emitters in a batch.
+ATLAS_WORLDS: Final = 32
+#: Generations that a budget is to last for.
+GENERATIONS: Final = 10
+
+
+def batch_points(search: Search, engine: str) -> int:
+    """Points of a batch on this machine.
+
+    Args:
+        engine: name of the engine, or "auto".
+    """
+    expected = search.evaluations or 1000
+    least = 4 + int(3 * math.log(len(search.names)))
+    if resolve_engine(engine) == "c":
+        full = cpu_count() * (ATLAS_WORLDS if search.aim.measures else CORE_WORLDS) // search.repeats
+    else:
+        full = chunk_rows_here(engine, expected * search.repeats) // search.repeats
+    return max(least, 4, min(full, expected // GENERATIONS))
+
 
 #: Seconds between two updates of best.json and the atlas while the search runs.
 PUBLISHED_EVERY: Final = 60.0
@@ -75,7 +100,7 @@ class SearchResult:
     Attributes:
         out: its directory.
         search: what was searched, with the size of its batches.
-        best: content of best.json (`nermo_mjx.search.outcome`).
+        best: content of best.json (`nermo_mjx.search.batches`).
         evaluations_run: points that this call evaluated.
         recordings, plots: files that were made.
     """

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.status import Status, metadata_of, status_of
-from nermo_mjx.search.batches import SEARCH
-from nermo_mjx.search.outcome import BEST
+from nermo_mjx.search.batches import BEST, SEARCH
 from nermo_mjx.search.spec import Search
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import chunk_files

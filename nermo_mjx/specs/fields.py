@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic_core import core_schema
 
-from nermo_mjx.robot.nearest import did_you_mean
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 
 JsonSchema = dict[str, Any]
@@ -22,9 +22,12 @@ _DIALECT: Final = "http://json-schema.org/draft-07/schema#"
 #: Expectations for pydantic's errors about types and ranges.
 _TYPES: Final = {
     "float_type": "a number", "bool_type": "true or false", "string_type": "a name", "dict_type": "a mapping",
-    "list_type": "a list", "none_required": "nothing",
+    "list_type": "a list", "tuple_type": "a list", "none_required": "nothing",
 }  # fmt: skip
-_RANGES: Final = {"greater_than": "a finite number above 0", "finite_number": "a finite number"}
+_RANGES: Final = {
+    "greater_than": "a finite number above 0", "finite_number": "a finite number",
+    "greater_than_equal": "a number of at least {ge:g}", "less_than_equal": "a number of at most {le:g}",
+}  # fmt: skip
 
 
 class Refused(ValueError):
@@ -49,9 +52,13 @@ def read(doc: Document, model: type[M]) -> M:
     refused, path, given = first.get("ctx", {}).get("error"), _place(doc.data, first["loc"]), first["input"]
     if isinstance(refused, Refused):
         path, at, message = (*path, *refused.path), (*path, *refused.path, *refused.at), str(refused)
+    elif isinstance(refused, ParameterError):  # of a section's own check; its first word is the section or a field
+        name, _, message = str(refused).partition(" ")
+        path = at = (*path, *name.split(".")[1:]) if path and name.split(".")[0] == path[-1] else path
     else:
         shown = f"{given:g}" if first["type"] in _RANGES else describe(given)
-        at, message = path, f"is {shown}: expected {(_TYPES | _RANGES)[first['type']]}."
+        allowed = (_TYPES | _RANGES)[first["type"]].format(**first.get("ctx", {}))
+        at, message = path, f"is {shown}: expected {allowed}."
     doc.fail(at, message, model.called(path))
 
 

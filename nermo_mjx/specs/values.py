@@ -12,10 +12,9 @@ from pydantic import Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError, Quantity, quantities
-from nermo_mjx.rollout.catalogue import METRICS, Metric
-from nermo_mjx.rollout.parameters import WorldParameters
+from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean, quantities
+from nermo_mjx.rollout.own_metrics import METRICS, Metric
+from nermo_mjx.rollout.setup import WorldParameters
 from nermo_mjx.specs.fields import JsonSchema, Refused
 from nermo_mjx.specs.reading import Document, FieldPath, describe
 
@@ -27,6 +26,7 @@ NAMES: Final[ContextVar[Mapping[str, Quantity]]] = ContextVar("NAMES", default=P
 MEASURED: Final[ContextVar[Mapping[str, Metric]]] = ContextVar("MEASURED", default=METRICS)
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Checked:
@@ -113,6 +113,19 @@ class Numbers(Checked):
     def schema(self, own: JsonSchema) -> JsonSchema:
         most = {} if self.most is None else {"maxItems": self.most}
         return {**own, "minItems": self.least, **most, "description": self.written}
+
+
+@dataclasses.dataclass(frozen=True)
+class _Ends(Numbers):
+    """Two numbers as a tuple; their order is checked where they are used."""
+
+    def check(self, value: list[float]) -> tuple[float, float]:
+        low, high = value
+        return low, high
+
+
+#: A range [low, high].
+Ends = Annotated[tuple[float, float], _Ends("[low, high]", 2, 2)]
 
 
 class ByParameter(Checked):

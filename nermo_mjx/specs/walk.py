@@ -3,21 +3,215 @@
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
+import math
 import os
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Annotated, Any, ClassVar, Final, Literal, NoReturn
 
-from nermo_mjx.control.published import ProfileSteering
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError, Quantity
+import mujoco
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from nermo_mjx.control import control_parameters
+from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
+from nermo_mjx.control.parameters import PROFILES, STEERING, ProfileSteering
+from nermo_mjx.control.spine_modes import SPINES
+from nermo_mjx.control.stepping import FREE
+from nermo_mjx.control.trajectory import FORMS
+from nermo_mjx.robot import GAITS
+from nermo_mjx.robot.assembly import CONES, ROBOTS, TAILS
+from nermo_mjx.robot.equipment import MOST_HINGES
+from nermo_mjx.robot.parameters import PRESETS, ROUTINGS
+from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
+from nermo_mjx.robot.scene import resolve_scene, scenes
+from nermo_mjx.robot.terrains import scenes_reading, terrain_values
 from nermo_mjx.rollout import Metric, Run, Setup, all_metrics, all_parameters
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
-from nermo_mjx.specs.reading import Document
-from nermo_mjx.specs.unread import is_terrain, unread
-from nermo_mjx.specs.values import PARAMETERS, check_value
-from nermo_mjx.specs.walk_fields import SETUP_FIELDS, RunFields, WalkFields
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
+from nermo_mjx.specs.reading import Document, FieldPath, describe
+from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, Whole, check_value, number_of
+
+# ---
+# Which parameters a setup reads: some have an effect only with one of its choices, or in one scene.
+
+
+#: Parameters, and groups of them, that are only used with a certain choice of the setup.
+_NEEDS: Final = {
+    "spine.amplitude": ("spine", "stride_extension"),
+    "spine.phase": ("spine", "stride_extension"),
+    "spine.balance_lift": ("spine", "balance"),
+    "pilot.turn_rate": ("pilot", "open_loop"),
+    "pilot.radius": ("pilot", "arc"),
+    "pilot.direction": ("pilot", "arc"),
+    "spine.harmonics": ("spine", "harmonics"),
+    "head.tilt": ("robot", "nermo_41"),
+    **{f"head.{name}": ("head", GAZE) for name in ("gain", "bandwidth", "lead")},
+    "tail.angle": ("tail", "articulated"),
+    **{f"tail.{name}": ("tail_motion", SWING) for name in ("swing_amplitude", "swing_gain", "swing_phase")},
+    **{f"tail.{name}": ("tail_motion", COUNTER_YAW) for name in ("yaw_gain", "bandwidth")},
+    "tail.roll_gain": ("tail_motion", COUNTER_ROLL),
+    "spine.sagittal_amplitude": ("spine", "sagittal_extension"),
+    "spine.sagittal_phase": ("spine", "sagittal_extension"),
+    "spine.pitch_gain": ("spine", "pitch_balance"),
+    "spine.pitch_damping": ("spine", "pitch_balance"),
+    "limb": ("trajectory", FREE),
+    "foot": ("trajectory", FREE),
+    "trim": ("trajectory", FREE),
+}
+
+
+def unread(setup: Setup, name: str) -> tuple[str, str] | None:
+    """The choice that a parameter requires, and its required values; None if the parameter is used."""
+    if is_terrain(name) and name not in terrain_values(str(setup.scene)):
+        return "scene", scenes_reading(name)[0]
+    groups = [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)] if setup.controller is None else []
+    choice, wanted = next((_NEEDS[each] for each in groups if each in _NEEDS), ("", ""))
+    return (choice, wanted) if choice and wanted not in getattr(setup, choice).split("+") else None
+
+
+def is_terrain(name: str) -> bool:
+    """Whether a parameter is one of the terrain's shape."""
+    return name.startswith("terrain.")
+
+
+# ---
+# The declared fields of all files that describe a walk: setup, pilot, run and fixed parameters.
+
+
+def _kept(given: Any) -> Any:
+    if not isinstance(given, mujoco.MjSpec):
+        return given
+    try:
+        return resolve_scene(given)
+    except ParameterError as error:
+        raise Refused(str(error).removeprefix("scene ")) from None
+
+
+SceneField = Annotated[
+    str, BeforeValidator(_kept),
+    Field(json_schema_extra={"anyOf": [{"enum": [*scenes()]}, {"pattern": r"\.xml$|^\s*<"}]}),
+]  # fmt: skip
+
+
+class SetupFields(Fields):
+    """The static choices; `Setup` says which names there are, and their defaults."""
+
+    robot: str = chosen(Setup.robot, ROBOTS, "which robot")
+    scene: SceneField = Field(
+        str(Setup.scene),
+        description="a scene of mjcf/scenes, or a custom one as the path of an MJCF file or as MJCF itself",
+    )
+    tail: str = chosen(Setup.tail, TAILS, "rigid is a third faster")
+    routing: str = chosen(Setup.routing, ROUTINGS, "of the knee's tendon")
+    cone: str = chosen(Setup.cone, CONES, "friction cone")
+    physics: str = chosen(Setup.physics, PRESETS, "time step and contact pairs")
+    timestep: float = optional("physics step [s]: the control period 0.01 s divided by a whole number; "
+                            "takes precedence over that of physics")  # fmt: skip
+    hinges: Annotated[int, Whole(1, MOST_HINGES)] = Field(
+        Setup.hinges, description="of each compliant joint of legs and spine"
+    )
+    gait: str = chosen(Setup.gait, GAITS, "defaults of duty, offsets and gait factor")
+    spine: str = chosen(Setup.spine, SPINES, "its modes")
+    steering: str = Field(
+        default_factory=lambda: Setup.steering,  # which changes with the profile, and no JSON has
+        description="what turns the robot; in the profile as_published by default spine",
+        json_schema_extra={"enum": [*STEERING], "default": str(Setup.steering)},
+    )
+    profile: str = chosen(Setup.profile, PROFILES, "as_published is the published simulation, as_built the robot")
+    trajectory: str = chosen(
+        Setup.trajectory, (*FORMS, FREE), "form of the foot path; free: cubic, with movable points and numbers of limbs"
+    )
+    head: str = chosen(Setup.head, HEADS, "gaze keeps its direction in the world")
+    tail_motion: str = chosen(Setup.tail_motion, TAIL_MOTIONS, "what the articulated tail does")
+    controller: str = optional("another controller: FILE.py:NAME or FILE.npz, from this file's folder, or MODULE:NAME")
+
+
+SETUP_FIELDS: Final = tuple(SetupFields.model_fields)
+
+
+class Straight(Fields):
+    what: ClassVar = "an option of the pilot 'straight'"
+    distance: float = optional("distance at which measuring ends [m]", exclusiveMinimum=0)
+
+
+class Arc(Fields):
+    what: ClassVar = "an option of the pilot 'arc'"
+    radius: float = optional(**number_of("pilot.radius"))
+    direction: float | Literal["left", "right"] = optional("side of the circle; 1 is left, -1 right")
+
+
+def _rows(given: Any) -> Any:
+    for row in given if isinstance(given, list) else [given]:
+        if not isinstance(row, list) or len(row) != 2:
+            raise Refused(f"has {describe(row)}: expected {Waypoints.example}.")
+    return given
+
+
+class Waypoints(Fields):
+    what: ClassVar = "an option of the pilot 'waypoints'"
+    example: ClassVar = "points: [[x, y], ...] in metres"
+    points: Annotated[list[list[float]], BeforeValidator(_rows)] = Field(
+        description="(x, y) of each [m]; a smooth curve goes through them",
+        json_schema_extra={"minItems": 3, "items": {"type": "array", "items": {"type": "number"}, "minItems": 2,
+                                                    "maxItems": 2}},
+    )  # fmt: skip
+
+
+class OpenLoop(Fields):
+    what: ClassVar = "an option of the pilot 'open_loop'"
+    turn_rate: float = optional(**number_of("pilot.turn_rate"))
+
+
+class Pilot(OneOf):
+    alone: ClassVar = ("straight", "arc", "open_loop")
+    expected: ClassVar = "straight, arc, waypoints or open_loop as a name or {name: {option: value}}"
+    other: ClassVar = "is {name!r}"
+    other_name: ClassVar = other
+    straight: Straight | None = optional("along the y axis")
+    arc: Arc | None = optional("along a circle")
+    waypoints: Waypoints = optional("along a course")
+    open_loop: OpenLoop | None = optional("at a constant turn rate")
+
+    @classmethod
+    def written_out(cls, given: Any) -> Any:
+        if given == "external" or (isinstance(given, dict) and list(given) == ["external"]):
+            raise Refused("is 'external', which takes its command from Python: use rollout.Simulator.")
+        return super().written_out(given)
+
+
+class RunFields(Fields):
+    what: ClassVar = "a field of a run"
+    cycles: float = optional("length in gait cycles, by default 8", exclusiveMinimum=0)
+    warmup_cycles: float = optional("of these not measured, by default 2", minimum=0)
+    duration: float = optional("length in simulated seconds", exclusiveMinimum=0)
+    warmup: float = optional("of these not measured, by default 0", minimum=0)
+
+
+class WalkFields(SetupFields):
+    """Fields of a file that describes a walk."""
+
+    sources: ClassVar[str]  #: sections that give parameters their values, for messages
+    pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
+    run: RunFields = optional("how long a run lasts")
+    set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
+    metrics: str | list[str] = optional("custom metrics: FILE.py, from this file's folder, FILE.py:NAME, MODULE "
+                                        "or MODULE:NAME, or a list of such")  # fmt: skip
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        if key in NAMES.get():
+            raise Refused(f"is a parameter, not {cls.what}: put it under {cls.sources}.", key)
+        super().refuse(key)
+
+    @classmethod
+    def called(cls, path: FieldPath) -> str:
+        """Entries of a section by their parameter's name alone, but for what is inside of a tuned parameter."""
+        named = path[:1] in (("set",), ("vary",), ("randomize",)) or (path[:1] == ("tune",) and len(path) == 2)
+        return str(path[1]) if named and path[1:] and path[1] not in ("repeats", "from") else super().called(path)
+
 
 #: Values of a pilot's option that files give as words.
 _SIDES: Final = {"left": 1.0, "right": -1.0}
@@ -186,3 +380,119 @@ def _read_run(doc: Document, fields: RunFields | None, pilot: Mapping[str, Any])
     warmup, length = (float(each) for each in run.seconds(1.0))
     names = ("duration", "warmup") if run.duration is not None else ("cycles", "warmup_cycles")
     return dataclasses.replace(run, **dict(zip(names, (length, warmup), strict=True)))
+
+
+# ---
+# Strides and stances that the legs cannot reach are refused with the file's line.
+
+
+#: Combinations of values tried in all.
+_MOST_TRIED: Final = 50_000
+
+
+def check_workspace(
+    doc: Document, setup: Setup, fixed: Mapping[str, float], tried: Mapping[str, Mapping[str, np.ndarray]]
+) -> None:
+    """Fail at the field whose values move a foot out of its leg's workspace.
+
+    Args:
+        setup: static choices; the leg's routing decides what it reaches.
+        fixed: parameters with one value.
+        tried: values to try of the others, by the section of the file and by name.
+    """
+    if setup.controller is not None:
+        return  # it checks its own workspace when it is simulated
+    parts = {"set": {name: np.array([value]) for name, value in fixed.items()}, **tried}
+    sections = {name: section for section, names in parts.items() for name in names if _of_legs(name)}
+    if not sections:
+        return
+    values = {name: parts[section][name] for name, section in sections.items()}
+    while math.prod(map(len, values.values())) > _MOST_TRIED:
+        longest = max(values, key=lambda name: len(values[name]))
+        values[longest] = values[longest][
+            np.linspace(0, len(values[longest]) - 1, len(values[longest]) // 2).astype(int)
+        ]
+    mesh = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
+    try:
+        control_parameters(setup.gait, routing=setup.routing, **mesh)
+    except ParameterError as error:
+        subject, _, message = str(error).partition(" ")
+        name = subject if subject in sections else next(iter(sections))
+        doc.fail((sections[name], name), message if subject == name else f"is refused: {error}", name)
+
+
+def _of_legs(name: str) -> bool:
+    return name == "stride" or name.startswith(("stance.", "geometry.front_leg.", "geometry.rear_leg."))
+
+
+# ---
+# Patterns in place of parameter names, so that 64 parameters take one line: `foot.*_left.y?`, `spine.harmonics.*`.
+#
+# Shell-style patterns: `*` matches anything, `?` one character, `[1-4]` one of these. A pattern means every
+# parameter whose name it matches, as if each were listed with the given value.
+
+
+#: Sections of files whose keys are names of parameters.
+_SECTIONS: Final = ("set", "vary", "tune", "randomize")
+
+
+def matches(pattern: str, names: Iterable[str]) -> list[str]:
+    """The names that a pattern matches, in their order.
+
+    >>> matches("spine.*e", ["spine.amplitude", "spine.harmonics.cos1", "stance.front_y"])
+    ['spine.amplitude']
+    """
+    return [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+
+
+def is_pattern(key: str) -> bool:
+    """Whether a key is a pattern rather than a name."""
+    return any(mark in key for mark in "*?[")
+
+
+def written_out(doc: Document) -> Document:
+    """The document with its patterns expanded to the names that they match.
+
+    A name given explicitly takes precedence over patterns.
+
+    Raises:
+        SpecError: a pattern matches nothing, or two patterns match one name.
+    """
+    data, lines = dict(doc.data), dict(doc.lines)
+    for section in _SECTIONS:
+        given = data.get(section)
+        if isinstance(given, dict) and any(map(is_pattern, given)):
+            origin = _origins(doc, section, given)
+            data[section] = {name: given[key] for name, key in origin.items()}
+            lines |= _lines(doc, section, origin)
+    return dataclasses.replace(doc, data=data, lines=lines)
+
+
+def _origins(doc: Document, section: str, given: dict[str, Any]) -> dict[str, str]:
+    """Each name, and the key of the file that it has its value from."""
+    origin: dict[str, str] = {}
+    for key in given:
+        if not is_pattern(key):
+            origin[key] = key
+            continue
+        found = matches(key, NAMES.get())
+        if not found:
+            doc.fail((section, key), "matches no parameter (nermo-mjx sweep --list-parameters prints all).", key)
+        for name in found:
+            if name in origin and name not in given:
+                doc.fail((section, key), f"and '{origin[name]}' both match {name}: give it one source.", key)
+            if name not in given:
+                origin[name] = key
+    return origin
+
+
+def _lines(doc: Document, section: str, origin: dict[str, str]) -> dict[FieldPath, int]:
+    """The line numbers under a pattern, for each name that it matches."""
+    moved: dict[FieldPath, int] = {}
+    below: dict[str, list[FieldPath]] = {}
+    for path in doc.lines:
+        if len(path) > 1 and path[0] == section:
+            below.setdefault(str(path[1]), []).append(path)
+    for name, key in origin.items():
+        moved |= {(section, name, *path[2:]): doc.lines[path] for path in below.get(key, ())}
+    return moved

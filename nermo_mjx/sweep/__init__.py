@@ -2,15 +2,13 @@
 
 from nermo_mjx.runs.provenance import machine, versions
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.chunks import SweepError
 from nermo_mjx.sweep.merging import merge_sweeps
 from nermo_mjx.sweep.results import Results, read_table
-from nermo_mjx.sweep.run import SweepInterrupted, SweepResult, run_sweep
+from nermo_mjx.sweep.run import SweepError, SweepInterrupted, SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Rows, Sample, sample
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.store import DirectoryError
-from nermo_mjx.sweep.summary import summarize
-from nermo_mjx.sweep.tally import SweepProgress
+from nermo_mjx.sweep.store import DirectoryError, SweepProgress
+from nermo_mjx.sweep.table import summarize
 
 __all__ = [
     "DirectoryError", "Results", "Rows", "Sample", "SpecError", "Sweep", "SweepError", "SweepInterrupted",

@@ -16,7 +16,7 @@ from nermo_mjx.sweep.comparing import figures as comparison_figures
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.sensitivity import sensitivity
 from nermo_mjx.sweep.spec import Sweep
-from nermo_mjx.sweep.summary import LEADING
+from nermo_mjx.sweep.table import LEADING
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,14 +18,12 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.rollout import METRICS, Run, Simulator
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.files import WrongDirectory, parquet_bytes
-from nermo_mjx.sweep.batches import BatchPlan, plan_batches
-from nermo_mjx.sweep.chunk_size import WORLD_BYTES, chunk_rows_here
-from nermo_mjx.sweep.extending import differences, refusal
-from nermo_mjx.sweep.known import KnownRows, check_source, with_former
-from nermo_mjx.sweep.layout import batch_values, layout_of, simulated_seconds
 from nermo_mjx.sweep.results import HELD, chunk_files
+from nermo_mjx.sweep.row_cache import BatchPlan, KnownRows, check_source, plan_batches, with_former
 from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.simulating import WORLD_BYTES, chunk_rows_here
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.store import batch_values, differences, layout_of, refusal, simulated_seconds
 from nermo_mjx.sweep.table import chunk_table
 
 #: Memory of a process apart from its batch: Python, JAX, MuJoCo, the compiled controller, matplotlib [bytes].

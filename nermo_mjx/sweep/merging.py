@@ -12,12 +12,12 @@ import numpy as np
 
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.specs.unread import unread
-from nermo_mjx.sweep.extending import fixed_differences
-from nermo_mjx.sweep.known import sweep_in
+from nermo_mjx.specs.walk import unread
+from nermo_mjx.sweep.row_cache import sweep_in
 from nermo_mjx.sweep.run import SweepResult, run_sweep
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.store import fixed_differences
 
 
 def merge_sweeps(

@@ -20,11 +20,11 @@ from nermo_mjx.rollout import History, Simulator
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.chunk_size import chunk_rows_here
-from nermo_mjx.sweep.layout import known, layout_of, simulated_seconds
 from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Rows, Sample
+from nermo_mjx.sweep.simulating import chunk_rows_here
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.store import known, layout_of, simulated_seconds
 from nermo_mjx.sweep.structures import Structure
 
 

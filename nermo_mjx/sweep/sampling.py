@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from nermo_mjx.robot import identified
-from nermo_mjx.specs.unread import unread
+from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.axes import Axis
 from nermo_mjx.sweep.saltelli import saltelli_points
 from nermo_mjx.sweep.spec import Sweep

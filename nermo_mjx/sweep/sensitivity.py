@@ -11,13 +11,11 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.comparing.arms import Source, opened
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.saltelli import saltelli_size, unit_problem
-from nermo_mjx.sweep.summary import LEADING
-from nermo_mjx.sweep.table import Columns, columns_of, labelled
+from nermo_mjx.sweep.table import LEADING, Columns, columns_of, labelled
 
 #: Resamples of SALib's bootstrap, the same ones in each call.
 RESAMPLES: Final = 1000

@@ -15,10 +15,9 @@ from matplotlib.patches import Patch
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
-from nermo_mjx.sweep.points import titled
-from nermo_mjx.sweep.reports import report_table
+from nermo_mjx.sweep.figures import titled
 from nermo_mjx.sweep.sensitivity import strongest
-from nermo_mjx.sweep.table import labelled
+from nermo_mjx.sweep.table import labelled, report_table
 
 Line = Mapping[str, Any]
 #: Bars, and panels, of one figure.

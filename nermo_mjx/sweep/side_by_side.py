@@ -14,11 +14,9 @@ from matplotlib.lines import Line2D
 from nermo_mjx.plotting.page import around, blank
 from nermo_mjx.plotting.shown import ShownValues
 from nermo_mjx.plotting.style import BEST, GRID, INK, SERIES, horizontal_grid, set_scales
-from nermo_mjx.sweep.figures import best_word, binned, heat_maps, panelled
-from nermo_mjx.sweep.points import alike, metric_of, quantities, titled
+from nermo_mjx.sweep.figures import alike, best_word, binned, heat_maps, metric_of, panelled, quantities, titled
 from nermo_mjx.sweep.results import Results
-from nermo_mjx.sweep.summary import cost
-from nermo_mjx.sweep.table import columns_of, labelled
+from nermo_mjx.sweep.table import columns_of, cost, labelled
 
 #: Lines or panels of one figure; more structures are told by one of their names alone.
 MOST_GROUPS: Final = 12

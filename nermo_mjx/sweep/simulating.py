@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, Protocol
 
+import jax
 import numpy as np
 
 from nermo_mjx.physics import resolve_engine
+from nermo_mjx.physics.engine import choose_devices
 from nermo_mjx.rollout import Run, Saving, Series, Setup, Simulator
 from nermo_mjx.rollout.setup import without_presettings
 from nermo_mjx.runs.code import CodeStamp, stamp
+from nermo_mjx.runtime import cpu_count
 from nermo_mjx.specs.walk import WalkSpec
 
 #: Number of simulators kept warm: fast-varying structures recur for each slow-varying one.
@@ -139,3 +143,79 @@ def engine_name(wanted: str, simulator: SimulatorLike | None, begun: str | None)
     if simulator is not None:
         return str(getattr(simulator.engine, "name", simulator.engine))
     return wanted if wanted != "auto" else begun if begun not in (None, "auto") else resolve_engine(wanted)
+
+
+# ---
+# How fast this machine simulates a walk, from a short measurement: estimates for sweeps, searches and tunings.
+
+
+#: Simulated time of the probe [s]; with 16 worlds it takes two cores a tenth of a second.
+PROBE: Final = 0.5
+
+
+def pace(simulator: SimulatorLike, setup: Setup, worlds: int) -> float:
+    """Simulated seconds of all worlds together per second of wall time, once programs are compiled.
+
+    Args:
+        worlds: of a batch.
+    """
+    frequency = {name: np.full(worlds, setup.defaults()[name]) for name in ("frequency",) if name in setup.timing}
+    values = frequency or {name: np.full(worlds, value) for name, value in list(setup.defaults().items())[:1]}
+    run = Run(duration=PROBE, warmup=0.0)
+    simulator.run(values, run)
+    began = time.perf_counter()
+    simulator.run(values, run)
+    return worlds * PROBE / (time.perf_counter() - began)
+
+
+# ---
+# The default number of rows per chunk: enough to fill the machine, but no great loss if it is killed.
+
+
+#: Rows of a chunk for each core with MuJoCo C: with two cores, 64 walks of eight cycles take six seconds.
+CORE_ROWS = 32
+#: Number of chunks above which chunks grow, and by up to which factor: each is a file, and is checked on resuming.
+MANY_CHUNKS, MOST_GROWTH = 10_000, 10
+#: Share of a device's memory for a batch.
+MEMORY_SHARE: Final = 0.5
+#: What a world takes of it, by engine [bytes]. `mjx`: what XLA plans for a walk, arguments and results included, by
+#: docs/benchmarks/gpu_plan.py; a test holds it to the latest run there. `warp` allocates memory
+#: that the plan does not see: a guess, and a conservative one.
+WORLD_BYTES: Final = {"mjx": 36_000, "warp": 1_000_000}
+#: Worlds that saturate a device; more of them only take longer, and are lost together.
+BUSY_WORLDS = 8192
+
+
+def chunk_rows(
+    engine: str, rows: int, *, memory: int | None = None, devices: int = 1, cores: int = 1, parts: int = 1
+) -> int:
+    """Rows of a chunk.
+
+    Args:
+        engine: name of the engine that runs, `c` or one for devices.
+        rows: of the whole sweep.
+        memory: of one device [bytes]; None for the CPU, also as a device.
+        devices: that share a batch; the result is a multiple of them.
+        cores: of this machine.
+        parts: processes that share the chunks; each should get one.
+    """
+    share = math.ceil(rows / parts)
+    if engine == "c" or memory is None:
+        usual = CORE_ROWS * cores
+        return min(max(usual, min(math.ceil(rows / MANY_CHUNKS), usual * MOST_GROWTH)), share)
+    worlds = min(int(memory * MEMORY_SHARE / WORLD_BYTES[engine]), BUSY_WORLDS)
+    return max(min(worlds, math.ceil(share / devices)), 1) * devices
+
+
+def chunk_rows_here(engine: str, rows: int, parts: int = 1) -> int:
+    """`chunk_rows` for this machine's devices and cores."""
+    cores = cpu_count()
+    engine = resolve_engine(engine)
+    memory, devices = (None, 1) if engine == "c" else (_device_memory(), choose_devices().count)
+    return chunk_rows(engine, rows, memory=memory, devices=devices, cores=cores, parts=parts)
+
+
+def _device_memory() -> int | None:
+    """Memory of the smallest local device [bytes]; None if it is not reported, as on a CPU."""
+    known = [(device.memory_stats() or {}).get("bytes_limit") for device in jax.local_devices()]
+    return None if None in known else min(int(each) for each in known if each is not None)

@@ -6,30 +6,336 @@ import dataclasses
 import functools
 import math
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
+import pyarrow as pa
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from nermo_mjx.robot import identified
-from nermo_mjx.rollout import Saving
-from nermo_mjx.rollout.start import START_SPREAD
+from nermo_mjx.robot.quantity import ParameterError, Quantity, did_you_mean
+from nermo_mjx.rollout import METRICS, Metric, Saving, Setup
+from nermo_mjx.rollout.run import START_SPREAD
+from nermo_mjx.rollout.saving import Keeper
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
-from nermo_mjx.specs.fields import read
-from nermo_mjx.specs.patterns import written_out
-from nermo_mjx.specs.reading import Document, read_file, read_mapping
-from nermo_mjx.specs.unread import unread
-from nermo_mjx.specs.walk import WalkSpec
-from nermo_mjx.sweep.asked import AskedComparison, read_comparison
-from nermo_mjx.sweep.axes import Axis, Draw, read_axis, read_draw
-from nermo_mjx.sweep.beside import Keep, read_saving
-from nermo_mjx.sweep.file import SweepFile
-from nermo_mjx.sweep.listing import RowList, listed_rows
-from nermo_mjx.sweep.row_tables import RowTable, read_row_table
+from nermo_mjx.specs.fields import Fields, OneOf, Refused, optional, read
+from nermo_mjx.specs.reading import Document, describe, read_file, read_mapping
+from nermo_mjx.specs.values import Choice, Positive, Whole, by_parameter, refuse_parameter
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, unread, written_out
+from nermo_mjx.sweep.axes import Axis, Draw, DrawForm, read_axis, read_draw
+from nermo_mjx.sweep.rows import RowList, RowsForm, RowTable, listed_rows, read_row_table
 from nermo_mjx.sweep.saltelli import Saltelli, saltelli_size
-from nermo_mjx.sweep.structures import Structure, check_repeats, combinations_of, read_structures
-from nermo_mjx.sweep.together import check_together, narrowest, values_of
+from nermo_mjx.sweep.structures import Structure, Vary, check_repeats, combinations_of, read_structures
+
+# ---
+# The comparison that a sweep file may request of the finished table.
+
+
+#: A value of a varied column.
+Value = float | str
+
+
+def _names(given: Any) -> Any:
+    if isinstance(given, str):
+        return [given]
+    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
+        raise Refused(f"is {describe(given)}: expected a list of varied parameters.")
+    return given
+
+
+class CompareFields(Fields):
+    """The section `compare` of a sweep file."""
+
+    what: ClassVar = "a field of a comparison"
+    example: ClassVar = "by: NAME, of a varied column"
+    by: str = Field(description="the varied column whose values are compared")
+    base: float | str = optional("the baseline value; by default none, or the first")
+    groups: Annotated[list[str], BeforeValidator(_names)] = Field(
+        [], alias="for", description="varied columns: an interval for each combination of their values"
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class AskedComparison:
+    """A comparison that a sweep makes when it is complete; see `nermo_mjx.compare`.
+
+    Attributes:
+        by: the varied column whose values are compared.
+        base: the baseline value; None for `none`, or the first.
+        groups: the columns that make groups.
+    """
+
+    by: str
+    base: Value | None
+    groups: tuple[str, ...]
+
+    def written(self) -> dict[str, Any]:
+        """As written in a sweep file."""
+        return {"by": self.by} | ({} if self.base is None else {"base": self.base}) | {"for": list(self.groups)}
+
+
+def read_comparison(
+    doc: Document, fields: CompareFields | None, varied: Mapping[str, Sequence[Value] | None]
+) -> AskedComparison | None:
+    """Check the section `compare`.
+
+    Args:
+        varied: the values of each varied column; None where they are drawn between bounds.
+    """
+    if fields is None:
+        return None
+    for path, name in ((("compare", "by"), fields.by), *((("compare", "for"), name) for name in fields.groups)):
+        if name not in varied:
+            doc.fail(path, f"names {name!r}, which is not varied{did_you_mean(name, varied)} Varied: "
+                           f"{', '.join(varied) or 'nothing'}.")  # fmt: skip
+        if varied[name] is None:
+            doc.fail(path, f"names {name!r}, which is drawn between bounds, so that no two variants share a value: "
+                           "list its values.")  # fmt: skip
+    values = list(varied[fields.by] or ())
+    if len(values) < 2:
+        doc.fail(("compare", "by"), f"names {fields.by!r}, which has one value: there is nothing to compare.")
+    if fields.by in fields.groups:
+        doc.fail(("compare", "for"), f"names {fields.by!r}, whose values are compared: name other columns.")
+    if fields.base is not None and fields.base not in values:
+        listed = [value if isinstance(value, str) else f"{value:g}" for value in values]
+        doc.fail(("compare", "base"), f"is {describe(fields.base)}, no value of {fields.by}; allowed are "
+                                      f"{', '.join(listed)}{did_you_mean(str(fields.base), listed)}")  # fmt: skip
+    return AskedComparison(fields.by, fields.base, tuple(dict.fromkeys(fields.groups)))
+
+
+# ---
+# Which metrics of a sweep have a better direction, and which: built-in metrics, and custom ones that declare it.
+
+
+#: Metrics with a better direction, and which one it is.
+OBJECTIVES: Final = {
+    "speed": "max",
+    "cost_of_transport": "min",
+    "servo_work": "min",
+    "slip": "min",
+    "roll_std": "min",
+    "pitch_std": "min",
+    "yaw_std": "min",
+    "lateral_drift": "nearest zero",
+}
+_SIDES: Final = {"high": "max", "low": "min"}
+
+
+def sides_of(metrics: Mapping[str, Metric]) -> dict[str, str]:
+    """The metrics with a better direction, and which one it is.
+
+    >>> sides_of(METRICS)["speed"]
+    'max'
+    """
+    own = {name: _SIDES[about.better] for name, about in metrics.items() if name not in METRICS and about.better}
+    return {name: side for name, side in OBJECTIVES.items() if name in metrics} | own
+
+
+def sides_in(schema: pa.Schema) -> dict[str, str]:
+    """The same of a table's columns."""
+    about = {field.name: (field.metadata or {}).get(b"better") for field in schema}
+    return sides_of({name: Metric("", "", better and better.decode()) for name, better in about.items()})
+
+
+def cost(side: str, values: np.ndarray) -> np.ndarray:
+    """Values of a metric with this better direction so that less is better; without one, less where it is higher."""
+    return {"": -values, "max": -values, "min": values, "nearest zero": np.abs(values)}[side]
+
+
+# ---
+# What a sweep stores beside its table, as written in a file: time series (`save`) and recordings (`keep`).
+
+
+#: Maximum number of recorded rows of one kind; each takes about half a megabyte.
+MOST_KEPT: Final = 10_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Keep:
+    """Which rows are recorded when the table is complete: the number of each kind, the best by a metric."""
+
+    best: int = 0
+    metric: str = "speed"
+    fell: int = 0
+    diverged: int = 0
+    unsolved: int = 0
+
+
+def _listed(given: Any) -> Any:
+    return [given] if isinstance(given, str) else given
+
+
+class SaveFields(Fields):
+    """What is kept of each run over time."""
+
+    what: ClassVar = "a field of what is saved"
+    expected: ClassVar = "{sensors: [gyro, foot_force], rate: 50}"
+    example: ClassVar = expected
+    sensors: Annotated[list[str], BeforeValidator(_listed)] = Field(
+        description="signals, sensors or groups of them; qpos, qvel, ctrl, attitude, speed",
+        json_schema_extra={"type": ["array", "string"], "minItems": 1},
+    )
+    rate: Positive = Field(
+        Saving.rate,
+        description="samples per simulated second [Hz]: the control rate, or that divided by a whole number",
+    )
+
+
+class KeepFields(Fields):
+    """Rows that are recorded when the table is complete."""
+
+    what: ClassVar = "a field of what is kept"
+    expected: ClassVar = "{best: 3, fell: 3, diverged: 3}"
+    best: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number of the best, at most one per variant")
+    metric: str = Field(Keep.metric, description="by which the best are chosen: one that has a better direction")
+    fell: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that fell, the first in the table")
+    diverged: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number that diverged")
+    unsolved: Annotated[int, Whole(0, MOST_KEPT)] = Field(0, description="number for which the solver did not converge")
+
+
+def read_saving(doc: Document, given: SaveFields | None, setup: Setup) -> Saving | None:
+    """What is saved, of signals that the robot has, at a rate that its controller has."""
+    if given is None:
+        return None
+    if not given.sensors:
+        doc.fail(("save", "sensors"), "is an empty list: name sensors, such as [gyro, foot_force].")
+    saving = Saving(tuple(given.sensors), float(given.rate))
+    try:
+        Keeper(saving, setup.load(), setup.make_controller().dt)
+    except ParameterError as error:
+        field, _, message = str(error).partition(" ")
+        doc.fail(("save", field), message)
+    return saving
+
+
+def check_keep(doc: Document, keep: Keep | None, metrics: Mapping[str, Metric]) -> None:
+    """Fail if the best would be chosen by a metric without a better direction, or by an unknown one."""
+    sides = sides_of(metrics)
+    if keep is not None and keep.metric not in sides:
+        doc.fail(("keep", "metric"), f"is '{keep.metric}': allowed is a metric with a better direction, "
+                                     f"{', '.join(sides)}{did_you_mean(keep.metric, sides)}")  # fmt: skip
+
+
+# ---
+# The declared fields of a sweep file, also the source of its JSON Schema.
+
+
+LARGEST_SWEEP: Final = 10_000_000
+
+
+class Sampler(OneOf):
+    """Where the variants lie between the values of the axes."""
+
+    expected: ClassVar = "grid, {sobol: N}, {latin_hypercube: N} or {saltelli: N}"
+    other: ClassVar = "is not a sampler"
+    alone: ClassVar = ("grid",)
+    grid: None = optional("every combination of the listed values")
+    sobol: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of a Sobol sequence")
+    latin_hypercube: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("number of points of the hypercube")
+    saltelli: Saltelli = optional("the design for Sobol indices, with this number of points, a power of two")
+
+
+def _list_parameters(schema: dict[str, Any]) -> None:
+    """Tell an editor the names of what is randomized, beside the fields."""
+    listed = by_parameter(schema.pop("additionalProperties"))
+    schema |= {**listed, "properties": schema["properties"] | listed["properties"]}
+
+
+class Randomized(Fields):
+    """Repeats, where bodies are drawn from, and the randomized parameters by name."""
+
+    __pydantic_extra__: dict[str, DrawForm]
+    model_config = ConfigDict(extra="allow", json_schema_extra=_list_parameters)
+    repeats: Annotated[int, Whole(1, 100_000)] = Field(1, description="how often each variant is drawn and run")
+    bodies: Annotated[str, Choice(("identified",))] = optional("draw whole bodies", alias="from")
+
+    @classmethod
+    def refuse(cls, key: str) -> None:
+        refuse_parameter(key)
+
+
+class SweepFile(WalkFields):
+    """A file for `nermo-mjx sweep`."""
+
+    what: ClassVar = "a field of a sweep"
+    sources: ClassVar = "'vary', 'set' or 'randomize'"
+    vary: Vary = Field(Vary.model_validate({}), description="varied structures and parameters")
+    rows: Annotated[Any, RowsForm()] = optional("exactly these variants, instead of vary: a table, or a list")
+    sample: Sampler = Field(Sampler(grid=None), description="grid, or a sampler and its number of variants")
+    randomize: Randomized = Field(Randomized.model_validate({}), description="what is drawn at random in each run")
+    seed: Annotated[int, Whole(0, 2**53)] = Field(0, description="makes samples and draws repeatable")
+    chunk: Annotated[int, Whole(1, LARGEST_SWEEP)] = optional("runs simulated and stored together")
+    plots: bool = Field(True, description="whether figures are drawn when the table is complete")
+    compare: CompareFields = optional("structures or values to compare when the table is complete")
+    save: SaveFields = optional("time series of some sensors beside the table")
+    keep: KeepFields = optional("rows that are recorded when the table is complete")
+
+
+# ---
+# What no field of a sweep file shows alone: what its structures share, what varies, and what does not go together.
+
+
+def narrowest(structures: Sequence[Structure]) -> dict[str, Quantity]:
+    """Every parameter, with the range that it has in all structures: the time step is one of its bounds."""
+    each = {walk.setup.timestep: walk.parameters for walk in reversed(structures)}
+    if len(each) == 1:
+        return structures[0].parameters
+    return {
+        name: dataclasses.replace(about, low=max(other[name].low for other in each.values()),
+                                  high=min(other[name].high for other in each.values()))
+        for name, about in structures[0].parameters.items()
+    }  # fmt: skip
+
+
+def values_of(sweep: Sweep) -> dict[str, list[Value] | None]:
+    """The values of each varied column; None where they are drawn between bounds."""
+    values: dict[str, list[Value] | None] = {
+        name: list(dict.fromkeys(each.labels[name] for each in sweep.structures)) for name in sweep.labelled
+    }
+    for axis in sweep.axes:
+        values[axis.name] = axis.values().tolist() if sweep.sampler == "grid" or axis.form == "values" else None
+    rows = {} if sweep.rows is None else sweep.rows.values
+    return values | {name: np.unique(column[~np.isnan(column)]).tolist() for name, column in rows.items()}
+
+
+def check_together(doc: Document, sweep: Sweep) -> None:
+    """What no field shows alone: a parameter with two sources, or with no effect, and a sweep too large or empty."""
+    section = "vary" if sweep.rows is None else "rows"
+    varied, drawn = list(sweep.varied), [draw.name for draw in sweep.draws]
+    setups = [each.setup for each in sweep.structures]
+    for walk in sweep.structures:
+        check_sources(doc, walk, {section: varied, "randomize": drawn}, bodies=sweep.body_parameters, setups=setups)
+    if not (varied or sweep.labelled or sweep.draws or sweep.bodies or sweep.repeats > 1):
+        doc.fail(("vary",), "is missing or empty, and nothing is randomized: there is nothing to sweep.")
+    if not sweep.axes and sweep.sampler not in ("grid", "rows"):
+        doc.fail(("sample",), f"is {sweep.sampler}, but 'vary' names no parameter to sample.")
+    check_keep(doc, sweep.keep, sweep.metrics)
+    rows = sweep.variants * sweep.repeats
+    if rows > LARGEST_SWEEP:
+        doc.fail((section,), f"makes {rows:,} runs; allowed are {LARGEST_SWEEP:,}: take fewer values, or a sampler "
+                             "such as sample: {sobol: 4096}.")  # fmt: skip
+    tried: dict[str, Mapping[str, np.ndarray]] = {"randomize": {draw.name: draw.tried() for draw in sweep.draws}}
+    if sweep.rows is None:
+        tried["vary"] = {axis.name: axis.tried(grid=sweep.sampler == "grid") for axis in sweep.axes}
+    for setup in {(each.gait, each.routing): each for each in setups}.values():
+        check_workspace(doc, setup, sweep.fixed, tried)
+    if sweep.rows is not None:
+        _check_rows(doc, sweep, sweep.rows)
+
+
+def _check_rows(doc: Document, sweep: Sweep, rows: RowList) -> None:
+    """Fail where the values of a row do not go together."""
+    for at, walk in enumerate(sweep.structures):
+        values = {name: column[rows.structure == at] for name, column in rows.values.items()
+                  if unread(walk.setup, name) is None}  # fmt: skip
+        try:
+            walk.setup.check(walk.setup.world(walk.constants | values))
+        except ParameterError as error:
+            doc.fail(("rows",), f"has values that do not go together: {error}")
+
 
 #: Fields that no row depends on.
 _NOT_DECISIVE = ("chunk", "plots", "compare", "keep")

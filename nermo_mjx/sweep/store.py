@@ -17,31 +17,167 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
-from nermo_mjx.runs.files import (
-    DirectoryError,
-    append_line,
-    clear_errors,
-    create_file,
-    parquet_bytes,
-    sync_folder,
-)
+from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, create_file, parquet_bytes, sync_folder
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.extending import differences, refusal
-from nermo_mjx.sweep.layout import rows_digest
+from nermo_mjx.specs.walk import WalkSpec
 from nermo_mjx.sweep.results import chunk_files, digests_of
+from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.structures import STRUCTURES
+
+# ---
+# Whether the sweep of a directory can be extended to another one, and how two sweeps differ.
+
+
+#: Fields that determine the rows; all others are fixed.
+_ROWS: Final = ("vary", "rows", "sample", "randomize.repeats")
+#: Number of fields that a message names when two sweeps differ.
+_NAMED: Final = 3
+
+
+def fixed_differences(there: Sweep, here: Sweep) -> str:
+    """How two sweeps differ apart from their rows, as `seed is 0 there and 5 here`; empty if they do not.
+
+    What one of them fixes may be varied by the other.
+    """
+    free = {*there.labelled, *here.labelled}
+    free |= {f"set.{name}" for name in (*there.varied, *here.varied)}
+    free |= {f"randomize.{name}" for name in START_SPREAD}  # come with repeats
+    if "physics" in free:
+        free.add("timestep")
+    names = _apart(there, here)
+    return _sentence(there, here, [name for name in names if not _of_rows(name, free)])
+
+
+def differences(there: Sweep, here: Sweep) -> str:
+    """How two sweeps differ: the first fields, each with both values: `seed is 0 there and 5 here`."""
+    # The same values, but another row 0.
+    return _sentence(there, here, _apart(there, here)) or (
+        "the parameters under vary or randomize stand in another order"
+    )
+
+
+def refusal(there: Sweep, here: Sweep) -> str:
+    """Why a directory's sweep cannot be extended to another one, in words; empty if it can."""
+    fixed = fixed_differences(there, here)
+    if fixed:
+        return f"{fixed}: what is not varied stays as it is"
+    if there.sampler == here.sampler == "latin_hypercube" and there.samples != here.samples:
+        return (
+            f"a Latin hypercube of {there.samples} points is not part of one of {here.samples}: use a Sobol sample, "
+            "which can be extended, or repeats"
+        )
+    return ""
+
+
+def _of_rows(name: str, free: set[str]) -> bool:
+    return name in free or name.split(".")[0] in free & set(STRUCTURES) or any(
+        name == field or name.startswith(f"{field}.") for field in _ROWS
+    )  # fmt: skip
+
+
+def _apart(there: Sweep, here: Sweep) -> list[str]:
+    first, second = _fields(there.decisive()), _fields(here.decisive())
+    return [name for name in {**first, **second} if first.get(name) != second.get(name)]
+
+
+def _sentence(there: Sweep, here: Sweep, names: list[str]) -> str:
+    first, second = _fields(there.decisive()), _fields(here.decisive())
+    shown = [f"{name} is {_text(first.get(name))} there and {_text(second.get(name))} here" for name in names[:_NAMED]]
+    return "; ".join(shown) + (f"; and {len(names) - _NAMED} more fields" if len(names) > _NAMED else "")
+
+
+def _fields(data: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Dotted names and values of all fields; lists are values."""
+    fields: dict[str, Any] = {}
+    for key, value in data.items():
+        fields |= _fields(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
+    return fields
+
+
+def _text(value: Any) -> str:
+    text = "absent" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+# ---
+# Which rows a chunk contains, and the batch that a simulator gets for it.
+
+
+_NAMED_BATCH = 4
+
+
+def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
+    """How long each row is simulated, (n,) [s]."""
+    changed = {*sweep.varied, *(draw.name for draw in sweep.draws)}
+    structure, seconds = rows.structures(), np.empty(len(rows))
+    columns = {name: rows.column(name) for name in changed if any(name in at.setup.timing for at in sweep.structures)}
+    for at, walk in enumerate(sweep.structures):
+        here = structure == at
+        values: dict[str, Any] = {name: value for name, value in walk.constants.items() if name in walk.setup.timing}
+        values |= known({name: column[here] for name, column in columns.items() if name in walk.setup.timing})
+        _, end = walk.run.seconds(walk.setup.cycle_rate(values))
+        seconds[here] = np.asarray(end, dtype=float)
+    return seconds
+
+
+def layout_of(seconds: np.ndarray, size: int, structure: np.ndarray | None = None) -> list[np.ndarray]:
+    """Rows of each chunk: rows of one chunk share structure and duration; chunks are of equal size (to one row).
+
+    Args:
+        seconds: how long each row is simulated, (n,) [s].
+        size: of a chunk, at most.
+        structure: of each row, (n,) int; one for all by default.
+    """
+    order = np.argsort(seconds, kind="stable")
+    if structure is None:
+        return np.array_split(order, math.ceil(len(order) / size))
+    each = (order[structure[order] == at] for at in np.unique(structure))
+    return [chunk for rows in each for chunk in np.array_split(rows, math.ceil(len(rows) / size))]
+
+
+def batch_values(walk: WalkSpec, rows: Rows, worlds: int) -> dict[str, np.ndarray]:
+    """Values of every parameter that the sweep names, for a simulator: name -> (worlds,).
+
+    Args:
+        walk: of the rows' structure.
+        rows: those of the chunk, n; the last one is repeated until the batch is full.
+        worlds: size of the batch, n or more.
+    """
+    padded = rows.take(np.pad(np.arange(len(rows)), (0, worlds - len(rows)), mode="edge"))
+    constants = {name: np.full(worlds, value) for name, value in walk.constants.items()}
+    return {**constants, **known(padded.values)}
+
+
+def known(values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The columns of one structure's rows without those that nothing reads in it."""
+    return {name: column for name, column in values.items() if not np.isnan(column).any()}
+
+
+def rows_digest(index: np.ndarray) -> str:
+    """A hash of which rows a chunk contains, and in which order."""
+    return hashlib.blake2b(np.asarray(index, dtype="<i8").tobytes(), digest_size=12).hexdigest()
+
+
+def listed(numbers: np.ndarray) -> str:
+    """The first few of some numbers, for a sentence: 3, 7, 11, 15 and 60 more."""
+    shown, more = sorted(np.asarray(numbers).tolist())[:_NAMED_BATCH], len(numbers) - _NAMED_BATCH
+    return ", ".join(map(str, shown)) + (f" and {more:,} more" if more > 0 else "")
+
 
 #: Folder of the rows that are kept.
 RECORDINGS: Final = "recordings"
@@ -262,3 +398,68 @@ def _number(folder: Path) -> int:
 
 def _name(chunk: int) -> str:
     return f"chunk-{chunk:05d}.parquet"
+
+
+# ---
+# How much of a sweep is done, counted in simulated time.
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepProgress:
+    """How far a sweep is.
+
+    Attributes:
+        fraction: share of the work that is done, by simulated time, 0 to 1; resumed chunks count as done; of a shard
+            it is that shard's share.
+        rows_done, rows: finished rows and all rows of the same work.
+        resumed: rows that an earlier session had finished.
+    """
+
+    fraction: float
+    rows_done: int
+    rows: int
+    resumed: int
+
+
+class Tally:
+    """Counts finished chunks, and tells.
+
+    Args:
+        layout: rows of each chunk.
+        seconds: simulated time of each row, (rows,) [s].
+        counted: the chunks that count.
+        listener: is told.
+    """
+
+    def __init__(
+        self,
+        layout: Sequence[np.ndarray],
+        seconds: np.ndarray,
+        counted: Iterable[int],
+        listener: Callable[[SweepProgress], None] | None,
+    ) -> None:
+        # A chunk costs as long as its longest row, all its rows.
+        self._cost = {k: len(layout[k]) * float(seconds[layout[k][-1]]) for k in counted}
+        self._rows = {k: len(layout[k]) for k in self._cost}
+        self._all, self._all_rows = sum(self._cost.values()), sum(self._rows.values())
+        self._listener = listener
+        self._finished: set[int] = set()
+        self._done, self._rows_done, self._resumed = 0.0, 0, 0
+
+    def finish(self, chunks: Iterable[int], *, resumed: bool = False) -> None:
+        """Chunks are done; those that do not count, or are counted already, are passed over."""
+        for k in chunks:
+            if k in self._cost and k not in self._finished:
+                self._finished.add(k)
+                self._done += self._cost[k]
+                self._rows_done += self._rows[k]
+                self._resumed += self._rows[k] if resumed else 0
+
+    def tell(self, chunk: int | None = None, share: float = 0.0) -> None:
+        """Report the overall progress, including the fraction of the current chunk."""
+        if self._listener is None:
+            return
+        current = 0.0 if chunk is None else self._cost[chunk] * min(max(float(share), 0.0), 1.0)
+        complete = len(self._finished) == len(self._cost)
+        fraction = 1.0 if complete else (self._done + current) / self._all
+        self._listener(SweepProgress(fraction, self._rows_done, self._all_rows, self._resumed))

@@ -18,8 +18,7 @@ from nermo_mjx.robot.scene import is_mjcf, scene_name
 from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_text
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
-from nermo_mjx.specs.walk import WalkSpec, read_walk
-from nermo_mjx.specs.walk_fields import Pilot, SetupFields, WalkFields
+from nermo_mjx.specs.walk import Pilot, SetupFields, WalkFields, WalkSpec, read_walk
 from nermo_mjx.sweep.axes import AxisForm
 
 #: Fields of a walk that may vary; in this order they stand in a message.

@@ -2,10 +2,9 @@
 the results; and whether such gradients can be trusted."""
 
 from nermo_mjx.tune.directory import load_tuning
-from nermo_mjx.tune.evaluation import Evaluation, Problem
 from nermo_mjx.tune.history import read_history
 from nermo_mjx.tune.landscape import LandscapeResult, run_landscape
-from nermo_mjx.tune.objective import Objective, Term
+from nermo_mjx.tune.objective import Evaluation, Objective, Problem, Term
 from nermo_mjx.tune.run import TuningFailed, TuningInterrupted, TuningProgress, TuningResult, run_tuning
 from nermo_mjx.tune.spec import Tuning
 

@@ -13,7 +13,7 @@ from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.specs.reading import changes
 from nermo_mjx.tune.history import Log
 from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.state import TuneState
+from nermo_mjx.tune.tuner import TuneState
 
 
 class Checkpoints:

@@ -8,8 +8,8 @@ from typing import Final
 import jax
 
 from nermo_mjx.rollout import Simulator
-from nermo_mjx.rollout.derivative import choose_mode, cost
-from nermo_mjx.sweep.pace import pace
+from nermo_mjx.rollout.differentiable import choose_mode, cost
+from nermo_mjx.sweep.simulating import pace
 from nermo_mjx.tune.methods import Method
 from nermo_mjx.tune.spec import Tuning
 

@@ -2,21 +2,154 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import itertools
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize, PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from nermo_mjx.plotting.page import page
-from nermo_mjx.plotting.shown import ShownValues
-from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MISSING, MUTED, SERIES, horizontal_grid, set_scales
-from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Term
-from nermo_mjx.tune.sections import Tuned
-from nermo_mjx.tune.traces import Traces
+from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.style import (
+    BAND,
+    BEST,
+    COLOURS,
+    GRID,
+    INK,
+    LINE,
+    MISSING,
+    MUTED,
+    SERIES,
+    horizontal_grid,
+    set_scales,
+)
+from nermo_mjx.runs import stamp
+from nermo_mjx.runs.files import content_of, parquet_table
+from nermo_mjx.sweep.simulating import SimulatorLike
+from nermo_mjx.sweep.table import Columns, columns_of, meta
+from nermo_mjx.tune.estimators import Estimator
+from nermo_mjx.tune.objective import FURTHEST, TRAJECTORY_ERROR, Term
+from nermo_mjx.tune.optimizer import Optimizer
+from nermo_mjx.tune.spec import Tuned, Tuning
+
+# ---
+# A tuning's history as arrays over iterations and starts, for figures and summaries.
+
+
+#: Maximum number of starts in a figure, including the best and the given one.
+MOST_STARTS: Final = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class Traces:
+    """The history of each start.
+
+    Attributes:
+        tuning: that was run.
+        table: its history, see `nermo_mjx.tune.history`.
+    """
+
+    tuning: Tuning
+    table: pa.Table
+
+    @classmethod
+    def of(cls, tuning: Tuning, table: pa.Table) -> Traces:
+        """Of a tuning; of one by generations, the best point of each, as if it were one start."""
+        if tuning.method.has_gradient:
+            return cls(tuning, table)
+        value = table.column("objective").to_numpy(zero_copy_only=False).reshape(-1, tuning.starts)
+        best = np.where(np.isfinite(value), value, np.inf).argmin(axis=1) + tuning.starts * np.arange(len(value))
+        return cls(dataclasses.replace(tuning, starts=1), table.take(best))
+
+    @property
+    def starts(self) -> int:
+        """Number of starts."""
+        return self.tuning.starts
+
+    @property
+    def iterations(self) -> np.ndarray:
+        """Number of each evaluation (n,); 0 is that of the first points."""
+        return np.arange(self.table.num_rows // self.starts)
+
+    @property
+    def metrics(self) -> list[str]:
+        """The metrics in the history."""
+        return columns_of(self.table, "metric")
+
+    @cached_property
+    def ok(self) -> np.ndarray:
+        """Whether the robot walked to the end (n, starts)."""
+        return self.column("ok").astype(bool)
+
+    @cached_property
+    def best(self) -> tuple[int, int]:
+        """Iteration and start of the lowest objective; there is one where `best.json` exists."""
+        value = self.column("objective")
+        iteration, start = np.unravel_index(np.nanargmin(value), value.shape)
+        return int(iteration), int(start)
+
+    def column(self, name: str) -> np.ndarray:
+        """Values of a column (n, starts), in its own unit."""
+        return self.table.column(name).to_numpy(zero_copy_only=False).reshape(-1, self.starts)
+
+    def quantity(self, name: str) -> ShownValues:
+        """Values of a column (n, starts) as figures show them; of a metric, only where the robot walked to the end."""
+        about = meta(self.table.schema.field(name))
+        values = self.column(name)
+        if about["role"] == "metric":
+            values = np.where(self.ok, values, np.nan)
+        return shown(name, about["unit"], values)
+
+    def unwrapped(self, tuned: Tuned) -> np.ndarray:
+        """Values of a parameter (n, starts) in its own unit; a periodic one continues beyond its bounds."""
+        values = self.column(tuned.name)
+        return np.unwrap(values, axis=0, period=tuned.high - tuned.low) if tuned.periodic else values
+
+    def in_shown_unit(self, name: str, value: float | np.ndarray) -> np.ndarray:
+        """Values of a parameter or metric as figures show them."""
+        return shown(name, meta(self.table.schema.field(name))["unit"], np.asarray(value)).values
+
+    def target(self, term: Term) -> float | None:
+        """What a term holds its metric at, as figures show it; None if it does not hold it."""
+        return float(self.in_shown_unit(term.metric, term.at)) if term.aim == "hold" else None
+
+    def gradient_norm(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Norm of each gradient and its standard error (n, starts), None from exact gradients.
+
+        Each component counts per whole range of its parameter, so that units do not matter. The error is that of the
+        component along the gradient. NaN where there was nothing to estimate from.
+        """
+        tuned = self.tuning.tuned
+        ranges = np.array([each.high - each.low for each in tuned])
+        gradient = np.stack([self.column(f"gradient.{each.name}") for each in tuned], axis=-1) * ranges
+        norm = np.linalg.norm(gradient, axis=-1)
+        norm = np.where(norm > 0, norm, np.nan)
+        if not self.tuning.estimator.samples:
+            return norm, None
+        error = np.stack([self.column(f"gradient_error.{each.name}") for each in tuned], axis=-1) * ranges
+        return norm, np.linalg.norm(gradient * error, axis=-1) / norm
+
+    def drawn(self) -> list[int]:
+        """The starts that are drawn: all, or the given one, the best, and some between."""
+        if self.starts <= MOST_STARTS:
+            return list(range(self.starts))
+        some = np.linspace(0, self.starts - 1, MOST_STARTS - 1).round().astype(int)
+        return sorted({*some.tolist(), self.best[1]})
+
 
 #: Colours of single starts; with more starts, only the best one has its own.
 START_COLOURS: Final = SERIES
@@ -240,3 +373,270 @@ def _finish(axes: Sequence[Axes], traces: Traces, columns: int = 1) -> None:
     handles, labels = axes[0].get_legend_handles_labels()
     if handles:
         axes[columns - 1].legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+
+
+# ---
+# The landscape behind a tuning's paths: its objective on a grid of one or two parameters, by MuJoCo C in one batch.
+
+
+#: Points along each parameter: for one, and for two. The ends of a periodic one coincide, and are simulated once.
+POINTS: Final = {1: 37, 2: 17}
+#: File in a tuning's directory, so that it is simulated only once.
+LANDSCAPE: Final = "plots/landscape.parquet"
+_KEY: Final = b"landscape"
+
+
+@dataclasses.dataclass(frozen=True)
+class Background:
+    """The objective on a grid.
+
+    Attributes:
+        axes: parameter name -> its values (n,), from bound to bound; one or two of them.
+        value: objective (n,) or (n, m); NaN where the robot did not walk to the end.
+        walks: how many walks it is from, and the engine that ran them.
+    """
+
+    axes: dict[str, np.ndarray]
+    value: np.ndarray
+    walks: str
+
+
+def grid_axes(tuning: Tuning) -> dict[str, np.ndarray]:
+    """The first one or two tuned parameters, and their values on the grid, both ends included."""
+    chosen = tuning.tuned[:2]
+    return {each.name: _nodes(each, POINTS[len(chosen)]) for each in chosen}
+
+
+def simulate(
+    tuning: Tuning,
+    others: Mapping[str, float],
+    simulator: SimulatorLike,
+    progress: Callable[[float], None] | None = None,
+) -> pa.Table:
+    """Simulate the grid; one row per point: its parameters, the objective, the metrics that it uses, and the status.
+
+    Args:
+        others: values of the tuned parameters that are not on the grid.
+
+    Raises:
+        ParameterError: some point of the grid cannot be simulated; the message says why.
+    """
+    axes, periodic = grid_axes(tuning), {each.name for each in tuning.tuned if each.periodic}
+    walked = [nodes[:-1] if name in periodic else nodes for name, nodes in axes.items()]
+    grid = dict(zip(axes, (column.ravel() for column in np.meshgrid(*walked, indexing="ij")), strict=True))
+    count = len(next(iter(grid.values())))
+    fixed = {name: np.full(count, value) for name, value in {**tuning.constants, **others}.items()}
+    result = simulator.run({**fixed, **grid}, tuning.run, progress=progress)
+    status = np.asarray(result.status)
+    value = np.where(status == "ok", np.asarray(tuning.objective.value(result.metrics), float), np.nan)
+    table, parameters = Columns(), tuning.parameters
+    for name, column in (grid | {name: fixed[name] for name in others}).items():
+        table.add(name, column, "varied" if name in grid else "fixed", parameters[name].unit, parameters[name].doc)
+    table.add("objective", value, "objective", "1", "value that is minimized; NaN where the robot fell")
+    for name in tuning.objective.metrics:
+        metric = tuning.metrics[name]
+        table.add(name, np.asarray(result.metrics[name]), "metric", metric.unit, metric.doc)
+    table.add("status", status, "status", "1", "ok, or how the run ended")
+    made_by = stamp(tuning.setup.load().fingerprint, result.engine)
+    about = {"landscape": key(tuning, others), "engine": result.engine, "code": json.dumps(made_by.fields())}
+    return table.table(about)
+
+
+def background_of(tuning: Tuning, table: pa.Table) -> Background:
+    """The grid that `simulate` made a table of; the end of a periodic parameter is its beginning."""
+    axes = grid_axes(tuning)
+    periodic = [each.periodic for each in tuning.tuned[:2]]
+    shape = [len(nodes) - wraps for nodes, wraps in zip(axes.values(), periodic, strict=True)]
+    value = table.column("objective").to_numpy().reshape(shape)
+    for i, wraps in enumerate(periodic):
+        value = np.concatenate([value, value.take([0], axis=i)], axis=i) if wraps else value
+    engine = (table.schema.metadata or {})[b"engine"].decode()
+    return Background(axes, value, f"{table.num_rows} walks, engine {engine}")
+
+
+def read(path: Path, tuning: Tuning, others: Mapping[str, float]) -> pa.Table | None:
+    """The table of a file, if it is one and still the right one; raises `DirectoryError` if it cannot be read now."""
+    content = content_of(path)
+    table = None if content is None else parquet_table(content)
+    if table is None:
+        return None
+    return table if (table.schema.metadata or {}).get(_KEY) == key(tuning, others).encode() else None
+
+
+def has_background(tuning: Tuning) -> bool:
+    """Whether the metrics of a walk are all that the objective needs: a recording is compared with in MJX only."""
+    return TRAJECTORY_ERROR not in tuning.objective.metrics
+
+
+def key(tuning: Tuning, others: Mapping[str, float]) -> str:
+    """A hash of all that determines the grid: not the path over it, so not optimizer, estimator, starts and seed."""
+    walk = dataclasses.replace(tuning, optimizer=Optimizer("adam"), estimator=Estimator(), starts=1, seed=0)
+    nodes: Sequence[list[float]] = [values.tolist() for values in grid_axes(tuning).values()]
+    return hashlib.sha256(json.dumps([walk.digest(), nodes, dict(others)]).encode()).hexdigest()[:16]
+
+
+def _nodes(tuned: Tuned, count: int) -> np.ndarray:
+    """Evenly from bound to bound; like the tuner's points, those of a bounded parameter stop short of the bounds."""
+    share = np.linspace(0.0, 1.0, count)
+    if not tuned.periodic:
+        share = FURTHEST + (1.0 - 2.0 * FURTHEST) * share
+    return tuned.low + (tuned.high - tuned.low) * share
+
+
+# ---
+# The path of each start over one or two parameters, drawn on the objective's landscape if available.
+
+
+#: Lower is better, and brighter.
+_COLOURS: Final = f"{COLOURS}_r"
+_LEVELS: Final = 18
+#: Share of the landscape's points covered by the colours; including the highest would reduce the contrast.
+_COVERED: Final = 0.97
+_LABEL: Final = "objective, lower is better [1]"
+
+
+def path_figure(traces: Traces, background: Background | None = None) -> Figure:
+    """The paths over the first two tuned parameters, or of a single one its objective."""
+    return _plane(traces, background) if len(traces.tuning.tuned) > 1 else _line(traces, background)
+
+
+def _plane(traces: Traces, background: Background | None) -> Figure:
+    x, y = traces.tuning.tuned[:2]
+    note = f"ring: start; dot: end; star: best; {_beneath(traces, background) or 'colour: objective'}"
+    figure = page(f"Path over {x.name} and {y.name}", 6.9, 5.4, note)
+    ax = figure.subplots()
+    ax.set_facecolor("white" if background is None else MISSING)
+    ends = [np.array([traces.in_shown_unit(each.name, end) for end in (each.low, each.high)]) for each in (x, y)]
+    if background is not None:
+        _draw_background(figure, ax, traces, background)
+    else:
+        _draw_values(figure, ax, traces)
+    spans = [float(np.ptp(pair)) for pair in ends]
+    paths = [traces.in_shown_unit(each.name, traces.unwrapped(each)) for each in (x, y)]
+    for start in traces.drawn():
+        path, copies = [path[:, start] for path in paths], _copies(traces, paths, ends, start)
+        if background is None:
+            _draw_thin(ax, path, copies, spans)
+        else:
+            _draw_path(ax, path, copies, spans, leading=start == traces.best[1])
+    best = [float(traces.in_shown_unit(each.name, traces.column(each.name)[traces.best])) for each in (x, y)]
+    ax.scatter(best[0], best[1], s=230, marker="*", fc=BEST, ec="white", lw=1.2, zorder=8, clip_on=False)
+    quantities = [ShownValues(each.name, traces.quantity(each.name).unit, pair)
+                  for each, pair in zip((x, y), ends, strict=True)]  # fmt: skip
+    set_scales(ax, *quantities)
+    ax.set(xlabel=quantities[0].label, ylabel=quantities[1].label, xlim=ends[0], ylim=ends[1])
+    return figure
+
+
+def _line(traces: Traces, background: Background | None) -> Figure:
+    """The objective over the only parameter: the landscape as a line, and the points that each start visited."""
+    (each,) = traces.tuning.tuned
+    parts = ("dots: evaluations, larger towards the end; star: best", _beneath(traces, background))
+    note = "; ".join(filter(None, parts))
+    figure = page(f"Objective over {each.name} (lower is better)", 7.2, 4.0, note)
+    ax = figure.subplots()
+    if background is not None:
+        nodes = traces.in_shown_unit(each.name, background.axes[each.name])
+        ax.plot(nodes, background.value, color=MUTED, lw=1.4, zorder=1)
+    place, value = traces.in_shown_unit(each.name, traces.column(each.name)), traces.column("objective")
+    for start, style in start_styles(traces).items():
+        ax.scatter(place[:, start], value[:, start], s=np.linspace(8, 40, len(place)), color=style["color"],
+                   ec="white", lw=0.4, zorder=style["zorder"], label=style["label"])  # fmt: skip
+    ax.scatter(place[traces.best], value[traces.best], s=150, marker="*", fc=BEST, ec="white", zorder=8)
+    quantity = ShownValues(each.name, traces.quantity(each.name).unit,
+                        traces.in_shown_unit(each.name, np.array([each.low, each.high])))  # fmt: skip
+    set_scales(ax, quantity)
+    ax.set(xlabel=quantity.label, ylabel="objective [1]", xlim=quantity.values)
+    horizontal_grid(ax)
+    handles, labels = ax.get_legend_handles_labels()
+    if handles:
+        ax.legend(handles, labels, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    return figure
+
+
+def _beneath(traces: Traces, background: Background | None) -> str:
+    """What the landscape is; nothing without one."""
+    if background is None:
+        return ""
+    text = f"landscape: {background.walks}"
+    rest = len(traces.tuning.tuned) - len(background.axes)
+    return text + (", the other parameters as in the best point" if rest else "")
+
+
+def _draw_background(figure: Figure, ax: Axes, traces: Traces, background: Background) -> None:
+    """Filled contours; where the robot did not walk to the end, grey hatching shows through."""
+    ax.add_patch(Rectangle((0, 0), 1, 1, transform=ax.transAxes, fc=MISSING, ec="white", hatch="////", lw=0, zorder=0))
+    good = background.value[np.isfinite(background.value)]
+    if not len(good):
+        return
+    low, high = float(good.min()), float(np.quantile(good, _COVERED))
+    high = high if high > low else low + max(1e-9, 1e-6 * abs(low))
+    x, y = (traces.in_shown_unit(name, nodes) for name, nodes in background.axes.items())
+    cut = "max" if good.max() > high else "neither"
+    # The outermost points stand a little inside of the bounds, and their colours reach there.
+    x[[0, -1]], y[[0, -1]] = (_ends(traces, name) for name in background.axes)
+    shown = np.ma.masked_invalid(background.value.T)
+    # The lines are denser towards the best point, and evenly spaced if the objective is a parabola.
+    levels = low + (high - low) * np.linspace(0.0, 1.0, _LEVELS + 1) ** 2
+    scale = PowerNorm(0.5, low, high)
+    ax.contourf(x, y, shown, levels, cmap=_COLOURS, norm=scale, extend=cut, zorder=1)
+    ax.contour(x, y, shown, levels[::2], colors="white", linewidths=0.5, linestyles="solid", alpha=0.45, zorder=2)
+    bar = figure.colorbar(ScalarMappable(scale, _COLOURS), ax=ax, aspect=28, pad=0.02, extend=cut, extendfrac=0.03)
+    bar.set_label(_LABEL)
+    bar.outline.set_visible(False)
+
+
+def _ends(traces: Traces, name: str) -> np.ndarray:
+    tuned = next(each for each in traces.tuning.tuned if each.name == name)
+    return traces.in_shown_unit(name, np.array([tuned.low, tuned.high]))
+
+
+def _draw_values(figure: Figure, ax: Axes, traces: Traces) -> None:
+    """Without a landscape, each visited point has the colour of its objective."""
+    x, y = (traces.in_shown_unit(each.name, traces.column(each.name)) for each in traces.tuning.tuned[:2])
+    value = traces.column("objective")
+    drawn, good = traces.drawn(), value[np.isfinite(value)]
+    low, high = float(good.min()), float(np.quantile(good, _COVERED))
+    points = ax.scatter(x[:, drawn], y[:, drawn], c=value[:, drawn], s=22, cmap=_COLOURS, lw=0, zorder=5,
+                        norm=Normalize(low, high if high > low else low + 1e-9))  # fmt: skip
+    bar = figure.colorbar(points, ax=ax, aspect=28, pad=0.02)
+    bar.set_label(_LABEL)
+    bar.outline.set_visible(False)
+    ax.grid(color=GRID, lw=0.8)
+    ax.set_axisbelow(True)
+
+
+def _copies(traces: Traces, paths: list[np.ndarray], ends: list[np.ndarray], start: int) -> list[tuple[int, ...]]:
+    """Whole turns by which a path is shifted so that all its pieces lie within the bounds."""
+    turns = []
+    for tuned, path, (low, high) in zip(traces.tuning.tuned, paths, ends, strict=False):
+        own = path[:, start]
+        first, last = ((math.floor((end - low) / (high - low)) for end in (own.min(), own.max()))
+                       if tuned.periodic else (0, 0))  # fmt: skip
+        turns.append(range(first, last + 1))
+    return list(itertools.product(*turns))
+
+
+def _draw_path(
+    ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float], *, leading: bool
+) -> None:
+    """One start's path, from a ring to a dot; a path across a periodic bound continues at the other side."""
+    width, layer = (1.6, 5) if leading else (0.9, 4)
+    halo: list[Any] = [withStroke(linewidth=width + 1.5, foreground=INK)]
+    for turn in copies:
+        x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
+        ax.plot(x, y, color="white", lw=width, path_effects=halo, zorder=layer, solid_capstyle="round")
+        if leading:
+            ax.plot(x[1:-1], y[1:-1], ls="none", marker="o", ms=2.2, color=INK, zorder=layer)
+        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec=INK, mew=3.2, zorder=6)
+        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=7, mfc="none", mec="white", mew=1.5, zorder=6)
+        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=6, mfc="white", mec=INK, mew=1.1, zorder=6)
+
+
+def _draw_thin(ax: Axes, path: list[np.ndarray], copies: list[tuple[int, ...]], spans: list[float]) -> None:
+    """One start's path as a thin line, so that its points carry the colour."""
+    for turn in copies:
+        x, y = (values - k * span for values, k, span in zip(path, turn, spans, strict=True))
+        ax.plot(x, y, color=MUTED, lw=0.8, zorder=4)
+        ax.plot(x[:1], y[:1], ls="none", marker="o", ms=8, mfc="none", mec=INK, mew=1.2, zorder=6)
+        ax.plot(x[-1:], y[-1:], ls="none", marker="o", ms=5, mfc="white", mec=INK, mew=1.1, zorder=6)

@@ -10,12 +10,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.tune.bounds import from_unconstrained, to_unconstrained
-from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.history import Log, columns
+from nermo_mjx.tune.objective import Problem, from_unconstrained, to_unconstrained
 from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.state import TuneState
-from nermo_mjx.tune.tuner import Iterate
+from nermo_mjx.tune.tuner import Iterate, TuneState
 
 
 def strategy(start: np.ndarray, sigma: float, population: int, rng: np.random.Generator, **options: Any) -> Any:
@@ -40,7 +38,7 @@ class GenerationTuner:
 
     The points of the population replace the starts: the first point of the first generation is the given one.
     A point whose walk is not completed counts as worse than all others. Coordinates are those of
-    `nermo_mjx.tune.bounds`.
+    `nermo_mjx.tune.objective`.
     """
 
     def __init__(self, tuning: Tuning, problem: Problem, log: Log | None) -> None:

@@ -1,5 +1,6 @@
 """Adam with a controlled rate, a line search, or any optax optimizer by name, with its options and schedules by name;
-tried out before anything expensive starts."""
+tried out before anything expensive starts.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +10,196 @@ import inspect
 import types
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.specs.reading import describe
-from nermo_mjx.tune.controlled_adam import controlled_adam
-from nermo_mjx.tune.line_search import LineSearch
+
+# ---
+# Adam with an automatic learning rate: it adapts to the objective values after each step.
+#
+# With Adam's means of the gradients m and of their squares v, corrected for their start (Kingma and Ba, ICLR 2015), a
+# step is rate * m / sqrt(v). An evaluation that is the best so far makes the rate a fifth larger. After two in a row
+# that are not, it becomes 0.7 of what it was, and the next step starts from the best point again; after a fall, at
+# once.
+#
+# The direction is averaged, so the landscape may be rough: a walk's speed has teeth as steep as the overall hill, 0.1
+# of a unit of u wide, in which a descent that insists on improvement gets stuck (a trust region with the update of
+# Broyden, Fletcher, Goldfarb and Shanno, much faster on smooth functions, did so at once).
+
+
+#: Initial rate, in coordinates u per step: a thirteenth of a parameter's range in its middle.
+RATE: Final = 0.3
+_MOST: Final = 1.0
+_GROWS, _SHRINKS, _WAITS = 1.2, 0.7, 2
+_MEMORY: Final = (0.8, 0.9)
+
+
+class ControlledAdam(NamedTuple):
+    """State of the optimizer.
+
+    Attributes:
+        adam: means of the gradients and of their squares.
+        rate: length of the next step along each parameter, at most.
+        best, best_u: lowest value so far, infinite while there is none, and where it was (p,).
+        waited: evaluations since then that were not better.
+    """
+
+    adam: optax.ScaleByAdamState
+    rate: Float[Array, ""]
+    best: Float[Array, ""]
+    best_u: Float[Array, " p"]
+    waited: Int[Array, ""]
+
+
+def controlled_adam(rate: float = RATE) -> optax.GradientTransformationExtraArgs:
+    """The optimizer, for the vector u of one start; `update` takes `value`, infinite where there is none.
+
+    Args:
+        rate: the initial one, in coordinates u per step.
+
+    >>> import jax
+    >>> bowl = lambda u: jnp.sum((u - jnp.array([1.0, 3.0])) ** 2 * jnp.array([1.0, 20.0]))
+    >>> optimizer, u = controlled_adam(), jnp.zeros(2)
+    >>> state = optimizer.init(u)
+    >>> for _ in range(60):
+    ...     step, state = optimizer.update(jax.grad(bowl)(u), state, u, value=bowl(u))
+    ...     u = u + step
+    >>> [round(float(each), 2) for each in state.best_u]
+    [1.0, 3.0]
+    """
+    direction = optax.scale_by_adam(*_MEMORY)
+
+    def init(u: Array) -> ControlledAdam:
+        most = jnp.asarray(jnp.inf, u.dtype)
+        return ControlledAdam(direction.init(u), jnp.asarray(rate, u.dtype), most, u, jnp.zeros((), int))
+
+    def update(
+        gradient: Array, state: ControlledAdam, u: Array | None = None, *, value: Array, **_: object
+    ) -> tuple[Array, ControlledAdam]:
+        assert u is not None
+        walked, better = jnp.isfinite(value), value < state.best
+        ahead, adam = direction.update(gradient, state.adam)
+        before, _ = direction.update(jnp.zeros_like(gradient), state.adam)
+        # A fall has no gradient: keep the direction.
+        ahead = jnp.where(walked, ahead, before)
+        adam = optax.tree.where(walked, adam, state.adam)
+        waited = jnp.where(better, 0, state.waited + 1)
+        back = ~better & (~walked | (waited >= _WAITS))
+        factor = jnp.where(better, _GROWS, jnp.where(back, _SHRINKS, 1.0))
+        after = ControlledAdam(
+            adam=adam,
+            rate=jnp.minimum(state.rate * factor, _MOST).astype(state.rate.dtype),
+            best=jnp.where(better, value, state.best).astype(state.best.dtype),
+            best_u=jnp.where(better, u, state.best_u),
+            waited=jnp.where(back, 0, waited),
+        )
+        return jnp.where(back, after.best_u, u) - after.rate * ahead - u, after
+
+    return optax.GradientTransformationExtraArgs(init, update)
+
+
+# ---
+# A line search along an averaged gradient: few expensive directions, each tried at many lengths.
+#
+# A gradient of a walk costs as much as tens of walks on the engine `c`, so each direction is used as far as it leads.
+# The estimate's descent direction d, of length 1 at most, and its running sum m <- momentum * m + d (heavy-ball
+# momentum, Polyak 1964) are both followed to `points` / 2 lengths, spread geometrically about the expected one. The
+# tuning moves to the best of these points, or stays where none is better. The conditions of Wolfe, by which a line
+# search usually ends, do not apply: they need the slope along the line, and that of a walk is rough. The expected
+# length becomes the geometric mean of itself and the chosen length, or 0.6 of itself after a search without gain.
+
+
+#: Lengths tried, from the least to the most, in units of the expected one.
+_LEAST, _MOST_STEPS = 2.0**-3, 2.0**2
+#: What becomes of the expected length after a search without gain, and its limits, in coordinates u.
+_LINE_SHRINKS: Final = 0.6
+_LIMITS: Final = (0.1, 4.0)
+
+
+class LineState(NamedTuple):
+    """State of the search of one start.
+
+    Attributes:
+        momentum: m (p,).
+        length: the expected one, in coordinates u.
+    """
+
+    momentum: Float[Array, " p"]
+    length: Float[Array, ""]
+
+
+@dataclasses.dataclass(frozen=True)
+class LineSearch:
+    """The search; its functions are of one start.
+
+    Attributes:
+        points: tried in each iteration, an even number.
+        momentum: share of the previous directions that is kept, in [0, 1).
+        length: the first expected one, in coordinates u.
+
+    Raises:
+        ParameterError: a number that is out of range.
+
+    >>> search = LineSearch(points=4)
+    >>> state, there = search.along(search.init(jnp.zeros(2)), jnp.zeros(2), jnp.array([0.0, 2.0]))
+    >>> there.shape, bool((there[:, 1] < 0).all())
+    ((4, 2), True)
+    """
+
+    points: int = 16
+    momentum: float = 0.5
+    length: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.points != int(self.points) or self.points < 2 or self.points % 2:
+            raise ParameterError(f"points is {self.points:g}: allowed is an even number from 2 on")
+        if not 0.0 <= self.momentum < 1.0:
+            raise ParameterError(f"momentum is {self.momentum:g}: allowed is [0, 1)")
+        if not _LIMITS[0] <= self.length <= _LIMITS[1]:
+            raise ParameterError(f"length is {self.length:g}: allowed is [{_LIMITS[0]:g}, {_LIMITS[1]:g}]")
+
+    def init(self, u: Float[Array, " p"]) -> LineState:
+        """Before the first iteration from a point."""
+        return LineState(jnp.zeros_like(u), jnp.asarray(self.length, u.dtype))
+
+    def along(
+        self, state: LineState, u: Float[Array, " p"], gradient: Float[Array, " p"]
+    ) -> tuple[LineState, Float[Array, "points p"]]:
+        """The state with this gradient in its momentum, and the points to be tried.
+
+        Without a gradient, which is then zero, the momentum alone leads on.
+        """
+        # Directions that disagree, whose mean is short, count less; a derivative that is large at one point, no more.
+        momentum = self.momentum * state.momentum - gradient / jnp.maximum(jnp.linalg.norm(gradient), 1.0)
+        # The lengths of both directions lie between one another: in the first iteration the directions are the same.
+        reach = jnp.geomspace(_LEAST, _MOST_STEPS, int(self.points), dtype=u.dtype)
+        ways = jnp.where(jnp.arange(len(reach))[:, None] % 2, _unit(momentum), -_unit(gradient))
+        return state._replace(momentum=momentum), u + state.length * reach[:, None] * ways
+
+    def taken(self, state: LineState, better: Bool[Array, ""], moved: Float[Array, ""]) -> LineState:
+        """The state after a move of a length, or after none if no point was better."""
+        length = jnp.where(better, jnp.sqrt(state.length * moved), _LINE_SHRINKS * state.length)
+        return state._replace(length=jnp.clip(length, *_LIMITS))
+
+
+def _unit(vector: Float[Array, " p"]) -> Float[Array, " p"]:
+    """A vector of length 1, or zero."""
+    length = jnp.linalg.norm(vector)
+    return vector / jnp.where(length > 0, length, 1.0)
+
 
 #: The optimizer with an automatic learning rate, which uses the objective's value.
 CONTROLLED: Final = "controlled_adam"
-#: The one that tries points along the gradient (`nermo_mjx.tune.line_search`).
+#: The one that tries points along the gradient (`nermo_mjx.tune.optimizer`).
 LINE: Final = "line_search"
-#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.tune.bounds`) per step.
+#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.tune.objective`) per step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
 
@@ -37,7 +209,7 @@ class Optimizer:
     """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: `controlled_adam` (`nermo_mjx.tune.controlled_adam`), `line_search` (`nermo_mjx.tune.line_search`), or of
+        name: `controlled_adam` (`nermo_mjx.tune.optimizer`), `line_search` (`nermo_mjx.tune.optimizer`), or of
             a function of optax that has a learning rate: `adam`, `sgd`, `lion`, ...
         options: keyword arguments of that function. A schedule is written as
             {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.

@@ -12,14 +12,19 @@ from matplotlib.figure import Figure
 
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.runs.files import DirectoryError
-from nermo_mjx.tune import background as behind
-from nermo_mjx.tune.background import LANDSCAPE, Background
+from nermo_mjx.tune import figures as behind
 from nermo_mjx.tune.directory import load_tuning
-from nermo_mjx.tune.figures import gradients_figure, objective_figure, parameters_figure
+from nermo_mjx.tune.figures import (
+    LANDSCAPE,
+    Background,
+    Traces,
+    gradients_figure,
+    objective_figure,
+    parameters_figure,
+    path_figure,
+)
 from nermo_mjx.tune.history import read_history
-from nermo_mjx.tune.path_figure import path_figure
 from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.traces import Traces
 
 
 def figures_of(tuning: Tuning, history: pa.Table, background: Background | None = None) -> Iterator[tuple[str, Figure]]:

@@ -8,30 +8,72 @@ import os
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
+from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.tune.directory import TUNING, Directory
-from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.directory import TUNING, Directory, start_of
 from nermo_mjx.tune.generations import GenerationTuner
 from nermo_mjx.tune.history import Log, empty_log, history_table
-from nermo_mjx.tune.line_tuner import LineTuner
-from nermo_mjx.tune.outcome import start_of
+from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Problem
 from nermo_mjx.tune.pictures import Painter, Pictures
+from nermo_mjx.tune.problems import SharedProblem, SimulatedProblem
 from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.spreading import SharedProblem
-from nermo_mjx.tune.state import TuneState
 from nermo_mjx.tune.stopping import is_done
-from nermo_mjx.tune.tuner import Tuner
-from nermo_mjx.tune.verifying import verified
+from nermo_mjx.tune.tuner import LineTuner, Tuner, TuneState
+
+# ---
+# Verification of start and best: simulated in MuJoCo C, from starts that the tuning has not seen.
+
+
+#: Walks of each point.
+WALKS: Final = 8
+#: Tells these draws from all others of a tuning's seed.
+_UNSEEN: Final = 0x5EED
+
+
+def verified(tuning: Tuning, points: Mapping[str, Mapping[str, float]], simulator: SimulatorLike) -> dict[str, Any]:
+    """Results of named points on the engine `c`, each simulated from the same few slightly different starts.
+
+    Starts are spread like those of a sweep's repeats. A walk that is compared with a recording has its start, and is
+    simulated once.
+
+    Args:
+        points: name -> values of the tuned parameters.
+
+    Returns:
+        `engine`, `walks`, and of each point under its name `walks_ok`, the means `objective` and `metrics` over the
+        completed walks, and `lowest` and `highest` objective of them; None if there are none.
+    """
+    alone = TRAJECTORY_ERROR in tuning.objective.metrics
+    walks = 1 if alone else WALKS
+    problem = SimulatedProblem(tuning, simulator=simulator)
+    rng = np.random.default_rng([tuning.seed, _UNSEEN])
+    known = {*tuning.constants, *tuning.names}
+    spread = {name: rng.uniform(-width, width, walks) for name, width in START_SPREAD.items()
+              if name in tuning.parameters and name not in known and not alone}  # fmt: skip
+    at = np.repeat([[each[name] for name in tuning.names] for each in points.values()], walks, axis=0)
+    value, metrics, ok = problem.walk(at, {name: np.tile(column, len(points)) for name, column in spread.items()})
+    found: dict[str, Any] = {"engine": "c", "walks": walks}
+    for i, name in enumerate(points):
+        mine = np.arange(i * walks, (i + 1) * walks)
+        mine = mine[ok[mine]]
+        found[name] = None if not len(mine) else {
+            "walks_ok": len(mine),
+            "objective": float(value[mine].mean()),
+            "lowest": float(value[mine].min()),
+            "highest": float(value[mine].max()),
+            "metrics": {metric: float(metrics[metric][mine].mean()) for metric in tuning.objective.metrics},
+        }  # fmt: skip
+    return found
 
 
 class TuningInterrupted(KeyboardInterrupt):
@@ -71,8 +113,8 @@ class TuningResult:
     Attributes:
         out: its directory.
         tuning: what was tuned.
-        start: the given start as first evaluated (`nermo_mjx.tune.outcome.start_of`).
-        best: content of best.json (`nermo_mjx.tune.outcome.best_of`).
+        start: the given start as first evaluated (`nermo_mjx.tune.directory.start_of`).
+        best: content of best.json (`nermo_mjx.tune.directory.best_of`).
         history: the history's table (`nermo_mjx.tune.history`).
         state: after the last iteration.
         iterations_run: evaluations that this call made.
@@ -107,15 +149,15 @@ def run_tuning(
     more is gained (`nermo_mjx.tune.stopping`); every evaluation is one batch of starts x (1 + samples) worlds. After
     each, the state is stored: killing the process loses the iteration in flight, and the resumed tuning ends
     with the same numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts
-    that the tuning has not seen (`nermo_mjx.tune.verifying`).
+    that the tuning has not seen (`nermo_mjx.tune.run`).
 
     Args:
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
         out: the directory; see `nermo_mjx.tune.directory`.
-        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problems.WalkProblem`).
         simulator: replaces `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
             the paths, and the video; and start and best, from starts that the tuning has not seen
-            (`nermo_mjx.tune.verifying`). None of this happens if only `problem` is given.
+            (`nermo_mjx.tune.run`). None of this happens if only `problem` is given.
         progress: called before the first evaluation and after each.
         drawing: called with what is being drawn at the end, and its progress.
         warn: called with a message about each thing that is moved aside.
@@ -192,14 +234,14 @@ def simulation_of(tuning: Tuning) -> Problem:
     """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
     # Engines, and what they compile, only where needed.
     if tuning.method.engine == "c":
-        from nermo_mjx.tune.simulated import SimulatedProblem
+        from nermo_mjx.tune.problems import SimulatedProblem
 
         return SimulatedProblem(tuning)
     if tuning.optimizer.searches:
-        from nermo_mjx.tune.guided import GuidedProblem
+        from nermo_mjx.tune.problems import GuidedProblem
 
         return GuidedProblem(tuning)
-    from nermo_mjx.tune.problem import WalkProblem
+    from nermo_mjx.tune.problems import WalkProblem
 
     return WalkProblem(tuning)
 

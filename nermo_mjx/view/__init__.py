@@ -1,12 +1,11 @@
 """Visualisation of runs: recordings, videos, and a page for the browser."""
 
 from nermo_mjx.recording import Recording, RecordingError, model_hash, recording_of
-from nermo_mjx.view.encoding import VideoError
 from nermo_mjx.view.overlays import OVERLAYS
 from nermo_mjx.view.page import Page, show
 from nermo_mjx.view.playing import play, write_keyframes
-from nermo_mjx.view.recorded_robot import robot_of, shown_model
-from nermo_mjx.view.video import CAMERAS, check_video, render
+from nermo_mjx.view.recorded import robot_of, shown_model
+from nermo_mjx.view.video import CAMERAS, VideoError, check_video, render
 
 __all__ = [
     "CAMERAS",

@@ -1,24 +1,243 @@
-"""A recording in the page's format: a model's shapes, motion, forces and curves, packed."""
+"""A recording as data for the page: shapes and motion of the robot, its plots, in compact form."""
 
 from __future__ import annotations
 
+import base64
 import dataclasses
+import gzip
+import json
 from typing import Any, Final
 
 import mujoco
 import numpy as np
+from jaxtyping import Float, Int
 
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import Robot, RobotConfig
 from nermo_mjx.robot.quantity import values_of
 from nermo_mjx.view.camera import body_radius, root_body, smooth_path
-from nermo_mjx.view.caption import details_of, headline_of, title_of
-from nermo_mjx.view.frames import Frames
-from nermo_mjx.view.motion import Motion, Tendon, finite_samples, motion_of
-from nermo_mjx.view.packing import Packer
-from nermo_mjx.view.recorded_robot import recorded_geometry, recorded_model, robot_of, shown_model
-from nermo_mjx.view.shapes import shapes_of
-from nermo_mjx.view.signals import Plot, plots_of
+from nermo_mjx.view.recorded import (
+    Motion,
+    Plot,
+    Tendon,
+    details_of,
+    finite_samples,
+    headline_of,
+    motion_of,
+    plots_of,
+    recorded_geometry,
+    recorded_model,
+    robot_of,
+    shown_model,
+    title_of,
+)
+
+MISSING: Final = -32768
+_LARGEST: Final = 32767
+
+
+class Packer:
+    """Collects arrays; each gets an entry in the header, and together they become one text.
+
+    Args:
+        part: name of the text, for pages that have several.
+    """
+
+    def __init__(self, part: str = "data") -> None:
+        self.part = part
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def plain(self, values: np.ndarray, kind: str = "float32") -> dict[str, Any]:
+        """Entry of an unchanged array, as `float32`, `uint32` or `uint16`."""
+        array = np.ascontiguousarray(values, dtype=np.dtype(kind).newbyteorder("<"))
+        return self._add(array.tobytes(), kind, array.shape)
+
+    def steps(self, values: np.ndarray, resolution: float = 0.0) -> dict[str, Any]:
+        """Entry of an array (T, ...) that changes little from row to row.
+
+        Each value is off by at most 1/131068 of the array's range, or half the resolution if that is more: coarser
+        values take less space. NaN is kept, infinities become NaN.
+        """
+        array = np.where(np.isfinite(values), values, np.nan).astype(float)
+        low, high = (np.nanmin(array), np.nanmax(array)) if np.isfinite(array).any() else (0.0, 0.0)
+        zero, scale = (low + high) / 2, max((high - low) / (2 * _LARGEST), resolution) or 1.0
+        steps = np.where(np.isnan(array), MISSING, np.rint((array - zero) / scale)).astype(np.int16)
+        columns = np.ascontiguousarray(steps.reshape(len(steps), -1).T)
+        with np.errstate(over="ignore"):
+            columns[:, 1:] = np.diff(columns, axis=1)  # wraps around, which the reader reverses
+        words = columns.astype("<i2").reshape(-1).view(np.uint8).reshape(-1, 2)
+        content = words[:, 1].tobytes() + words[:, 0].tobytes()
+        return self._add(content, "steps", array.shape) | {"scale": scale, "zero": zero}
+
+    def floats(self, values: np.ndarray, exact: bool = False) -> dict[str, Any]:
+        """Entry of an array (n,) of any range, with a relative error below 1e-5; `exact` keeps all of 32-bit floats."""
+        planes = 4 if exact else 3
+        with np.errstate(over="ignore"):
+            bits = np.asarray(values, np.float32).view(np.uint32)
+        if not exact:
+            bits = bits + np.uint32(0x80)  # drop the lowest byte, with rounding
+        content = b"".join((bits >> np.uint32(24 - 8 * k)).astype(np.uint8).tobytes() for k in range(planes))
+        return self._add(content, f"planes{planes}", np.shape(values))
+
+    def json(self, value: Any) -> dict[str, Any]:
+        """Entry of a JSON value."""
+        content = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+        return self._add(content, "json", (len(content),))
+
+    def text(self) -> str:
+        """All arrays, gzipped, in base 64."""
+        return base64.b64encode(gzip.compress(b"".join(self._parts), 9, mtime=0)).decode("ascii")
+
+    def _add(self, content: bytes, kind: str, shape: tuple[int, ...]) -> dict[str, Any]:
+        padding = bytes(-self._size % 4)
+        entry = {"part": self.part, "kind": kind, "at": self._size + len(padding), "shape": list(shape)}
+        self._parts += [padding, content]
+        self._size += len(padding) + len(content)
+        return entry
+
+
+class Frames:
+    """The moving bodies of a motion.
+
+    Attributes:
+        bodies: their ids in the model, parents first, (n,).
+        parents: index of each one's parent in `bodies`; -1 if the parent is static, with the world's frame centred at
+            the root.
+        position, quaternion: of each in its parent's frame, (T, n, 3) [m] and (T, n, 4), without sign flips.
+    """
+
+    def __init__(self, model: mujoco.MjModel, motion: Motion, origin: Float[np.ndarray, "T 3"]) -> None:
+        self.bodies: Int[np.ndarray, " n"] = np.flatnonzero(model.body_weldid != 0)
+        place = {int(body): i for i, body in enumerate(self.bodies)}
+        self.parents = [place.get(int(model.body_parentid[body]), -1) for body in self.bodies]
+        self._position = motion.position[:, self.bodies] - origin[:, None]
+        self._quaternion = motion.quaternion[:, self.bodies]
+        self.position, turns = self._position.copy(), self._quaternion.copy()
+        for i, parent in enumerate(self.parents):
+            if parent >= 0:
+                self.position[:, i] = self._inside(parent, self._position[:, i])
+                turns[:, i] = _product(_conjugate(self._quaternion[:, parent]), self._quaternion[:, i])
+        self.quaternion = without_jumps(turns)
+
+    def fixed(self, path: Float[np.ndarray, "T K 3"]) -> tuple[list[int], Float[np.ndarray, "T K 3"]]:
+        """Points in the frames in which they move least: indices in `bodies` or -1, and the points."""
+        frames, points = [], path.copy()
+        for k in range(path.shape[1]):
+            each = [path[:, k], *(self._inside(i, path[:, k]) for i in range(len(self.bodies)))]
+            best = int(np.argmin([seen.var(axis=0).sum() for seen in each]))
+            frames.append(best - 1)
+            points[:, k] = each[best]
+        return frames, points
+
+    def _inside(self, frame: int, points: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
+        """Points in the frame of a body."""
+        return _turned(_conjugate(self._quaternion[:, frame]), points - self._position[:, frame])
+
+
+def without_jumps(quaternion: np.ndarray) -> np.ndarray:
+    """The same rotations (T, n, 4), each with the sign closer to the previous one, so that they can be interpolated."""
+    signs = np.where((quaternion[1:] * quaternion[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
+    steady = quaternion.copy()
+    steady[1:] *= np.cumprod(signs, axis=0)[..., None]
+    return steady
+
+
+def _conjugate(quaternion: np.ndarray) -> np.ndarray:
+    return quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """First b, then a, as (w, x, y, z)."""
+    w = a[:, 0] * b[:, 0] - (a[:, 1:] * b[:, 1:]).sum(axis=1)
+    rest: Any = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + np.cross(a[:, 1:], b[:, 1:])
+    return np.concatenate([w[:, None], rest], axis=1)
+
+
+def _turned(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
+    twice = 2 * np.cross(quaternion[:, 1:], points)
+    return points + quaternion[:, :1] * twice + np.cross(quaternion[:, 1:], twice)
+
+
+_GEOM: Final = mujoco.mjtGeom
+#: Shapes that the page draws, by MuJoCo's type.
+KINDS: Final = {
+    int(_GEOM.mjGEOM_PLANE): "plane", int(_GEOM.mjGEOM_SPHERE): "sphere", int(_GEOM.mjGEOM_CAPSULE): "capsule",
+    int(_GEOM.mjGEOM_ELLIPSOID): "ellipsoid", int(_GEOM.mjGEOM_CYLINDER): "cylinder", int(_GEOM.mjGEOM_BOX): "box",
+    int(_GEOM.mjGEOM_MESH): "mesh",
+}  # fmt: skip
+#: MuJoCo draws the groups below this one; the others contain collision geoms.
+HIDDEN_GROUP: Final = 3
+
+
+def shapes_of(model: mujoco.MjModel, packer: Packer) -> dict[str, Any]:
+    """Bodies, geoms and meshes of a model, in the page's format.
+
+    Returns:
+        `bodies`: names; `eyes`: the camera of that name with body, pose and field of view, or None; `geoms`: of each
+        `kind`, `body`, `size`, `pos`, `quat` in its body [m], `rgba`, `collides`, and for a mesh
+        its index; `meshes`: entries of vertices and faces.
+    """
+    meshes: dict[int, int] = {}
+    geoms = []
+    for i in range(model.ngeom):
+        kind = KINDS.get(int(model.geom_type[i]))
+        if kind is None:
+            continue
+        geom: dict[str, Any] = {
+            "kind": kind, "body": int(model.geom_bodyid[i]), "size": _rounded(model.geom_size[i]),
+            "pos": _rounded(model.geom_pos[i]), "quat": _rounded(model.geom_quat[i]),
+            "rgba": _rounded(_colour(model, i)), "collides": bool(model.geom_group[i] >= HIDDEN_GROUP),
+        }  # fmt: skip
+        if kind == "mesh":
+            geom["mesh"] = meshes.setdefault(int(model.geom_dataid[i]), len(meshes))
+        geoms.append(geom)
+    return {
+        "bodies": [model.body(i).name for i in range(model.nbody)],
+        "eyes": _eyes(model),
+        "geoms": geoms,
+        "meshes": [_mesh(model, mesh, packer) for mesh in meshes],
+    }
+
+
+def _eyes(model: mujoco.MjModel) -> dict[str, Any] | None:
+    camera = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "eyes")
+    if camera < 0:
+        return None
+    return {
+        "body": int(model.cam_bodyid[camera]), "pos": _rounded(model.cam_pos[camera]),
+        "quat": _rounded(model.cam_quat[camera]), "fovy": float(model.cam_fovy[camera]),
+    }  # fmt: skip
+
+
+def _mesh(model: mujoco.MjModel, mesh: int, packer: Packer) -> dict[str, Any]:
+    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    return {
+        "vertices": packer.steps(model.mesh_vert[vertices]),
+        "faces": packer.plain(model.mesh_face[faces], "uint32"),
+    }
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """The colour in which MuJoCo draws it: the material's unless the geom has its own; a texture's mean colour."""
+    material = int(model.geom_matid[geom])
+    own = np.array(model.geom_rgba[geom], float)
+    if material < 0 or not np.allclose(own, 0.5 * np.array([1, 1, 1, 2])):
+        return own
+    colour = np.array(model.mat_rgba[material], float)
+    textures = model.mat_texid[material]
+    texture = next((int(t) for t in textures if t >= 0), -1)
+    if texture >= 0:
+        size = int(model.tex_height[texture] * model.tex_width[texture] * model.tex_nchannel[texture])
+        start = int(model.tex_adr[texture])
+        pixels = model.tex_data[start : start + size].reshape(-1, int(model.tex_nchannel[texture]))
+        colour[:3] *= pixels[:, :3].mean(axis=0) / 255.0
+    return colour
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    return [round(float(value), 7) for value in values]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -2,13 +2,115 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
+import html
+import json
 import os
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from nermo_mjx.recording import Recording
-from nermo_mjx.view.document import Page, document
-from nermo_mjx.view.packing import Packer
+from nermo_mjx.recording import Recording, whole_file
+from nermo_mjx.view.clip import Packer
+
+_WEB: Final = resources.files("nermo_mjx.view") / "web"
+_LIBRARIES: Final = {"three": "vendor/three/three.min.js", "meshoptimizer": "vendor/meshoptimizer/simplifier.min.js"}
+_PLACE: Final = re.compile(r"<!--(\w+)-->")
+
+
+@dataclasses.dataclass(frozen=True)
+class Page:
+    """A finished page.
+
+    Attributes:
+        html: the whole document.
+        height: in a notebook [pixels].
+        samples: number of samples of the (longer) recording, if it shows only recordings.
+        rows, recordings: their numbers, if it shows a directory.
+    """
+
+    html: str
+    height: int = 480
+    samples: int = 0
+    rows: int = 0
+    recordings: int = 0
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the page to a file, atomically.
+
+        Raises:
+            RecordingError: it cannot be written.
+        """
+        path = Path(path)
+        with whole_file(path, "the page") as file:
+            file.write(self.html.encode())
+        return path
+
+    def _repr_html_(self) -> str:
+        """Notebook output: the page in an iframe, stored with the notebook."""
+        return (
+            f'<iframe srcdoc="{html.escape(self.html)}" title="Page of nermo_mjx" allow="fullscreen; clipboard-write" '
+            f'style="width:100%;height:{self.height}px;border:0;border-radius:8px"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        held = f"{self.rows} rows, {self.recordings} recordings" if self.rows else f"{self.samples} samples"
+        return f"Page({len(self.html) / 1e6:.1f} MB, {held})"
+
+
+def document(
+    template: str, title: str, header: Mapping[str, Any], parts: Sequence[Packer], folders: Sequence[str] = ("",)
+) -> str:
+    """The template with everything inserted.
+
+    Args:
+        template: a file of `web/`.
+        title: of the window.
+        header: JSON header of the page.
+        parts: packed arrays that the header points into.
+        folders: of `web/` whose modules the page has.
+    """
+    content = {
+        "title": html.escape(title),
+        "style": text("style.css"),
+        "imports": as_json({"imports": _modules(folders)}),
+        "header": as_json(header),
+        "data": "\n".join(map(_part, parts)),
+    }
+    if (own := _WEB / template.replace(".html", ".css")).is_file():
+        content["own_style"] = own.read_text(encoding="utf-8")
+    return _PLACE.sub(lambda place: content[place[1]], text(template))
+
+
+def _part(packer: Packer) -> str:
+    return f'<script type="text/plain" data-part="{packer.part}">{packer.text()}</script>'
+
+
+def text(name: str) -> str:
+    """A file of `web/`."""
+    return (_WEB / name).read_text(encoding="utf-8")
+
+
+def as_json(value: Any) -> str:
+    """JSON that may stand in a script element."""
+    return json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _modules(folders: Sequence[str]) -> dict[str, str]:
+    """An import map: the libraries, and each of our modules as `viewer/[FOLDER/]NAME.js`, as data URLs."""
+    sources = {name: text(path) for name, path in _LIBRARIES.items()}
+    for folder in folders:
+        for each in sorted(each.name for each in (_WEB / folder).iterdir() if each.name.endswith(".js")):
+            name = f"{folder}/{each}".lstrip("/")
+            sources[f"viewer/{name}"] = f"{text(name)}\n//# sourceURL=viewer/{name}\n"
+    return {name: _data_url(source) for name, source in sources.items()}
+
+
+def _data_url(source: str) -> str:
+    return "data:text/javascript;base64," + base64.b64encode(source.encode()).decode("ascii")
 
 
 def show(

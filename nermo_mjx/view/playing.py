@@ -15,9 +15,8 @@ import numpy as np
 
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError, Robot
-from nermo_mjx.view import sun
-from nermo_mjx.view.camera import body_radius, following_camera, root_body
-from nermo_mjx.view.recorded_robot import has_own_geometry, recorded_geometry, robot_of
+from nermo_mjx.view.camera import body_radius, following_camera, move_sun_above, put_sun_overhead, root_body
+from nermo_mjx.view.recorded import has_own_geometry, recorded_geometry, robot_of
 
 #: Frame rate of the viewer [Hz].
 _REFRESH: Final = 60.0
@@ -54,7 +53,7 @@ def play(
     model = (robot or robot_of(recording)).model
     recording.check_model(model)
     model = copy.copy(model)
-    sun.put_overhead(model)
+    put_sun_overhead(model)
     data = mujoco.MjData(model)
     set_sample(data, recording, 0)
     mujoco.mj_forward(model, data)
@@ -106,7 +105,7 @@ def follow(
         with window.lock():
             set_sample(data, recording, max(sample, 0))
             mujoco.mj_forward(model, data)
-            sun.move_above(model, data, data.xpos[root])
+            move_sun_above(model, data, data.xpos[root])
         window.sync()
         time.sleep(1.0 / _REFRESH)
 

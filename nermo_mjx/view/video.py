@@ -1,12 +1,16 @@
-"""Videos of recordings, drawn off-screen by MuJoCo and encoded as MP4 (H.264), GIF or animated WebP."""
+"""Videos of one recording, or of several side by side."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import dataclasses
+import itertools
 import os
+import shutil
+import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,10 +21,120 @@ from jaxtyping import Float, Int, UInt8
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.assembly import EYES
 from nermo_mjx.robot.quantity import ParameterError
-from nermo_mjx.view import offscreen, sun
-from nermo_mjx.view.camera import CAMERAS, STEREO, body_radius, following_camera, root_body, smooth_path
-from nermo_mjx.view.encoding import SUFFIXES, CountDone, VideoError, require_encoder, write_video
-from nermo_mjx.view.overlays import beside, check_overlays, scenery_of, strips_of
+from nermo_mjx.view import offscreen
+from nermo_mjx.view.camera import (
+    CAMERAS,
+    STEREO,
+    body_radius,
+    following_camera,
+    move_sun_above,
+    put_sun_overhead,
+    root_body,
+    smooth_path,
+)
+from nermo_mjx.view.overlays import (
+    CHARACTER,
+    PAPER,
+    beside,
+    blank_strip,
+    check_overlays,
+    pixels,
+    scenery_of,
+    strips_of,
+    write_text,
+)
+
+#: Called with (frames done, frames in all).
+CountDone = Callable[[int, int], None]
+SUFFIXES: Final = (".mp4", ".gif", ".webp")
+#: What ffmpeg is told; its quality of WebP is that of JPEG, which blurs text below 70.
+_CODECS: Final[dict[str, dict[str, Any]]] = {
+    ".mp4": {"codec": "libx264", "quality": 8, "output_params": ["-movflags", "+faststart"]},
+    ".webp": {"codec": "libwebp_anim", "quality": None, "output_params": ["-quality", "70", "-loop", "0"]},
+}
+
+
+class VideoError(RuntimeError):
+    """A video that cannot be made; the message is one sentence, with the remedy where there is one."""
+
+
+def write_video(
+    path: Path,
+    frames: Iterable[UInt8[np.ndarray, "height width 3"]],
+    count: int,
+    *,
+    fps: int,
+    width: int,
+    height: int,
+    progress: CountDone | None = None,
+) -> Path:
+    """Encode frames as they arrive; the file appears only when it is complete.
+
+    Args:
+        count: of the frames.
+        progress: called with (frames done, frames in all).
+
+    Raises:
+        VideoError: it cannot be written.
+    """
+    partial = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix.lower()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.touch()  # fail on an unwritable path before ffmpeg starts, and before the first frame is drawn
+        drawn = iter(frames)
+        first = next(drawn)  # and on a frame that cannot be drawn before ffmpeg waits for it
+        with _writer(partial, fps, width, height, count) as write:
+            for done, frame in enumerate(itertools.chain([first], drawn), start=1):
+                write(frame)
+                if progress is not None:
+                    progress(done, count)
+        partial.replace(path)
+    except OSError as error:
+        reason = error.strerror or str(error).partition("\n")[0]  # imageio quotes all that ffmpeg printed
+        raise VideoError(f"{path}: the video cannot be written ({reason}).") from None
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink()
+    return path
+
+
+@contextlib.contextmanager
+def _writer(path: Path, fps: int, width: int, height: int, count: int) -> Iterator[Callable[[np.ndarray], object]]:
+    if path.suffix == ".gif":
+        import imageio.v2 as imageio
+
+        # A frame lasts whole hundredths of a second: some last one more, so that the average rate is the requested one.
+        ends = np.round(np.arange(count + 1) * 100.0 / fps) * 10.0
+        writer: Any = imageio.get_writer(path, format="GIF", mode="I", duration=np.diff(ends).tolist(), loop=0)
+        with writer:
+            yield writer.append_data
+        return
+    encoder = require_encoder().write_frames(
+        str(path), (width, height), fps=fps, pix_fmt_out="yuv420p", macro_block_size=2, ffmpeg_log_level="error",
+        **_CODECS[path.suffix],
+    )  # fmt: skip
+    with warnings.catch_warnings():
+        # JAX warns of every fork; the child becomes ffmpeg at once.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        encoder.send(None)
+    try:
+        yield lambda frame: encoder.send(np.ascontiguousarray(frame))
+    finally:
+        encoder.close()
+
+
+def require_encoder() -> Any:
+    """The module that bundles and runs ffmpeg; raises `VideoError` if it is not installed."""
+    try:
+        import imageio_ffmpeg
+
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError):
+        raise VideoError("No ffmpeg encodes MP4 or WebP: `pip install imageio-ffmpeg`, or write a .gif.") from None
+    if shutil.which(program) is None:  # the user's choice, which imageio-ffmpeg does not check
+        raise VideoError(f"IMAGEIO_FFMPEG_EXE is {program!r}, which cannot be run: unset it, or write a .gif.")
+    return imageio_ffmpeg
+
 
 #: Without a graphics card, the time of a frame depends on its samples, shadow map, reflections and facets.
 SHADOW_MAP: Final = 2048
@@ -173,7 +287,7 @@ def _robot(
             mujoco.mj_tendon(model, data)
             if following is not None:
                 following.lookat[:] = point
-            sun.move_above(model, data, point)
+            move_sun_above(model, data, point)
             yield np.concatenate([_seen(renderer, data, view, scenery, int(sample)) for view in views], axis=1)
 
 
@@ -200,7 +314,7 @@ def _dressed(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     quality.shadowsize, quality.offsamples = min(quality.shadowsize, SHADOW_MAP), min(quality.offsamples, SAMPLES)
     quality.numslices, quality.numstacks = min(quality.numslices, SLICES), min(quality.numstacks, STACKS)
     model.mat_reflectance[:] = 0.0
-    sun.put_overhead(model)
+    put_sun_overhead(model)
     return model
 
 
@@ -258,3 +372,129 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
         yield renderer
     finally:
         renderer.close()
+
+
+#: Height of a line of text, of the strip below the pictures, and of the gap between them [pixels].
+_LINE, _FOOTER, _GAP = 18, 40, 4
+_BAR, _TRACK = (35, 100, 143), (226, 226, 226)
+
+
+@dataclasses.dataclass(frozen=True)
+class Pane:
+    """One recording and its caption.
+
+    Attributes:
+        recording: from its first sample on.
+        title: in bold.
+        caption: lines below the title; long ones are wrapped.
+        model: of its own robot, if its geometry differs from the common model's.
+    """
+
+    recording: Recording
+    title: str
+    caption: Sequence[str] = ()
+    model: mujoco.MjModel | None = None
+
+
+def render_side_by_side(
+    panes: Sequence[Pane],
+    model: mujoco.MjModel,
+    path: str | os.PathLike[str],
+    *,
+    fps: int = 25,
+    width: int = 480,
+    height: int = 360,
+    camera: str = "three_quarter",
+    speed: float = 1.0,
+    overlays: Sequence[str] = (),
+    progress: CountDone | None = None,
+) -> Path:
+    """Render recordings of one model into one video; it is as long as the shortest of them.
+
+    Each robot has its own camera. A bar below it shows its distance since the beginning, on the same scale for all.
+
+    Args:
+        panes: from left to right.
+        model, path, fps, camera, speed, overlays, progress: as for `render`.
+        width, height: of one picture in pixels; the video has all of them and their captions.
+
+    Raises:
+        ParameterError: no panes, or an invalid option.
+        VideoError: this machine cannot draw or encode.
+        RecordingError: a recording does not fit the model.
+    """
+    if not panes:
+        raise ParameterError("A video side by side needs at least one recording.")
+    path = Path(path)
+    check_video(model, path, fps=fps, width=width, height=height, camera=camera, speed=speed, overlays=overlays)
+    for pane in panes:
+        pane.recording.check_model(model)
+        check_overlays(overlays, pane.recording)
+    samples = [frame_samples(pane.recording, fps, speed) for pane in panes]
+    count = min(map(len, samples))
+    samples = [each[:count] for each in samples]
+    header = _header(panes, width)
+    ways = _ways(panes, model, samples, speed / fps)
+    drawn = [
+        draw(pane.recording, pane.model or model, each, width, height, camera, speed / fps, overlays)
+        for pane, each in zip(panes, samples, strict=True)
+    ]
+
+    def frames() -> Iterator[UInt8[np.ndarray, "height width 3"]]:
+        for i, row in enumerate(zip(*(pictures for pictures, _ in drawn), strict=True)):
+            footer = _footer(i * speed / fps, speed, ways[:, i], ways.max(), width)
+            yield np.concatenate([header, _beside(list(row)), footer])
+
+    size = (header.shape[1], header.shape[0] + drawn[0][1] + _FOOTER)
+    return write_video(path, frames(), count, fps=fps, width=size[0], height=size[1], progress=progress)
+
+
+def _ways(
+    panes: Sequence[Pane], model: mujoco.MjModel, samples: Sequence[np.ndarray], interval: float
+) -> Float[np.ndarray, "panes F"]:
+    """Distance of each robot from its start, without the sway of the steps [m]."""
+    data, ways = mujoco.MjData(model), []
+    for pane, each in zip(panes, samples, strict=True):
+        positions = smooth_path(root_path(pane.recording, model, data, each), interval)[:, :2]
+        ways.append(np.linalg.norm(positions - positions[0], axis=1))
+    return np.array(ways)
+
+
+def _header(panes: Sequence[Pane], width: int) -> UInt8[np.ndarray, "height width 3"]:
+    """The captions above the pictures, all with the height of the longest."""
+    most = int(width / CHARACTER)
+    texts = [[part for line in pane.caption for part in textwrap.wrap(line, most)] for pane in panes]
+    height = _LINE * (1 + max(map(len, texts))) + 10
+    strips = []
+    for pane, lines in zip(panes, texts, strict=True):
+        figure = blank_strip(width, height + height % 2)
+        write_text(figure, 8, 4, pane.title, fontsize=10.5, fontweight="bold")
+        for i, line in enumerate(lines, start=1):
+            write_text(figure, 8, 5 + i * _LINE, line, fontsize=8.5)
+        strips.append(pixels(figure))
+    return _beside(strips)
+
+
+def _footer(
+    seconds: float, speed: float, ways: Float[np.ndarray, " panes"], furthest: float, width: int
+) -> UInt8[np.ndarray, "height width 3"]:
+    """A bar for each robot's distance, with its value in millimetres, and the time."""
+    strips = []
+    room = width - 16
+    for i, way in enumerate(ways):
+        figure = blank_strip(width, _FOOTER)
+        slowed = {1.0: "", 0.5: ", half speed"}.get(speed, f", speed {speed:g}")
+        clock = f"{seconds:.2f} s{slowed}"
+        write_text(figure, 8, 19, f"{1e3 * way:.0f} mm" + (f" in {clock}" if i == 0 else ""), fontsize=8.5)
+        strip = pixels(figure)
+        strip[7:15, 8 : 8 + room] = _TRACK
+        strip[7:15, 8 : 8 + round(room * way / max(furthest, 1e-6))] = _BAR
+        strips.append(strip)
+    return _beside(strips)
+
+
+def _beside(pictures: list[np.ndarray]) -> UInt8[np.ndarray, "height width 3"]:
+    """Pictures of one height in a row, a little apart."""
+    gap = np.full((len(pictures[0]), _GAP, 3), PAPER, np.uint8)
+    parts = [part for picture in pictures for part in (gap, picture)][1:]
+    return np.concatenate(parts, axis=1)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from nermo_mjx.robot.files import mjcf_directory
-from nermo_mjx.robot.meshes.catalogue import mesh_texts
+from nermo_mjx.robot.meshes.body import mesh_texts
+from nermo_mjx.robot.parts import mjcf_directory
 
 
 def main() -> None:

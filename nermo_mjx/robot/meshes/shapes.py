@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from nermo_mjx.robot.geometry import Geometry, dh_table
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -201,3 +203,75 @@ def _outward(shape: Shape) -> Shape:
     """The shape with its faces turned so that they enclose a positive volume."""
     a, b, c = (shape.vertices[shape.faces[:, i]] - shape.vertices.mean(axis=0) for i in range(3))
     return shape if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else Shape(shape.vertices, shape.faces[:, ::-1])
+
+
+# ---
+# Sharp edges: MuJoCo gives every vertex one normal, so an edge is sharp only if its vertices are split.
+
+
+#: Edges that turn by more than this stay sharp [rad]. A chamfer turns by less: its vertices take the normal of the
+#: large adjacent face, and the edge looks rounded.
+CREASE: Final = np.radians(50.0)
+
+
+def creased(shape: Shape, angle: float = CREASE) -> Shape:
+    """The same surface, its vertices split wherever faces meet at more than `angle` [rad]; unused ones are dropped."""
+    corner = shape.vertices[shape.faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    kept = np.flatnonzero(area > 1e-9)
+    normal = normal / np.maximum(area, 1e-12)[:, None]
+    around: dict[int, list[int]] = {}
+    for face in kept.tolist():
+        for vertex in shape.faces[face].tolist():
+            around.setdefault(vertex, []).append(face)
+    vertices: list[np.ndarray] = []
+    owner: dict[tuple[int, int], int] = {}
+    for vertex, faces in around.items():
+        for group in _smooth_groups(vertex, faces, shape.faces, normal, np.cos(angle)):
+            owner.update(((face, vertex), len(vertices)) for face in group)
+            vertices.append(shape.vertices[vertex])
+    split = [[owner[face, vertex] for vertex in shape.faces[face].tolist()] for face in kept.tolist()]
+    return Shape(np.array(vertices), np.array(split))
+
+
+def _smooth_groups(
+    vertex: int, faces: list[int], corners: np.ndarray, normal: np.ndarray, limit: float
+) -> list[list[int]]:
+    """Faces around a vertex, in groups that are connected across edges that are not sharp."""
+    group = {face: {face} for face in faces}
+    for i, one in enumerate(faces):
+        for other in faces[i + 1 :]:
+            shared = set(corners[one].tolist()) & set(corners[other].tolist()) - {vertex}
+            if shared and normal[one] @ normal[other] > limit and group[one] is not group[other]:
+                union = group[one] | group[other]
+                group.update((member, union) for member in union)
+    return [list(members) for members in {id(members): sorted(members) for members in group.values()}.values()]
+
+
+# ---
+# Numbers that several parts share: units, thicknesses, and poses along the spine.
+
+
+#: Millimetres in a metre: meshes are in millimetres, the robot's numbers in metres.
+MM: Final = 1000.0
+#: Radius at which the leg's and the spine's tendons are drawn [mm].
+TENDON: Final = 0.5
+#: The axes of the stacked hip and knee servos are apart by the pulley's height; a servo fills most of it [mm].
+SERVO_WIDTH: Final = 11.0
+
+
+def dh_pose(first: int, last: int, geometry: Geometry) -> Float[np.ndarray, "4 4"]:
+    """Pose of DH row `last` seen from row `first` of the straight spine; lengths in mm."""
+    pose = np.eye(4)
+    for alpha, a, theta, d in dh_table(geometry)[first + 1 : last + 1]:
+        ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
+        pose = pose @ np.array(
+            [
+                [ct, -st, 0.0, MM * a],
+                [st * ca, ct * ca, -sa, -MM * d * sa],
+                [st * sa, ct * sa, ca, MM * d * ca],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+    return pose

@@ -12,11 +12,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import pyarrow as pa
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.specs.unread import unread
+from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.results import Results, chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep

@@ -12,14 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from scipy import stats
 
-from nermo_mjx.robot.nearest import did_you_mean
-from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.comparing.arms import Arm, Source, Value, two_tables, values_of, where
 from nermo_mjx.sweep.comparing.bootstrap import RESAMPLES
 from nermo_mjx.sweep.comparing.pairing import Differences, Pairing, differences, pair
-from nermo_mjx.sweep.sides import OBJECTIVES
-from nermo_mjx.sweep.summary import LEADING
-from nermo_mjx.sweep.table import Columns, columns_of, meta
+from nermo_mjx.sweep.spec import OBJECTIVES
+from nermo_mjx.sweep.table import LEADING, Columns, columns_of, meta
 
 #: Share of false findings among those labelled beyond noise.
 FALSE_SHARE: Final = 0.05

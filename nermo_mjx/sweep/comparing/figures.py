@@ -17,10 +17,9 @@ from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import Page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horizontal_grid, set_scales
-from nermo_mjx.sweep.points import titled
-from nermo_mjx.sweep.reports import report_table
-from nermo_mjx.sweep.sides import OBJECTIVES
-from nermo_mjx.sweep.table import columns_of, meta
+from nermo_mjx.sweep.figures import titled
+from nermo_mjx.sweep.spec import OBJECTIVES
+from nermo_mjx.sweep.table import columns_of, meta, report_table
 
 Row = Mapping[str, Any]
 #: Metrics of one figure, and panels.

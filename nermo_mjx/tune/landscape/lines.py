@@ -11,8 +11,7 @@ import pyarrow as pa
 from jaxtyping import Bool, Float
 
 from nermo_mjx.tune.landscape.plan import WIDTHS
-from nermo_mjx.tune.sections import Tuned
-from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.spec import Tuned, Tuning
 
 #: Neighbouring points of a line to which a parabola is fitted, to separate ripple from shape.
 _WINDOW: Final = 7

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int
 
-from nermo_mjx.tune.bounds import FURTHEST
+from nermo_mjx.tune.objective import FURTHEST
 from nermo_mjx.tune.spec import Tuning
 
 #: Widths of the secants, as fractions of a parameter's range: from those that show whether a derivative is correct to

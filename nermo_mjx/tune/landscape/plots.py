@@ -17,8 +17,7 @@ from nermo_mjx.plotting.style import BAND, BEST, INK, LINE, MUTED, horizontal_gr
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.tune.landscape.lines import Slice, lines_of
 from nermo_mjx.tune.landscape.points import TABLE, TUNING, read
-from nermo_mjx.tune.sections import Tuned
-from nermo_mjx.tune.spec import Tuning
+from nermo_mjx.tune.spec import Tuned, Tuning
 
 #: From narrow secants to wide ones.
 _SECANTS: Final = ("#fcae12", "#e55c30", "#ba3655", "#781c6d", "#230c4c")  # of the even colour map inferno

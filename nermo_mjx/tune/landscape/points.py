@@ -19,11 +19,11 @@ import pyarrow as pa
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, content_of, parquet_table
 from nermo_mjx.specs.reading import changes
 from nermo_mjx.sweep.table import Columns
-from nermo_mjx.tune.evaluation import Problem
+from nermo_mjx.tune.estimators import Estimator
 from nermo_mjx.tune.landscape.batches import Batches
 from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, Plan
+from nermo_mjx.tune.objective import Problem
 from nermo_mjx.tune.optimizer import Optimizer
-from nermo_mjx.tune.sampling import Estimator
 from nermo_mjx.tune.spec import Tuning
 
 #: Files of a directory: all points, and the resolved tuning whose objective they are of.

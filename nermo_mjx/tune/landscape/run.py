@@ -27,13 +27,13 @@ from nermo_mjx.runs.files import clear_errors, parquet_bytes
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.tune.directory import keep_recording, read_stored
-from nermo_mjx.tune.evaluation import Problem
 from nermo_mjx.tune.landscape.batches import Batches, any_batch
 from nermo_mjx.tune.landscape.lines import lines_of
 from nermo_mjx.tune.landscape.plan import Plan, plan
 from nermo_mjx.tune.landscape.points import IDENTITY, KEY, TABLE, TUNING, batch_size, evaluate, identity, key, read
 from nermo_mjx.tune.landscape.report import content_of, page
 from nermo_mjx.tune.methods import Method
+from nermo_mjx.tune.objective import Problem
 from nermo_mjx.tune.run import simulation_of
 from nermo_mjx.tune.spec import Tuning
 
@@ -85,7 +85,7 @@ def run_landscape(
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one; its optimizer, estimator and
             further starts do not matter.
         out: the directory.
-        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problem.WalkProblem`).
+        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problems.WalkProblem`).
         points: of each line, 5 or more.
         span: length of the lines as a fraction of the bounds, in (0, 1]; shorter lines lie about the start.
         progress: called with the points done, and all of them.

@@ -1,4 +1,4 @@
-// Reads the arrays that nermo_mjx/view/packing.py wrote into the page.
+// Reads the arrays that nermo_mjx/view/clip.py wrote into the page.
 
 const MISSING = -32768;
 

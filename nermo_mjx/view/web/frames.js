@@ -1,4 +1,4 @@
-// Reverses nermo_mjx/view/frames.py: bodies and tendons relative to the root, in the world's directions.
+// Reverses nermo_mjx/view/clip.py: bodies and tendons relative to the root, in the world's directions.
 
 /**
  * Positions and quaternions of bodies (rows of `parents.length` each), given in their parents' frames; a parent comes

@@ -1,0 +1,347 @@
+"""The directory of results: results.jsonl with a line per run, and the page made from it, with its plots."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from nermo_mjx.bench import CASES
+from nermo_mjx.plotting.files import Figures, write_figures
+from nermo_mjx.plotting.page import page
+from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, horizontal_grid
+from nermo_mjx.runs.files import DirectoryError, replace_file
+from nermo_mjx.runs.status import Status
+from nermo_mjx.runs.text import table
+
+RESULTS: Final = "results.jsonl"
+#: Heading of runs that ended before they could report their machine.
+UNKNOWN: Final = "Unknown machine"
+_COLOURS: Final = {"c": MUTED, "mjx": LINE, "warp": BEST}
+#: Where logarithmic axes may begin and end.
+_STEPS: Final = [step * 10.0**power for power in range(-4, 12) for step in (1, 2, 5)]
+
+
+class Column(NamedTuple):
+    """A column of a measurement's table: heading, key of the figure, its format, and a factor."""
+
+    heading: str
+    key: str
+    shape: str = "{}"
+    scale: float = 1.0
+
+    def cell(self, line: Mapping[str, Any]) -> str:
+        """The text of a line's cell."""
+        value = line.get(self.key)
+        if value is None:
+            return "-"
+        return self.shape.format(value if isinstance(value, str) or self.scale == 1.0 else value * self.scale)
+
+
+_ENGINE, _WORLDS = Column("engine", "engine"), Column("worlds", "worlds", "{:,}")
+_RATIO = Column("ratio", "ratio", "{:.2f}")
+_SECONDS: Final = "{:.1f}"
+_COMPILING = (Column("trace [s]", "trace_s", _SECONDS), Column("compile [s]", "compile_s", _SECONDS))
+_PEAK = Column("peak [MB]", "peak_bytes", "{:,.0f}", 1e-6)
+#: Case -> its columns.
+COLUMNS: Final[dict[str, tuple[Column, ...]]] = {
+    "throughput": (
+        _ENGINE,
+        _WORLDS,
+        Column("steps/s", "steps_per_second", "{:,.0f}"),
+        Column("plain steps/s", "plain_steps_per_second", "{:,.0f}"),
+        _RATIO,
+        Column("loop's cost", "loop_cost", "{:.1%}"),
+        Column("simulated s/s", "seconds_simulated_per_second", "{:,.0f}"),
+        *_COMPILING,
+        Column("plain [s]", "plain_compile_s", _SECONDS),
+        Column("carry [B/world]", "carry_bytes_per_world", "{:,}"),
+        _PEAK,
+    ),
+    "gradient": (
+        Column("mode", "mode"),
+        _WORLDS,
+        Column("cycles", "cycles", "{:g}"),
+        Column("gradient [s]", "gradient_s", "{:.2f}"),
+        Column("walk [s]", "forward_s", "{:.2f}"),
+        _RATIO,
+        *_COMPILING,
+        Column("kB/world", "temporary_bytes_per_world", "{:,.0f}", 1e-3),
+        _PEAK,
+    ),
+    "startup": (
+        _ENGINE,
+        _WORLDS,
+        Column("cache", "cache"),
+        Column("in all [s]", "total_s", _SECONDS),
+        *(
+            Column(f"{stage.replace('_', ' ')} [s]", f"{stage}_s", _SECONDS)
+            for stage in ("import", "model", "parameters", "open", "first_tick")
+        ),
+    ),
+}
+
+
+def table_of(case: str, lines: Sequence[Mapping[str, Any]]) -> tuple[list[Column], list[list[str]]]:
+    """The columns of a case that have a figure, and the rows of its measurements; those that failed have none."""
+    found = [row for line in lines for row in _rows(line)]
+    columns = [column for column in COLUMNS[case] if any(row.get(column.key) is not None for row in found)]
+    return columns, [[column.cell(row) for column in columns] for row in found]
+
+
+def _rows(line: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """The table's rows for a measurement: one, or of a start one for each state of the cache."""
+    if "error" in line:
+        return
+    if line["case"] != "startup":
+        yield line
+        return
+    for cache in ("cold", "warm"):
+        yield {**line, "cache": cache, "total_s": line[f"{cache}_s"], **line[cache]}
+
+
+def failure_of(line: Mapping[str, Any]) -> str | None:
+    """A sentence on a measurement that failed; None if it did not."""
+    if "error" not in line:
+        return None
+    options = ", ".join(f"{key} {value}" for key, value in line.items() if key not in ("case", "error", "made", "day"))
+    return f"{line['case']} ({options}) failed: {line['error']}"
+
+
+@dataclasses.dataclass
+class Measured:
+    """The results of one measurement on one machine.
+
+    Attributes:
+        case: its name.
+        good: its newest line with figures, and in `made` when it was measured and with what; None if there is none.
+        failed: the latest line with an error, if that is newer.
+    """
+
+    case: str
+    good: dict[str, Any] | None = None
+    failed: dict[str, Any] | None = None
+
+    def failure(self) -> str | None:
+        """A sentence on the failure, its date and the date of the figures; None without a failure."""
+        if self.failed is None:
+            return None
+        figures = f"; the figures are of {self.good['day']}" if self.good else ""
+        return f"{str(failure_of(self.failed)).rstrip('.')}. That was on {self.failed['made']}{figures}."
+
+
+@dataclasses.dataclass(frozen=True)
+class History:
+    """The contents of results.jsonl.
+
+    Attributes:
+        machines: machine -> its measurements, in the order of `CASES`.
+        remarks: a sentence about each line that is not shown.
+        lines: readable measurements in the file, of any age.
+        commits: measured ones, oldest first.
+    """
+
+    machines: dict[str, list[Measured]]
+    remarks: tuple[str, ...]
+    lines: int
+    commits: tuple[str, ...]
+
+
+def append(path: Path, run: Mapping[str, Any]) -> None:
+    """Append a run, see `run_bench`, to a file as one line; existing lines are unchanged."""
+    before = path.read_bytes() if path.exists() else b""
+    if before and not before.endswith(b"\n"):  # truncated when the process was killed
+        before += b"\n"
+    replace_file(path, before + json.dumps(run).encode() + b"\n")
+
+
+def read(folder: Path) -> History:
+    """The content of FOLDER/results.jsonl; unreadable lines become remarks.
+
+    Raises:
+        OSError: the file does not exist or cannot be read.
+    """
+    found: dict[str, dict[tuple[Any, ...], Measured]] = {}
+    unreadable, remarks, commits, count = list[int](), list[str](), dict[str, None](), 0
+    for number, text in enumerate((folder / RESULTS).read_bytes().splitlines(), 1):
+        try:
+            run = json.loads(text)
+            about, day, lines = run["hardware"], run["date"][:10], list(run["cases"])
+            machine = f"{about['device']}; {about['cores']} x {about['cpu']}" if about else UNKNOWN
+            versions = [f"{name} {about[name]}" for name in ("mujoco", "jax", "python")] if about else []
+            made = ", ".join([day, f"commit {run['commit']}", *versions])
+        except (ValueError, KeyError, TypeError, AttributeError):
+            unreadable.append(number)
+            continue
+        commits[str(run["commit"])] = None
+        for line in lines:
+            name = str(line.get("case")) if isinstance(line, dict) else "None"
+            try:
+                wrong = "" if name in CASES else "this version does not know"
+                wrong or list(_rows(line))
+            except (KeyError, TypeError, ValueError):
+                wrong = "cannot be read"
+            if wrong:
+                remarks.append(f"Line {number} of {RESULTS} has a case {name!r} that {wrong}; it is not shown.")
+                continue
+            count += 1
+            # A line from before an option existed was made with the option's first default.
+            key = tuple(line.get(name, option.default[0]) for name, option in CASES[name].options.items())
+            known = found.setdefault(machine, {}).setdefault((list(CASES).index(name), *key), Measured(name))
+            line = {**line, "made": made, "day": day}
+            if "error" in line:
+                known.failed = line
+            else:
+                known.good, known.failed = line, None
+    if unreadable:
+        *most, last = map(str, unreadable)
+        named = f"Lines {', '.join(most)} and {last}" if most else f"Line {last}"
+        remarks.insert(0, f"{named} of {RESULTS} cannot be read, and {'are' if most else 'is'} not shown.")
+
+    def order(key: tuple[Any, ...]) -> list[Any]:
+        return [(0, part) if isinstance(part, (int, float)) else (1, str(part)) for part in key]
+
+    machines = {
+        machine: [found[machine][key] for key in sorted(found[machine], key=order)]
+        for machine in sorted(found, key=lambda machine: machine == UNKNOWN)
+    }
+    return History(machines, tuple(remarks), count, tuple(commits))
+
+
+def status(out: Path) -> Status:
+    """Status of a directory of benchmarks: the content of results.jsonl; its code is the measured commits."""
+    history = read(out) if (out / RESULTS).exists() else History({}, (), 0, ())
+    measured = [each for machine in history.machines.values() for each in machine]
+    engines = dict.fromkeys(each.good["engine"] for each in measured if each.good and "engine" in each.good)
+    notes = [f"{machine}: {len(each)} kinds of measurement." for machine, each in history.machines.items()]
+    notes += [*history.remarks, *(failure for each in measured if (failure := each.failure()))]
+    go_on = f"nermo-mjx bench --into {shlex.quote(str(out))}"
+    engine = ", ".join(engines) or None
+    count = history.lines
+    return Status("measurements", count, count, count > 0, go_on, engine, code=history.commits, notes=tuple(notes))
+
+
+def draw_page(folder: Path, write: Callable[[Path, bytes], None] = replace_file) -> None:
+    """Remake FOLDER/results.md and its plots from FOLDER/results.jsonl.
+
+    Args:
+        write: how page and plots are written; by default they replace existing ones.
+    """
+    history = read(folder)
+    text = ["# Results", "", "Made by `nermo-mjx bench --into`; the newest measurement of each kind counts.", ""]
+    for remark in history.remarks:
+        text += [remark, ""]
+    for number, (machine, measured) in enumerate(history.machines.items(), 1):
+        text += [f"## {machine}", ""]
+        for case in dict.fromkeys(each.case for each in measured):
+            own = [each for each in measured if each.case == case]
+            good = [each.good for each in own if each.good]
+            text += [f"### {case.capitalize()}: {CASES[case].about}", ""]
+            text += [f"- {failure}" for each in own if (failure := each.failure())]
+            columns, cells = table_of(case, good)
+            if cells:
+                text += ["", table([column.heading for column in columns], cells)]
+                text += [f"Measured {'; '.join(dict.fromkeys(line['made'] for line in good))}."]
+            text += [""]
+        for path in write_figures(_figures(machine, measured, number), folder / "plots", write):
+            if path.suffix == ".png":
+                text += [f"![{path.stem.removesuffix(f'_{number}')}](plots/{path.name})", ""]
+    write(folder / "results.md", ("\n".join(text).rstrip() + "\n").encode())
+
+
+def figures(out: Path) -> Figures:
+    """The figures of a directory of benchmarks.
+
+    Raises:
+        DirectoryError: results.jsonl cannot be read.
+    """
+    try:
+        history = read(out)
+    except OSError as error:
+        raise DirectoryError(f"{out / RESULTS} cannot be read: {error.strerror}.") from None
+    if not history.machines:
+        raise DirectoryError(f"{out / RESULTS} cannot be read: no line of it is a run. Measure with nermo-mjx bench.")
+    machines = enumerate(history.machines.items(), 1)
+    return (figure for number, (machine, measured) in machines for figure in _figures(machine, measured, number))
+
+
+def _figures(machine: str, measured: Sequence[Measured], number: int) -> Iterator[tuple[str, Figure]]:
+    """Throughput and memory over the batch, compile times, and the cost of gradients over the length of a walk."""
+
+    def lines_with(case: str, *keys: str) -> list[Mapping[str, Any]]:
+        """The lines of a case that have all these figures, and all its options."""
+        lines = [each.good for each in measured if each.case == case and each.good]
+        return [line for line in lines if all(line.get(name) is not None for name in (*CASES[case].options, *keys))]
+
+    if walks := lines_with("throughput", "steps_per_second", "plain_steps_per_second", "peak_bytes"):
+        yield f"throughput_{number}", _throughput(machine, walks)
+    compiled = lines_with("throughput", "trace_s", "compile_s", "plain_trace_s", "plain_compile_s")
+    if compiled := [line for line in compiled if line["compile_s"]]:
+        yield f"compile_{number}", _compile(machine, compiled)
+    gradients = lines_with("gradient", "ratio", "temporary_bytes_per_world")
+    if len({line["cycles"] for line in gradients}) > 1:  # a curve needs more than one length
+        yield f"gradient_{number}", _gradient(machine, gradients)
+
+
+def _throughput(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = page(
+        "Throughput and memory over the batch", 7.0, 3.2, f"{machine}. Dashed: plain physics of the same model."
+    )
+    speed, memory = figure.subplots(1, 2)
+    for engine in dict.fromkeys(line["engine"] for line in walks):
+        own = sorted((line for line in walks if line["engine"] == engine), key=lambda line: line["worlds"])
+        worlds, colour = [line["worlds"] for line in own], _COLOURS.get(engine, INK)
+        speed.plot(worlds, [line["steps_per_second"] for line in own], "o-", ms=3, color=colour, label=engine)
+        speed.plot(worlds, [line["plain_steps_per_second"] for line in own], "--", lw=1, color=colour)
+        memory.plot(worlds, [line["peak_bytes"] / 1e9 for line in own], "o-", ms=3, color=colour, label=engine)
+    for ax, label in ((speed, "throughput [physics steps/s]"), (memory, "peak memory [GB]")):
+        ax.set(xscale="log", yscale="log", xlabel="batch [worlds]", ylabel=label)
+        sizes = sorted({line["worlds"] for line in walks})
+        ax.set_xticks(sizes, [f"{size:,}" for size in sizes])
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+        ax.yaxis.set_minor_locator(NullLocator())
+        low, high = ax.get_ylim()
+        ax.set_ylim(max(step for step in _STEPS if step <= low), min(step for step in _STEPS if step >= high))
+        horizontal_grid(ax)
+    speed.legend()
+    return figure
+
+
+def _compile(machine: str, walks: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = page("From Python to a program", 7.0, 1.8 + 0.45 * len(walks), f"{machine}. Cold cache.")
+    ax = figure.subplots()
+    names = [f"{line['engine']}, {line['worlds']:,} worlds" for line in walks]
+    trace, compiled = ([line[key] for line in walks] for key in ("trace_s", "compile_s"))
+    ax.barh(names, trace, color=MUTED, label="trace")
+    ax.barh(names, compiled, left=trace, color=LINE, label="compile")
+    plain = [line["plain_trace_s"] + line["plain_compile_s"] for line in walks]
+    ax.plot(plain, names, "|", ms=14, color=BEST, label="plain physics, both")
+    ax.set(xlabel="time [s]")
+    ax.margins(y=0.3)
+    ax.invert_yaxis()
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)
+    return figure
+
+
+def _gradient(machine: str, lines: Sequence[Mapping[str, Any]]) -> Figure:
+    figure = page("What a gradient costs over the length of a walk", 7.0, 3.2, f"{machine}.")
+    ratio, memory = figure.subplots(1, 2)
+    for mode, colour in (("forward", LINE), ("reverse", BEST)):
+        own = sorted((line for line in lines if line["mode"] == mode), key=lambda line: line["cycles"])
+        cycles = [line["cycles"] for line in own]
+        ratio.plot(cycles, [line["ratio"] for line in own], "o-", ms=3, color=colour, label=mode)
+        memory.plot(cycles, [line["temporary_bytes_per_world"] / 1e6 for line in own], "o-", ms=3, color=colour)
+    ratio.set(xlabel="length of the walk [gait cycles]", ylabel="time over the walk's alone [1]", ylim=(0, None))
+    memory.set(xlabel="length of the walk [gait cycles]", ylabel="memory of a world [MB]", ylim=(0, None))
+    for ax in (ratio, memory):
+        horizontal_grid(ax)
+    ratio.legend()
+    return figure

@@ -1,0 +1,384 @@
+"""The commands that read finished tables: status, plot, compare and sensitivity; and the kinds of directories."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import FORMATS, METRICS
+from nermo_mjx.cli.options import FileKind, names
+from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved, tell_report
+
+if TYPE_CHECKING:
+    from nermo_mjx.runs import CodeStamp
+    from nermo_mjx.runs.status import Status
+    from nermo_mjx.sweep.comparing import Comparison
+    from nermo_mjx.sweep.sensitivity import Sensitivity
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """A kind of directory, or of file.
+
+    Attributes:
+        name: as run.json has it.
+        called: in a sentence.
+        figures: module and name of the function that names its figures: `figures(path, **options)` reads and checks,
+            and returns `plotting.files.Figures`, of which each is made when it is written.
+        status: the same of the function that says how far such a directory is.
+        options: keywords that `figures` takes, of those that the command `plot` has.
+        tracked: whether run.json records which files the program wrote, so that no others are replaced.
+    """
+
+    name: str
+    called: str
+    figures: str
+    status: str = ""
+    options: tuple[str, ...] = ()
+    tracked: bool = False
+
+    def load(self, place: str) -> Callable[..., Any]:
+        """The function of a place, imported now."""
+        module, _, name = place.partition(":")
+        function: Callable[..., Any] = getattr(importlib.import_module(f"nermo_mjx.{module}"), name)
+        return function
+
+
+#: Kinds of directories, by name.
+KINDS: Final = {
+    kind.name: kind
+    for kind in (
+        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.status:status", ("x", "y", "color", "notify")),
+        Kind("search", "a search", "search.plots:figures", "search.status:status", ("x", "y", "color", "notify")),
+        Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
+        Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
+        Kind("landscape", "a landscape", "tune.landscape.plots:figures", "tune.status:landscape_status"),
+        Kind("experiments", "published experiments", "experiments.plots:figures", "experiments.directory:status",
+             tracked=True),
+        Kind("identification", "an identification", "experiments.identification:drawn",
+             "experiments.identification:status", tracked=True),
+        Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.table:status", tracked=True),
+        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.table:status",
+             tracked=True),
+        Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
+    )
+}  # fmt: skip
+RECORDING: Final = Kind("recording", "a recording", "cli.view:figures", options=("notify",))
+
+
+def kind_of_directory(path: Path) -> Kind:
+    """The kind of a directory.
+
+    Raises:
+        WrongUse: it does not exist, or is of no known kind.
+        DirectoryError: its run.json is damaged.
+    """
+    from nermo_mjx.runs import kind_of
+
+    if not path.exists():
+        raise WrongUse(f"{path}: there is no such file or directory.")
+    name = kind_of(path) if path.is_dir() else None
+    if name is None:
+        *most, last = (kind.called for kind in KINDS.values())
+        raise WrongUse(f"{path} is not a results directory: it contains neither {', '.join(most)} nor {last}.")
+    if name not in KINDS:
+        raise WrongUse(f"{path} holds a {name}, which this version of nermo-mjx does not know.")
+    return KINDS[name]
+
+
+STATUS_EPILOG = """\b
+Examples:
+  nermo-mjx status runs/quickstart
+  nermo-mjx status runs/published --json
+"""
+#: Number of sessions to show, the latest.
+_SESSIONS = 3
+
+
+@click.command("status", epilog=STATUS_EPILOG)
+@click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
+@options.report
+def status_command(path: Path, as_json: bool, quiet: bool) -> None:
+    """Show what DIR contains, its progress, what made it, and how to resume.
+
+    DIR is the directory of a sweep, a search, a tuning, a training, a
+    landscape, experiments, an identification or benchmarks, of this release or
+    an earlier one, finished or in progress. It is only read.
+    """
+    kind = kind_of_directory(path)
+    with stdout_reserved():
+        from nermo_mjx.runs import codes_of
+        from nermo_mjx.runs.directory import read_record
+
+        status: Status = kind.load(kind.status)(path)
+        codes, sessions = codes_of(path), read_record(path).get("sessions") or status.sessions
+    if as_json:
+        print_json({"kind": kind.name, "rows": status.rows, "rows_done": status.rows_done,
+                    "code": [*codes] or status.code, "engine": status.engine, "complete": status.complete})  # fmt: skip
+    elif not quiet:
+        click.echo(f"{path}: {kind.called}, {_amount(status)}")
+        for name, text in (*_made(status, codes), *_worked(sessions), *(("note", note) for note in status.notes)):
+            click.echo(f"{name:<8} {text}")
+        click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'resume':<8} {status.command}"
+                   if status.command else "resume   with the command that started it, not recorded here")  # fmt: skip
+
+
+def _amount(status: Status) -> str:
+    known = status.rows is not None and not status.complete
+    of_all = f" of {status.rows:,}" if known else ""
+    return f"{status.rows_done:,}{of_all} {status.unit}, {'complete' if status.complete else 'not complete'}"
+
+
+def _made(status: Status, codes: Mapping[str, CodeStamp]) -> Iterator[tuple[str, str]]:
+    yield "engine", status.engine or "not known"
+    yield from (("code", f"{name}: {stamp}") for name, stamp in codes.items())
+    if not codes:
+        yield "code", ", ".join(status.code) or "not known"
+
+
+def _worked(sessions: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """The newest sessions: when, with what, where, by which command."""
+    if len(sessions) > _SESSIONS:
+        yield "session", f"and {len(sessions) - _SESSIONS} earlier"
+    for each in sessions[-_SESSIONS:]:
+        versions, machine = each.get("versions", {}), each.get("machine", {})
+        named = ", ".join(f"{name} {versions[name]}" for name in ("nermo-mjx", "mujoco", "jax") if name in versions)
+        where = ", ".join(str(machine[name]) for name in ("host", "processor") if name in machine)
+        cores = f", {machine['cores']} cores" if "cores" in machine else ""
+        yield "session", f"{str(each.get('started', 'some time'))[:16]}, {named}, on {where}{cores}"
+        if each.get("command"):
+            yield "", str(each["command"])
+
+
+PLOT_EPILOG = """\b
+Examples:
+  nermo-mjx plot runs/quickstart
+  nermo-mjx plot runs/quickstart --x speed --y cost_of_transport
+  nermo-mjx plot runs/quickstart --x frequency --y spine.phase --color slip
+  nermo-mjx plot walk.npz --out plots --format png
+"""
+
+
+@click.command("plot", epilog=PLOT_EPILOG)
+@click.argument("path", metavar="PATH", type=FileKind(".npz"))
+@click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path),
+              help="Where the figures go; by default PATH/plots.")  # fmt: skip
+@click.option("--format", "form", type=click.Choice(FORMATS), help="By default both.")
+@click.option("--x", metavar="NAME", shell_complete=options.columns, help="One figure of these columns: across,")
+@click.option("--y", metavar="NAME", shell_complete=options.columns, help="up (by default the speed),")
+@click.option("--color", metavar="NAME", shell_complete=options.columns, help="and as colours.")
+@options.report
+def plot_command(
+    path: Path, out: Path | None, form: str | None, as_json: bool, quiet: bool, **chosen: str | None
+) -> None:  # fmt: skip
+    """Redraw the figures of PATH from its tables; nothing is simulated.
+
+    PATH is the directory of a sweep, a search, a tuning, a training, a
+    landscape, experiments, an identification or benchmarks, or a recording
+    FILE.npz: gait diagram, orientation, foot paths, servo angles, path over
+    the ground.
+
+    --x, --y and --color choose columns of a table: two parameters of a grid
+    give a heat map, two metrics with a better direction a Pareto front, other
+    columns a scatter plot. --color alone, with a metric, gives the usual
+    figures for it.
+    """
+    kind = RECORDING if path.is_file() else kind_of_directory(path)
+    if not set(chosen) <= set(kind.options) and any(chosen.values()):
+        place = "" if kind is RECORDING else "the directory of "
+        raise WrongUse(f"--x, --y and --color choose columns of a sweep or a search, but {path} is {place}"
+                       f"{kind.called}.")  # fmt: skip
+    if out is None and kind is RECORDING:
+        raise WrongUse(f"{path} is a recording: give the directory for its figures with --out DIR.")
+    notes: list[str] = []
+    given = {name: each for name, each in {**chosen, "notify": notes.append}.items() if name in kind.options}
+    with stdout_reserved():
+        from nermo_mjx.plotting.files import write_figures
+
+        figures, folder = kind.load(kind.figures)(path, **given), path / "plots" if out is None else out
+        with _drawing_into(folder), _writing(kind, path, folder, notes) as write:
+            files = write_figures(figures, folder, write, FORMATS if form is None else (form,))
+    if not files:
+        raise Failure(f"there is nothing to draw of {path}: {' '.join(notes)}")
+    for note in notes if not quiet else []:
+        click.echo(f"plot: {note}", err=True)
+    if as_json:
+        print_json({"path": path, "kind": kind.name, "files": files, "notes": notes})
+    elif not quiet:
+        for file in files:
+            click.echo(f"wrote {file}")
+
+
+@contextlib.contextmanager
+def _writing(kind: Kind, path: Path, folder: Path, notes: list[str]) -> Iterator[Callable[[Path, bytes], None]]:
+    """How files are written into a folder: of a directory that knows its own files, others are moved aside."""
+    from nermo_mjx.runs import RunDirectory, Written
+    from nermo_mjx.runs.files import replace_file
+
+    if not kind.tracked or folder != path / "plots":
+        yield replace_file
+        return
+    with RunDirectory(path, kind.name) as held, Written(held) as written:
+        yield written.write
+    notes += filter(None, [written.sentence()])
+
+
+@contextlib.contextmanager
+def _drawing_into(folder: Path) -> Iterator[None]:
+    """Hold a folder of figures, so that two commands do not draw into it at once; it is made if it is missing.
+
+    Raises:
+        DirectoryError: another one does, or it cannot be written.
+    """
+    from nermo_mjx.runs.files import clear_errors, make_writable
+    from nermo_mjx.runs.lock import hold
+
+    make_writable(folder)
+    with clear_errors(folder):
+        held = hold(folder)
+    try:
+        yield
+    finally:
+        os.close(held)
+
+
+COMPARE_EPILOG = """\b
+Examples:
+  nermo-mjx compare runs/stiff runs/bending --for frequency --out runs/gain
+  nermo-mjx compare runs/spine_gain --by spine --for gait --for frequency
+  nermo-mjx compare runs/spine_gain --by spine --where gait=trt --out gain.csv
+"""
+FOLDER = click.Path(path_type=Path)
+
+
+@click.command("compare", epilog=COMPARE_EPILOG)
+@click.argument("a", metavar="A", type=FOLDER)
+@click.argument("b", metavar="[B]", required=False, type=FOLDER)
+@click.option("--by", metavar="NAME", shell_complete=options.columns, help="Compare the values of a column in A.")
+@click.option("--base", metavar="VALUE", help="The baseline value; by default none, or the first.")
+@click.option("--for", "groups", metavar="NAME", multiple=True, shell_complete=options.columns,
+              help="An interval for each value of a column; repeatable: for each combination.")  # fmt: skip
+@click.option("--where", metavar="NAME=VALUE", multiple=True, help="Only runs with this value of a column.")
+@click.option("--metric", "drawn", metavar="NAME", multiple=True, shell_complete=names(*METRICS),
+              help="Metric to show for the groups; by default the speed.")  # fmt: skip
+@options.report_out
+@options.report
+def compare_command(
+    a: Path, b: Path | None, by: str | None, base: str | None, groups: tuple[str, ...], where: tuple[str, ...],
+    drawn: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool,
+) -> None:  # fmt: skip
+    """Compare two sweeps, A and B, or with --by the values of a column of A.
+
+    Runs are paired over the variants that both have. Each metric's
+    difference, B minus A or value minus base, has a 95 % interval, by a
+    bootstrap of variants and repeats. Differences beyond noise are
+    marked with a star: at most 5 % of them are expected to be false.
+    """
+    if (b is None) == (by is None):
+        raise click.UsageError("Give two directories A and B, or one and --by NAME.")
+    if base is not None and by is None:
+        raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
+    chosen = dict(_split(text) for text in where)
+    with stdout_reserved():
+        from nermo_mjx.sweep.comparing import compare
+        from nermo_mjx.sweep.comparing.figures import figures_of
+
+        found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
+    tell_report("compare", "comparison", found, figures_of, out, _print_comparison, as_json=as_json, quiet=quiet)
+
+
+def _split(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise click.UsageError(f"--where {text}: expected NAME=VALUE, such as gait=trt.")
+    return name.strip(), value.strip()
+
+
+def _print_comparison(found: Comparison) -> None:
+    """Tables for people: every metric over all variants, and the chosen ones by groups."""
+    columns = [(found.base, "right"), ("", "right"), ("difference [SI]", "right"), ("95 % interval", "left"),
+               ("relative", "right"), ("variants", "right"), ("", "left")]  # fmt: skip
+    for other in found.others:
+        columns[1] = (other, "right")
+        rows = [[row["metric"], *_cells(row)] for row in found.rows(other)]
+        print_table(f"{other} minus {found.base}", [("metric", "left"), *columns], rows)
+        for metric in found.drawn if found.groups else ():
+            lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
+            cells = [[*(_text(row[name]) for name in found.groups), *_cells(row), _failed(row)] for row in lines]
+            heads = [(name, "right") for name in found.groups]
+            print_table(f"{metric}: {other} minus {found.base}", [*heads, *columns, ("", "left")], cells)
+    for side, counts in found.status.items():
+        click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
+    for note in found.notes:
+        click.echo(note)
+    click.echo("* beyond noise; at most 5 % of all marked differences are expected to be false")
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    if not row["variants"]:
+        return ["", "", "no run has it", "", "", "0", ""]
+    low, high = row["low"], row["high"]
+    interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
+    relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
+    return [f"{row['base_mean']:.4g}", f"{row['other_mean']:.4g}", f"{row['difference']:+.3g}", interval, relative,
+            str(row["variants"]), "*" if row["beyond_noise"] else ""]  # fmt: skip
+
+
+def _failed(row: Mapping[str, Any]) -> str:
+    base, other = row["failed_base"], row["failed_other"]
+    return f"{base} and {other} fell or were lost" if base or other else ""
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+SENSITIVITY_EPILOG = """\b
+Examples:
+  nermo-mjx sensitivity runs/robustness
+  nermo-mjx sensitivity runs/robustness --metric roll_std --out runs/roll
+"""
+
+
+@click.command("sensitivity", epilog=SENSITIVITY_EPILOG)
+@click.argument("path", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--metric", metavar="NAME", default="speed", show_default=True, shell_complete=names(*METRICS),
+              help="Whose variance.")  # fmt: skip
+@options.report_out
+@options.report
+def sensitivity_command(path: Path, metric: str, out: Path | None, as_json: bool, quiet: bool) -> None:
+    """Estimate each parameter's share of a metric's variance in a sweep.
+
+    Sobol indices with 95 % intervals: first order, alone; total, including
+    interactions; second order, of pairs. A sweep with sample: {saltelli: N}
+    gives all of them, any other random sample the first-order ones.
+    """
+    with stdout_reserved():
+        from nermo_mjx.sweep.sensitivity import sensitivity
+        from nermo_mjx.sweep.sensitivity_figure import figures_of
+
+        found = sensitivity(path, metric)
+    tell_report("sensitivity", "sensitivity", found, figures_of, out, _print_sensitivity, as_json=as_json, quiet=quiet)
+
+
+def _print_sensitivity(found: Sensitivity) -> None:
+    from nermo_mjx.sweep.table import labelled
+
+    structures = labelled(found.table)
+    rows = [[*(line[name] for name in structures), f"{line['parameter']} {line['second']}".strip(), line["order"],
+             f"{line['index']:.3f}", f"[{line['low']:.3f}, {line['high']:.3f}]"]
+            for line in sorted(found.table.to_pylist(), key=lambda line: (line["order"], -line["index"]))]  # fmt: skip
+    heads = [*((name, "left") for name in structures), ("parameter", "left"), ("order", "left"), ("index", "right"),
+             ("95 % interval", "left")]  # fmt: skip
+    print_table(f"{found.metric}: share of the variance", heads, rows)
+    for note in found.notes:
+        click.echo(note)

@@ -1,0 +1,978 @@
+"""The commands that run a job into a directory, from sweep to identify; the same command again resumes it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from nermo_mjx.cli import options
+from nermo_mjx.cli.choices import EXPERIMENTS, PROFILES
+from nermo_mjx.cli.options import FileKind, assigned
+from nermo_mjx.cli.output import WrongUse, print_json, print_table, sayer, stdout_reserved
+from nermo_mjx.cli.progress import Progress, Stages, duration
+
+if TYPE_CHECKING:
+    from nermo_mjx.experiments.run import ExperimentsResult
+    from nermo_mjx.learn.cost import Cost as TrainingCost
+    from nermo_mjx.learn.run import TrainingProgress, TrainingResult
+    from nermo_mjx.runs.workers import Workers
+    from nermo_mjx.search import Search, SearchProgress, SearchResult
+    from nermo_mjx.search.cost import Cost as SearchCost
+    from nermo_mjx.sweep import Sweep, SweepResult
+    from nermo_mjx.sweep.forecast import Forecast
+    from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
+    from nermo_mjx.tune.cost import MethodCost
+    from nermo_mjx.tune.landscape import LandscapeResult
+
+
+#: What a job ends with: its content for --json, and what prints it for people.
+Outcome = tuple[Mapping[str, Any], Callable[[], None]]
+#: Arguments and options that several jobs have.
+_SPEC = click.argument("spec", metavar="SPEC.yaml", type=options.SPEC)
+_SEED = options.number("--seed", "Seed, overriding the file.", click.IntRange(0, 2**32 - 1))
+_PLOTS = click.option("--plots/--no-plots", default=None, help="Draw figures regardless of the file.")
+_DRY_RUN = click.option("--dry-run", is_flag=True, help="Estimate the cost on this machine; write nothing.")
+
+
+def _job(
+    name: str, epilog: str, *given: Callable[[Any], Any], out: Any = options.out
+) -> Callable[[Any], click.Command]:
+    """The command of a job: `--out`, its own arguments and options in the order of its help, `--json` and `--quiet`."""
+
+    def make(function: Callable[..., Outcome | None]) -> click.Command:
+        @functools.wraps(function)
+        def run(as_json: bool, quiet: bool, **chosen: Any) -> None:
+            outcome = function(as_json=as_json, quiet=quiet, **chosen)
+            if outcome is not None and as_json:
+                print_json(outcome[0])
+            elif outcome is not None and not quiet:
+                outcome[1]()
+
+        command: Any = run
+        for option in reversed([*filter(None, [out]), *given, options.report]):
+            command = option(command)
+        return click.command(name, epilog=epilog)(command)
+
+    return make
+
+
+@contextlib.contextmanager
+def _working(
+    name: str, unit: str, quiet: bool, workers: str = "local", address: str | None = None
+) -> Iterator[tuple[Progress, Callable[[str], None] | None, Workers]]:
+    """While a job works: its display, what says a sentence about it, and its workers; prints of libraries are moved."""
+    say, progress = sayer(name, quiet), Progress(name, unit, quiet=quiet, compiles=workers == "local")
+    with stdout_reserved(), options.crew(workers, address, say) as crew, progress:
+        yield progress, say, crew
+
+
+def _print_places(out: Path, places: Mapping[str, str | Path | None], width: int = 8) -> None:
+    """Where the files are, by what they are: names in `out`, or whole paths; those that were not made are left out."""
+    for name, place in places.items():
+        if place is not None:
+            click.echo(f"{name:<{width}}{place if isinstance(place, Path) else out / place}")
+
+
+SWEEP_EPILOG = """\b
+Examples:
+  nermo-mjx sweep sweeps/quickstart.yaml --out runs/quickstart
+  nermo-mjx sweep finer.yaml --out runs/quickstart --extend
+  nermo-mjx sweep runs/quickstart/sweep.yaml --rows front.csv --out runs/front
+  nermo-mjx sweep sweeps/quickstart.yaml --dry-run
+  nermo-mjx sweep --list-parameters
+"""
+#: Options that decide what a sweep costs.
+_FORECAST = ("engine", "chunk", "shard", "extend", "use")
+
+
+class Shard(click.ParamType):
+    """I/N, with I from 0 to N - 1."""
+
+    name = "I/N"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        part, slash, parts = str(value).partition("/")
+        if not (slash and part.isdecimal() and parts.isdecimal() and int(part) < int(parts)):
+            self.fail(f"{value!r} is not I/N with I from 0 to N - 1, such as 0/4.", param, ctx)
+        return int(part), int(parts)
+
+
+@_job(
+    "sweep",
+    SWEEP_EPILOG,
+    click.argument("spec", metavar="SPEC.yaml", required=False, type=options.SPEC),
+    click.option("--out", metavar="DIR", type=click.Path(file_okay=False, path_type=Path), help="Results directory."),
+    options.engine,
+    options.number("--seed", "Seed, overriding the file.", click.IntRange(0)),
+    options.number("--chunk", "Runs simulated and stored together.", click.IntRange(1)),
+    click.option("--shard", type=Shard(), help="Run part I of N, from 0; all parts write to the same DIR."),
+    click.option(
+        "--rows",
+        type=FileKind(".csv", ".parquet", exists=True, dir_okay=False),
+        metavar="FILE",
+        help="Exactly these variants, instead of vary; SPEC.yaml is then optional.",
+    ),
+    click.option("--extend", is_flag=True, help="Add rows to DIR: more values, repeats, structures or Sobol points."),
+    click.option(
+        "--use",
+        multiple=True,
+        metavar="DIR2",
+        type=click.Path(path_type=Path),
+        help="Reuse rows from DIR2 instead of running them.",
+    ),
+    options.workers,
+    options.accept_new_code,
+    click.option("--tensorboard", is_flag=True, help="Log each chunk to TensorBoard, in DIR."),
+    click.option("--dry-run", is_flag=True, help="Estimate the cost in time, disk and memory; write nothing."),
+    click.option("--list-parameters", is_flag=True, help="List what vary, set and randomize can name."),
+    out=None,
+)
+def sweep_command(
+    spec: Path | None, out: Path | None, seed: int | None, workers: str, ray_address: str | None,
+    rows: Path | None, dry_run: bool, list_parameters: bool, as_json: bool, quiet: bool, **how: Any,
+) -> Outcome | None:  # fmt: skip
+    """Run every variant of a sweep file.
+
+    Writes a table of metrics (Parquet), a summary and plots to DIR. If DIR
+    contains part of the same sweep, only the rest is run: after Ctrl-C or a
+    crash, run the same command again to resume.
+
+    Existing rows are reused: with --extend those of a smaller sweep in DIR,
+    with --use those of other directories.
+
+    --workers ray distributes the work over a cluster's machines, which need
+    no access to DIR; jobs of an array that share DIR use --shard.
+    """
+    if list_parameters:
+        _list_parameters(spec, as_json)
+        return None
+    if (spec is None and rows is None) or (out is None and not dry_run):
+        raise click.UsageError("A sweep needs SPEC.yaml or --rows FILE, and --out DIR (or use --list-parameters).")
+    if dry_run and workers != "local":
+        raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
+    if dry_run or out is None:
+        with stdout_reserved():
+            from nermo_mjx.sweep.forecast import forecast
+
+            found = forecast(_read_sweep(spec, rows, seed), out, **{name: how[name] for name in _FORECAST})
+        return dataclasses.asdict(found), lambda: _print_forecast(found)
+    with stdout_reserved():
+        from nermo_mjx.sweep import run_sweep
+
+        sweep = _read_sweep(spec, rows, seed)
+        say = sayer("sweep", quiet)
+        if say is not None:
+            for name, places in sweep.partly_read().items():
+                read = f"{len(places)} of {len(sweep.structures)} structures"
+                say(f"{name} is varied in {read}: the others do not read it.")
+    with _working("sweep", "runs", quiet, workers, ray_address) as (progress, say, crew):
+        result = run_sweep(
+            sweep, out, **how, warn=say, workers=crew,
+            progress=lambda done: progress.share(done.fraction, done.rows_done, done.rows),
+        )  # fmt: skip
+    return sweep_fields(out, result), lambda: print_sweep(result)
+
+
+def _read_sweep(spec: Path | None, rows: Path | None, seed: int | None) -> Sweep:
+    from nermo_mjx.sweep import Sweep
+
+    sweep = Sweep.from_rows(rows, spec) if rows is not None else Sweep.from_file(str(spec))
+    return sweep if seed is None else dataclasses.replace(sweep, seed=seed)
+
+
+def _print_forecast(found: Forecast) -> None:
+    rate = f"{found.steps_per_second:,.0f} steps/s; " if math.isfinite(found.steps_per_second) else ""
+    left = f", of which {found.rows_left:,} are left to be run" if found.rows_left < found.rows else ""
+    batches = f"{found.batches:,} batches to be run, of {found.structures:,} structures"
+    took = "not known" if math.isnan(found.seconds) else f"{duration(found.seconds)}, and what compiling takes"
+    for name, text in (
+        ("rows", f"{found.rows:,}{left}"),
+        ("chunks", f"{found.chunks:,}; {batches}"),
+        ("engine", found.engine),
+        ("rate", f"{rate}{found.rate_from}"),
+        ("time", took if found.rows_left else "none: all rows are there"),
+        ("disk", f"{found.disk_bytes / 1e6:,.1f} MB for the table; {found.disk_free / 1e9:,.1f} GB are free"),
+        ("memory", f"about {found.memory_bytes / 1e9:.1f} GB"),
+        *(("note", note) for note in found.notes),
+    ):
+        click.echo(f"{name:<8} {text}")
+
+
+def sweep_fields(out: Path, result: SweepResult) -> dict[str, Any]:
+    """For `--json`."""
+    about = {"out": out, "complete": result.complete, "chunks_run": result.chunks_run, "plots": result.plots,
+             "recordings": result.recordings}  # fmt: skip
+    return {**about, "rows_done": result.rows_done, "missing": result.missing, "summary": result.summary}
+
+
+def print_sweep(result: SweepResult) -> None:
+    """A directory's contents in readable form."""
+    summary = result.summary
+    if not result.complete:
+        click.echo(f"{result.rows_done:,} of {result.rows:,} runs are in {result.out}; {result.missing}")
+        return
+    counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
+    effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
+    click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
+    rows = []
+    for name, best in summary["best"].items():
+        if best is not None:
+            parameters = best["parameters"].items()
+            at = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.4g}'}" for name, each in parameters)
+            spread = f" ± {best['std']:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
+            rows.append([name, best["side"], f"{best['mean']:.4g}{spread}", at])
+    if rows:
+        columns = [("metric", "left"), ("best is", "left"), ("value [SI]", "right"), ("at", "left")]
+        print_table("Best variants", columns, rows)
+    click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
+    for name in ("comparison", "sensitivity"):
+        if name in summary:
+            click.echo(f"{name} {result.out / f'{name}.parquet'}")
+    if result.plots:
+        click.echo(f"plots   {result.out / 'plots'}")
+    if result.recordings:
+        click.echo(f"kept    {len(result.recordings)} recordings in {result.recordings[0].parent}")
+
+
+def _list_parameters(spec: Path | None, as_json: bool) -> None:
+    with stdout_reserved():
+        from nermo_mjx.robot.quantity import gathered
+        from nermo_mjx.rollout import Setup, all_parameters
+        from nermo_mjx.sweep import Sweep
+        from nermo_mjx.sweep.structures import STRUCTURES, about_structure, choices_of
+
+        parameters = all_parameters(Setup() if spec is None else Sweep.from_file(spec).setup)
+        structures = {name: {"default": getattr(Setup, name), "allowed": choices_of(name), "doc": about_structure(name)}
+                      for name in STRUCTURES}  # fmt: skip
+    if as_json:
+        fields = ("default", "unit", "low", "high", "doc")
+        shown = {name: {f: getattr(about, f) for f in fields} for name, about in parameters.items()}
+        print_json({"parameters": shown, "structures": structures})
+        return
+    columns = [("name", "left"), ("default", "right"), ("allowed", "left"), ("meaning", "left")]
+    rows = [[name, f"{about.default:.5g}", about.allowed(), about.doc] for name, about in gathered(parameters)]
+    print_table("Parameters of a sweep (SI units, radians)", columns, rows)
+    rows = [[name, about["default"], ", ".join(about["allowed"]), about["doc"]] for name, about in structures.items()]
+    print_table("Structures, which vary and rows can name, too", columns, rows)
+
+
+MERGE_EPILOG = """\b
+Examples:
+  nermo-mjx merge runs/slow runs/fast --out runs/both
+"""
+
+
+@_job(
+    "merge",
+    MERGE_EPILOG,
+    click.argument("sources", metavar="DIR DIR...", nargs=-1, required=True, type=click.Path(path_type=Path)),
+    options.accept_new_code,
+)
+def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, quiet: bool, **_: Any) -> Outcome:
+    """Merge the rows of several sweeps into one directory.
+
+    The sweeps may differ in what they vary, and in their repeats; what is
+    fixed, the seed and the code have to be the same. Nothing is simulated,
+    and the given directories are only read. A row that is in several is taken
+    from the first of them.
+    """
+    with stdout_reserved():
+        from nermo_mjx.sweep.merging import merge_sweeps
+
+        result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
+
+    def show() -> None:
+        print_sweep(result)
+        if not result.complete:
+            taken = " ".join(f"--use {source}" for source in sources)
+            click.echo(f"To run the rest: nermo-mjx sweep {out / 'sweep.yaml'} --out {out} {taken}")
+
+    return sweep_fields(out, result), show
+
+
+SEARCH_EPILOG = """\b
+Examples:
+  nermo-mjx search sweeps/search_speed.yaml --out runs/fast
+  nermo-mjx search sweeps/pareto.yaml --out runs/front --dry-run
+  nermo-mjx search sweeps/atlas.yaml --out runs/atlas --budget 10000
+"""
+
+
+@_job(
+    "search",
+    SEARCH_EPILOG,
+    _SPEC,
+    options.engine,
+    options.number("--budget", "Number of evaluations, overriding the file.", click.IntRange(1, 10_000_000)),
+    options.number("--batch", "Points evaluated together, overriding the file.", click.IntRange(4, 100_000)),
+    _SEED,
+    _PLOTS,
+    _DRY_RUN,
+    options.workers,
+    options.accept_new_code,
+)
+def search_command(
+    spec: Path, out: Path, engine: str, budget: int | None, seed: int | None, dry_run: bool, workers: str,
+    ray_address: str | None, accept_new_code: bool, as_json: bool, quiet: bool, **chosen: Any,
+) -> Outcome | None:  # fmt: skip
+    """Search for the best parameters that a search file allows.
+
+    A single objective is optimized by CMA-ES, several by NSGA-II for their
+    Pareto front, an atlas by CMA-ME for the best gait in each of its cells.
+    Writes a table of all runs (Parquet), the best point, and plots to DIR.
+    After Ctrl-C or a crash, run the same command again: it resumes, and ends
+    with the same numbers. A larger --budget extends a completed search.
+    """
+    with stdout_reserved():
+        from nermo_mjx.search import Search, run_search
+
+        search = Search.from_file(spec)
+        search = dataclasses.replace(search, **{name: value for name, value in chosen.items() if value is not None})
+        if budget is not None:
+            search = dataclasses.replace(search, evaluations=budget, simulated_seconds=None)
+        if seed is not None:
+            search = dataclasses.replace(search, sweep=dataclasses.replace(search.sweep, seed=seed))
+        if dry_run:
+            from nermo_mjx.search.cost import cost_of
+
+            cost = cost_of(search, engine)
+    if dry_run:
+        print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_search_cost(cost)
+        return None
+    with _working("search", "evaluations", quiet, workers, ray_address) as (progress, say, crew):
+        result = run_search(
+            search, out, engine=engine, warn=say, workers=crew, accept_new_code=accept_new_code,
+            progress=lambda done: _show_search(progress, search, done),
+        )  # fmt: skip
+    fields = ("out", "best", "evaluations_run", "recordings", "plots")
+    content = {name: getattr(result, name) for name in fields}
+    return content, lambda: _print_search(result)
+
+
+def _show_search(progress: Progress, search: Search, done: SearchProgress) -> None:
+    """How far the search is, and what it has found by now."""
+    total = search.evaluations or None
+    known = f"{done.filled:,} cells" if done.filled is not None else ""
+    if not known and done.best is not None:
+        known = f"best {_objective(search, done.best)}"
+    count = None if total is None else min(done.evaluations, total)
+    progress.share(done.fraction, count, total, known)
+
+
+def _objective(search: Search, cost: float) -> str:
+    """An objective as people read it: a metric with its unit, where it is one metric."""
+    from nermo_mjx.plotting.shown import shown
+    from nermo_mjx.rollout import METRICS
+
+    term = search.aim.objective.terms[0]
+    if len(search.aim.objective.terms) > 1 or term.aim == "hold":
+        return f"{cost:.4g}"
+    value = cost * term.scale / term.weight * (-1.0 if term.aim == "maximize" else 1.0)
+    quantity = shown(term.metric, METRICS[term.metric].unit, value)
+    return f"{term.metric} {quantity.shown(float(quantity.values))}"
+
+
+def _print_search(result: SearchResult) -> None:
+    best, search = result.best, result.search
+    columns = [("", "left"), ("best", "right"), ("", "left")]
+    middle = "In the middle of the front" if search.aim.pareto else "Best"
+    print_table(f"{middle}: row {best['row']}", columns, list(_search_rows(result)))
+    effort = f"{best['evaluations']:,} evaluations, {duration(best['simulated_seconds'])} simulated"
+    click.echo(f"{effort}; {best['failed']:,} fell" if best["failed"] else effort)
+    if "front" in best:
+        click.echo(f"{len(best['front']):,} points on the front, hypervolume {best['hypervolume']:.1%}")
+    if "cells" in best:
+        click.echo(f"{best['filled']:,} of {best['cells']:,} cells filled, QD score {best['qd_score']:.4g}")
+    places = {"table": "results", "best": "best.json", "sweep": "best.yaml"}
+    places |= {"atlas": "atlas.parquet"} if search.aim.measures else {}
+    places |= {"records": "recordings"} if result.recordings else {}
+    places |= {"plots": "plots"} if result.plots else {}
+    _print_places(result.out, places)
+
+
+def _search_rows(result: SearchResult) -> Any:
+    """Every parameter, and every metric that the search aims at."""
+    from nermo_mjx.plotting.shown import shown
+    from nermo_mjx.rollout import METRICS
+
+    parameters = result.search.sweep.parameters
+    for kind, names in (("parameters", result.search.names), ("metrics", result.search.aim.metrics)):
+        for name in names:
+            about: Any = parameters[name] if kind == "parameters" else METRICS[name]
+            quantity = shown(name, about.unit, result.best[kind][name])
+            yield [name, f"{float(quantity.values) + 0.0:.4g}", quantity.unit]
+
+
+def _print_search_cost(cost: SearchCost) -> None:
+    click.echo(f"{cost.evaluations:,} evaluations in {cost.batches:,} batches of {cost.batch}, {cost.runs:,} runs")
+    click.echo(f"{duration(cost.simulated_seconds)} simulated; about {duration(cost.wall_seconds)} here on the engine "
+               f"{cost.engine}, and {cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
+    if cost.gradient_runs:
+        click.echo(f"plus gradients: as {cost.gradient_runs:,} runs on the engine mjx, and minutes to compile, once")
+
+
+TUNE_EPILOG = """\b
+Examples:
+  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --video
+  nermo-mjx tune sweeps/tune_speed.yaml --out runs/tuned --iterations 80
+  nermo-mjx tune sweeps/tune_roll.yaml --starts 8 --out runs/roll
+  nermo-mjx tune sweeps/tune_roll.yaml --out runs/roll --dry-run
+"""
+#: Metrics of the point that are shown while the tuning runs; more would not fit on a line.
+_NAMED = 3
+#: Points that are verified on another engine.
+_AGAIN = ("start", "best")
+
+
+@_job(
+    "tune",
+    TUNE_EPILOG,
+    _SPEC,
+    options.number("--iterations", "Number of steps, overriding the file.", click.IntRange(1, 1_000_000)),
+    options.number("--starts", "Number of points tuned in parallel, overriding the file.", click.IntRange(1, 100_000)),
+    _SEED,
+    _PLOTS,
+    click.option("--video/--no-video", default=None, help="Render start and best regardless of the file."),
+    click.option("--dry-run", is_flag=True, help="Estimate the cost of each method on this machine; write nothing."),
+    options.workers,
+    options.accept_new_code,
+)
+def tune_command(
+    spec: Path, out: Path, dry_run: bool, workers: str, ray_address: str | None, accept_new_code: bool, as_json: bool,
+    quiet: bool, **chosen: Any,
+) -> Outcome | None:  # fmt: skip
+    """Tune the parameters that a tuning file names.
+
+    The file's method says how: by exact gradients, by finite differences, or
+    by CMA-ES. The cost of each on this machine is printed before it starts.
+
+    Writes the best point, the history of all iterations, a sweep file with
+    the tuned values, checkpoints, plots and, on demand, a video to DIR. After
+    Ctrl-C or a crash, run the same command again: it resumes, and ends with
+    the same numbers. More iterations extend a completed tuning.
+
+    --workers ray distributes the starts over a cluster's machines, which need
+    no access to DIR.
+    """
+    with stdout_reserved():
+        from nermo_mjx.tune import Tuning
+        from nermo_mjx.tune.cost import costs_of
+
+        tuning = Tuning.from_file(spec)
+        changed = {name: value for name, value in chosen.items() if value is not None}
+        if "starts" in changed and tuning.method.name == "cma":
+            raise WrongUse("--starts is not used by the method cma: give method: {cma: {population: N}} in the file.")
+        tuning = dataclasses.replace(tuning, **changed)
+        # A resumed tuning keeps the method with which it started.
+        begins = not (as_json or quiet or (out / "history.parquet").exists())
+        costs = costs_of(tuning) if dry_run or begins else []
+        for line in _told(costs) if not dry_run else ():
+            click.echo(f"tune: {line}", err=True)
+    if dry_run:
+        if as_json:
+            print_json({"costs": [dataclasses.asdict(each) for each in costs]})
+        else:
+            click.echo("\n".join(_told(costs)))
+        return None
+    with stdout_reserved():
+        from nermo_mjx.tune import run_tuning
+
+        with (
+            Stages(quiet, compiles=lambda what: what in ("tune", "landscape")) as stages,
+            options.crew(workers, ray_address, stages.say) as crew,
+        ):
+            display = _Display(stages, tuning)
+            result = run_tuning(
+                tuning, out, progress=display.report, drawing=stages.share, warn=stages.say,
+                accept_new_code=accept_new_code, workers=crew,
+            )  # fmt: skip
+            for note in result.pictures.notes:
+                stages.say(note)
+    pictures = result.pictures
+    content = {name: getattr(result, name) for name in ("out", "iterations_run", "start", "best")}
+    content |= {"plots": list(pictures.plots), "video": pictures.video, "notes": list(pictures.notes)}
+    return content, lambda: _print_tuning(result)
+
+
+def _told(costs: list[MethodCost]) -> list[str]:
+    """A sentence on each method, that of the file first."""
+    lines = []
+    for i, each in enumerate(costs):
+        compiles = ", and minutes to compile, once per machine" if each.method == "gradient" else ""
+        wall = "" if each.wall_seconds is None else f", about {duration(each.wall_seconds)} here"
+        instead = "" if i == 0 else "instead of it, "
+        lines.append(f"{instead}method {each.method}: {each.evaluations:,} evaluations, "
+                     f"{duration(each.simulated_seconds)} simulated{wall}{compiles}")  # fmt: skip
+    return lines
+
+
+class _Display:
+    """Passes a tuning's progress to the display."""
+
+    def __init__(self, stages: Stages, tuning: Tuning) -> None:
+        self._stages, self._tuning = stages, tuning
+        self._begun = False
+
+    def report(self, progress: TuningProgress) -> None:
+        """Show the tuning's progress; there is one more evaluation than steps."""
+        total = progress.iterations + 1
+        done = min(progress.iteration + 1 if self._begun else progress.resumed, total)
+        self._begun = True
+        self._stages.part("tune", "evaluations").share(done / total, done, total, self._known(progress))
+
+    def _known(self, progress: TuningProgress) -> str:
+        """The best objective so far, and the metrics of this iteration's best point."""
+        if progress.best is None:
+            return ""
+        parts = [f"best {progress.best:.4g}"]
+        for name in self._tuning.objective.metrics[:_NAMED]:
+            if name in progress.metrics:
+                parts.append(_number_and_unit(self._tuning, name, progress.metrics[name]))
+        return ", ".join(parts)
+
+
+def _print_tuning(result: TuningResult) -> None:
+    best = result.best
+    columns = [("", "left"), ("start", "right"), ("best", "right"), ("change", "right"), ("", "left")]
+    again = best.get("verified")
+    if again:
+        columns[-1:-1] = [(f"{name}, {again['engine']}", "right") for name in _AGAIN]
+    where = f" of start {best['start']}" if result.tuning.starts > 1 else ""
+    print_table(f"Iteration {best['iteration']}{where} is the best", columns, _tuning_rows(result))
+    wall = result.history.column("wall_seconds")[-1].as_py()
+    effort = f"{duration(best['simulated_seconds'])} simulated, gradients at their cost, in {duration(wall)}"
+    if again:
+        click.echo(_walked_again(again))
+    click.echo(f"{best['iterations']} iterations ({effort})")
+    if best["stopped"]:
+        click.echo(best["stopped"])
+    if not result.start["ok"]:
+        click.echo("From the given start, the robot did not complete the walk.")
+    places = {"best": "best.json", "history": "history.parquet", "sweep": "tuned.yaml"}
+    places |= {"plots": "plots"} if result.pictures.plots else {}
+    _print_places(result.out, places)
+    if result.pictures.video is not None:
+        click.echo(f"video   {result.pictures.video}")
+
+
+def _tuning_rows(result: TuningResult) -> list[list[str]]:
+    """Every parameter, every metric of the objective, and the objective itself, in readable form."""
+    start, best = result.start, result.best
+    names = dict.fromkeys(result.tuning.names, "parameters")
+    names |= dict.fromkeys(result.tuning.objective.metrics, "metrics")
+    rows = []
+    for name, kind in names.items():
+        ends = start[kind][name], best[kind][name]
+        change = _shortest(result.tuning, name, ends[1] - ends[0])
+        (before, after, change), unit = _shown(result.tuning, name, (*ends, change))
+        rows.append([name, *_cells(before, after, change), *_again(result, name, kind), unit])
+    ends = start["objective"], best["objective"]
+    return [*rows, ["objective", *_cells(*ends, ends[1] - ends[0]), *_again(result, "objective"), "lower is better"]]
+
+
+def _again(result: TuningResult, name: str, kind: str = "") -> list[str]:
+    """A row's cells of the verification of start and best; none if there was none."""
+    if "verified" not in result.best:
+        return []
+    cells = []
+    for each in (result.best["verified"][point] for point in _AGAIN):
+        found = None if each is None else each.get(name) if not kind else each.get(kind, {}).get(name)
+        number = None if found is None else _shown(result.tuning, name, (found,))[0][0] if kind else found
+        cells.append("" if number is None else _digits(number))
+    return cells
+
+
+def _walked_again(again: Mapping[str, Any]) -> str:
+    """The meaning of the columns of the engine `c`."""
+    fell = sum(again["walks"] - (each or {"walks_ok": 0})["walks_ok"] for each in (again[point] for point in _AGAIN))
+    fallen = f", of which {fell} were not completed" if fell else ""
+    many = "1 walk" if again["walks"] == 1 else f"means of {again['walks']} walks from unseen starts"
+    best = again["best"]
+    apart = f"; the best gave {best['lowest']:.4g} to {best['highest']:.4g}" if best and again["walks"] > 1 else ""
+    return f"Engine {again['engine']}: {many}{fallen}{apart}."
+
+
+def _shortest(tuning: Tuning, name: str, change: float) -> float:
+    """A change of a parameter; for a periodic one, the shorter way around."""
+    if name not in tuning.names:
+        return change
+    place = tuning.names.index(name)
+    if not tuning.bounds.periodic[place]:
+        return change
+    period = float(tuning.bounds.high[place] - tuning.bounds.low[place])
+    return change - period * round(change / period)
+
+
+def _cells(before: float, after: float, change: float) -> list[str]:
+    return [_digits(before), _digits(after), f"{change + 0.0:+.3g}" if math.isfinite(change) else "-"]
+
+
+def _digits(value: float) -> str:
+    return f"{value + 0.0:.4g}" if math.isfinite(value) else "-"
+
+
+def _number_and_unit(tuning: Tuning, metric: str, value: float) -> str:
+    (number,), unit = _shown(tuning, metric, (value,))
+    return f"{metric} {number:.4g} {unit}".rstrip()
+
+
+def _shown(tuning: Tuning, name: str, values: tuple[float, ...]) -> tuple[list[float], str]:
+    """Values of a parameter or metric as figures show them, and the unit."""
+    from nermo_mjx.plotting.shown import shown
+
+    about = tuning.parameters.get(name) or tuning.objective_metrics[name]
+    quantity = shown(name, about.unit, values)
+    return quantity.values.tolist(), quantity.unit
+
+
+LANDSCAPE_EPILOG = """\b
+Examples:
+  nermo-mjx landscape sweeps/tune_speed.yaml --out runs/landscape
+  nermo-mjx landscape sweeps/tune_roll.yaml --span 0.2 --out runs/near
+"""
+
+
+@_job(
+    "landscape",
+    LANDSCAPE_EPILOG,
+    _SPEC,
+    options.number("--points", "Points per line.", click.IntRange(5, 100_000), default=41),
+    options.number(
+        "--span",
+        "Length of the lines, as a fraction of the bounds.",
+        click.FloatRange(0, 1, min_open=True),
+        default=1.0,
+    ),
+    options.accept_new_code,
+)
+def landscape_command(
+    spec: Path, out: Path, points: int, span: float, accept_new_code: bool, as_json: bool, quiet: bool
+) -> Outcome | None:
+    """Measure whether the gradients of a tuning file can be trusted.
+
+    Follows a line along each tuned parameter through the given start, and
+    compares exact slopes of the objective with secants of five widths.
+    Writes all points, a report, and a figure for each parameter to DIR.
+    """
+    with stdout_reserved():
+        from nermo_mjx.tune.landscape import run_landscape
+
+    with _working("landscape", "walks", quiet) as (progress, say, _):
+        result = run_landscape(
+            spec, out, points=points, span=span, progress=progress.count, warn=say, accept_new_code=accept_new_code
+        )
+    return {"out": result.out, "evaluated": result.evaluated, **result.content}, lambda: _print_landscape(result)
+
+
+def _print_landscape(result: LandscapeResult) -> None:
+    from nermo_mjx.tune.landscape.report import HEADINGS, rows_of, sentences
+
+    content = result.content
+    print_table("Exact slopes beside secants", list(HEADINGS), rows_of(content))
+    for sentence in sentences(content):
+        click.echo(sentence)
+    kept = "" if result.evaluated else ", kept from before"
+    click.echo(f"\n{content['evaluations']} walks with gradients in {duration(content['wall_seconds'])}{kept}")
+    _print_places(result.out, {"report": "report.md", "plots": "plots", "table": "landscape.parquet"})
+
+
+TRAIN_EPILOG = """\b
+Examples:
+  nermo-mjx train sweeps/train_residual.yaml --out runs/walker
+  nermo-mjx train sweeps/train_residual.yaml --out runs/walker --dry-run
+  nermo-mjx train sweeps/train_residual.yaml --seed 1 --out runs/walker-1
+"""
+
+
+@_job(
+    "train",
+    TRAIN_EPILOG,
+    _SPEC,
+    options.engine,
+    options.number("--steps", "Number of control steps, overriding the file.", click.IntRange(1)),
+    options.number("--worlds", "Number of parallel worlds, overriding the file.", click.IntRange(1, 1_000_000)),
+    _SEED,
+    _PLOTS,
+    click.option("--onnx", is_flag=True, help="Also write policy.onnx; needs the extra onnx."),
+    click.option("--tensorboard", is_flag=True, help="Log each iteration to TensorBoard, in DIR."),
+    _DRY_RUN,
+    options.accept_new_code,
+)
+def train_command(
+    spec: Path, out: Path, engine: str, onnx: bool, tensorboard: bool, dry_run: bool, accept_new_code: bool,
+    as_json: bool, quiet: bool, **chosen: Any,
+) -> Outcome | None:  # fmt: skip
+    """Train a policy as described in a training file.
+
+    Writes the policy, which walk and sweep files accept as a controller,
+    learning curves, checkpoints, and an evaluation on unseen bodies to DIR.
+    After Ctrl-C or a crash, run the same command again: it resumes, and
+    ends with the same numbers. More steps extend a completed training.
+    """
+    with stdout_reserved():
+        from nermo_mjx.learn.spec import Training, changed
+
+        training = changed(Training.from_file(spec), **{key: each for key, each in chosen.items() if each is not None})
+        if onnx:
+            from nermo_mjx.learn.onnx import check_onnx
+
+            check_onnx()
+    if dry_run:
+        with stdout_reserved():
+            from nermo_mjx.learn.cost import cost_of
+
+            cost = cost_of(training, engine)
+        print_json({"cost": dataclasses.asdict(cost)}) if as_json else _print_training_cost(cost)
+        return None
+    with stdout_reserved():
+        from nermo_mjx.learn.run import run_training
+
+        with Stages(quiet, compiles=lambda what: True) as stages:
+            result = run_training(
+                training, out, engine=engine, progress=lambda done: _show_training(stages, done), warn=stages.say,
+                tensorboard=tensorboard, evaluating=lambda share: stages.share("evaluation", share),
+                accept_new_code=accept_new_code,
+            )  # fmt: skip
+        exported = _export(result) if onnx else None
+    return {
+        "out": result.out,
+        **result.summary,
+        "iterations_run": result.iterations_run,
+        "policy": result.policy,
+        "onnx": exported,
+        "plots": result.plots,
+    }, lambda: _print_training(result, exported)
+
+
+def _show_training(stages: Stages, done: TrainingProgress) -> None:
+    """Show the training's progress, and the results of its last episodes."""
+    known = [f"{name} {done.numbers[name]:.3g}" for name in ("return", "reward")
+             if math.isfinite(done.numbers.get(name, math.nan))]  # fmt: skip
+    stages.part("train", "steps").share(
+        min(1.0, done.steps / done.total), min(done.steps, done.total), done.total, ", ".join(known)
+    )
+
+
+def _export(result: TrainingResult) -> Path | None:
+    from nermo_mjx.learn.onnx import export
+    from nermo_mjx.learn.policy import load_policy
+    from nermo_mjx.runs.files import replace_file
+
+    if result.policy is None:
+        return None
+    path = result.policy.with_suffix(".onnx")
+    replace_file(path, export(load_policy(result.policy)))
+    return path
+
+
+def _print_training(result: TrainingResult, exported: Path | None) -> None:
+    summary = result.summary
+    rows = []
+    for scene, about in summary["scenes"].items():
+        for who, called in (("policy", "policy"), ("alone", "controller alone")):
+            numbers = about[who]
+            rows.append([scene, called, f"{100 * numbers['success']:.0f}", f"{1e3 * numbers['speed']:.1f}",
+                         f"{numbers['cost_of_transport']:.3g}"])  # fmt: skip
+    if rows:
+        columns = [("scene", "left"), ("walks", "left"), ("success [%]", "right"), ("speed [mm/s]", "right"),
+                   ("cost of transport", "right")]  # fmt: skip
+        print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", columns, rows)
+    cpu = summary["environment_cpu"] + summary["learner_cpu"]
+    click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
+               f"{duration(summary['wall_seconds'])} ({duration(cpu)} of CPU time)")  # fmt: skip
+    if result.training.validation:
+        click.echo(f"policy after {summary['policy_steps']:,} steps, the best of all checkpoints in its walks")
+    places = {"policy": result.policy, "onnx": exported, "history": result.out / "history.parquet"}
+    _print_places(result.out, places | {"plots": "plots" if result.plots else None})
+
+
+def _print_training_cost(cost: TrainingCost) -> None:
+    click.echo(f"{cost.iterations:,} iterations of {cost.steps_per_iteration:,} control steps, {cost.steps:,} in all")
+    time = f"about {duration(cost.wall_seconds)} here" if math.isfinite(cost.wall_seconds) else "for an unknown time"
+    click.echo(f"{duration(cost.simulated_seconds)} simulated; {time} on the engine {cost.engine}, and "
+               f"{cost.disk_bytes / 1e6:.3g} MB on disk")  # fmt: skip
+    click.echo(cost.rate_from)
+
+
+EXPERIMENT_EPILOG = """\b
+Examples:
+  nermo-mjx experiment all --out runs/published
+  nermo-mjx experiment all --quick --out runs/look
+  nermo-mjx experiment turning --profile exact --repeats 5 --out runs/turns
+  nermo-mjx experiment maze --set contact.friction=0.8 --out runs/slippery
+  nermo-mjx experiment all --bodies 64 --out runs/published
+  nermo-mjx experiment maze --controller policy.npz --out runs/learned
+"""
+ALL = "all"
+#: Longest text of a cell on the terminal; the names of figures are shorter.
+_WIDEST = 72
+
+
+@_job(
+    "experiment",
+    EXPERIMENT_EPILOG,
+    click.argument("name", type=click.Choice((*EXPERIMENTS, ALL))),
+    options.choice("--profile", ("all", *PROFILES), "Set-up: as published, as described, as built."),
+    options.number("--repeats", "Starts of each case; by default 3, or 1 with --quick.", click.IntRange(1)),
+    options.number("--seed", "Seed of the shifts between repeats.", click.IntRange(0), default=0),
+    options.number(
+        "--bodies", "Also run this many identified bodies: for what share of them does a line hold?", click.IntRange(1)
+    ),
+    click.option("--quick", is_flag=True, help="Quick run: fewer cases, no videos; a minute."),
+    click.option("--no-video", is_flag=True, help="Render no videos."),
+    click.option("--again", is_flag=True, help="Rerun, and replace the results in DIR."),
+    click.option(
+        "--controller",
+        metavar="FILE.npz",
+        help="A policy, in place of the published controller; for straight-line, turning and maze.",
+    ),
+    options.workers,
+    options.accept_new_code,
+    options.set_option("A parameter of the body, such as contact.friction; repeatable."),
+    options.engine,
+)
+def experiment_command(
+    name: str, out: Path, profile: str, repeats: int | None, seed: int, bodies: int | None, quick: bool,
+    no_video: bool, again: bool, controller: str | None, workers: str, ray_address: str | None, accept_new_code: bool,
+    assignments: tuple[str, ...], engine: str, as_json: bool, quiet: bool,
+) -> Outcome | None:  # fmt: skip
+    """Run a published experiment, or all of them, and compare.
+
+    Writes a table of every run, a report with the published figures beside
+    the simulated ones, plots, recordings and a video. Finished experiments
+    are kept in DIR; the same command resumes.
+
+    --workers ray distributes experiments, and batches of bodies, over the
+    machines of a cluster, which need no access to DIR.
+    """
+    with stdout_reserved():
+        from nermo_mjx.experiments.run import run_experiments
+
+        values = _body_values(assignments)
+        with (
+            Stages(quiet, compiles=lambda what: "," not in what) as stages,
+            options.crew(workers, ray_address, stages.say) as crew,
+        ):
+            result = run_experiments(
+                EXPERIMENTS if name == ALL else [name], out, engine=engine,
+                profiles=PROFILES if profile == "all" else (profile,), repeats=repeats, seed=seed, quick=quick,
+                values=values, controller=controller, bodies=bodies, video=not no_video, again=again,
+                accept_new_code=accept_new_code, progress=stages.share, notify=stages.say, workers=crew,
+            )  # fmt: skip
+    run = {each.name: {"kept": each.kept} for each in result.results}
+    return {"out": result.out, "run": run, **result.report}, lambda: _print_experiments(result)
+
+
+def _body_values(assignments: tuple[str, ...]) -> dict[str, float]:
+    """Parameters by name; their ranges are checked with the other settings."""
+    from nermo_mjx.robot.quantity import quantities
+    from nermo_mjx.rollout.setup import WorldParameters
+
+    known = dict(quantities(WorldParameters))
+    unknown = "is not a parameter; `nermo-mjx sweep --list-parameters` prints all."
+    return assigned(assignments, known, unknown)
+
+
+def _print_experiments(result: ExperimentsResult) -> None:
+    from nermo_mjx.experiments.catalogue import EXPERIMENTS as CATALOGUE
+    from nermo_mjx.experiments.report import HEADINGS, cells
+
+    content = result.report
+    for each in result.results:
+        rows = [
+            [text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…" for text in cells(line)]
+            for line in content["lines"]
+            if line["experiment"] == each.name
+        ]
+        print_table(CATALOGUE[each.name].title, list(HEADINGS), rows)
+    for each in result.results:
+        about, summary = content["experiments"][each.name], content["summary"]["by_experiment"][each.name]
+        took = f"{about['worlds']} runs in {duration(about['wall_seconds'])}, engine {about['engine']}"
+        click.echo(f"{each.name}: {_counted(summary)} ({took}{', kept' if each.kept else ''})")
+    kinds = content["summary"]["by_kind"]
+    click.echo(f"all of {result.out}: {'; '.join(f'{kind}: {_counted(kinds[kind])}' for kind in kinds)}")
+    click.echo("Only predicted lines count as evidence.")
+    for sentence in content["differences"]:
+        click.echo(sentence)
+    made = {name: name if any(getattr(each, name) for each in result.results) else None
+            for name in ("plots", "recordings", "videos")}  # fmt: skip
+    _print_places(result.out, {"report": "report.md", "tables": "results", **made}, 11)
+
+
+def _counted(summary: dict[str, Any]) -> str:
+    compared = summary["hold"] + summary["do_not_hold"]
+    missing = f", {summary['not_measured']} not judged or measured" if summary["not_measured"] else ""
+    return f"{summary['hold']} of {compared} figures hold{missing}"
+
+
+IDENTIFY_EPILOG = """\b
+Examples:
+  nermo-mjx identify --out runs/identified
+  nermo-mjx identify --samples 8 --generations 2 --bodies 0 --out runs/look
+"""
+
+
+@_job(
+    "identify",
+    IDENTIFY_EPILOG,
+    options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64),
+    options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25),
+    options.number("--population", "Candidates per generation.", click.IntRange(4), default=12),
+    options.number("--bodies", "Bodies of the ensemble; 0 for none.", click.IntRange(0), default=256),
+    options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5),
+    options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5),
+    options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0),
+    options.choice("--profile", ("exact", "as_published"), "Set-up of the walks."),
+    options.workers,
+    options.accept_new_code,
+    options.engine,
+)
+def identify_command(
+    out: Path, workers: str, ray_address: str | None, engine: str, as_json: bool, quiet: bool, **settings: Any
+) -> Outcome | None:
+    """Identify the body's parameters that the publication does not give.
+
+    Fits servo gain and damping, and damping of the joints, within physical
+    bounds to the published speeds on the straight line, and nothing else. The
+    result is printed as options of `experiment` and `walk`, and as the `set`
+    line of a sweep. Then samples an ensemble of bodies that also fit, with the
+    friction of soles and tail free as well: ensemble.csv. The same command
+    resumes an interrupted identification.
+
+    --workers ray distributes the batches of the space-filling search and of
+    the ensemble over a cluster's machines, which need no access to DIR.
+    """
+    with stdout_reserved():
+        from nermo_mjx.experiments.identification import run_identification
+
+    with _working("identify", "", quiet, workers, ray_address) as (progress, say, crew):
+        content = run_identification(out, engine=engine, **settings, progress=progress.share, notify=say, workers=crew)
+    return {"out": out, **content}, lambda: _print_identification(content, out)
+
+
+def _print_identification(content: dict[str, Any], out: Path) -> None:
+    from nermo_mjx.experiments.identification import (
+        PARAMETER_HEADINGS,
+        TARGET_HEADINGS,
+        parameter_rows,
+        target_rows,
+    )
+
+    print_table("Published speeds", list(TARGET_HEADINGS), target_rows(content))
+    print_table("Parameters", list(PARAMETER_HEADINGS), parameter_rows(content))
+    objective = content["objective"]
+    took = f"{content['candidates']} candidates in {duration(content['wall_seconds'])}, engine {content['engine']}"
+    click.echo(f"objective  {objective['start']:.3f} before, {objective['end']:.3f} after ({took})")
+    if ensemble := content["ensemble"]:
+        share = f"{ensemble['share_of_prior']:.1%} of the prior"
+        click.echo(f"ensemble   {ensemble['size']} bodies within {ensemble['tolerance']:g}, {share}")
+    click.echo(f"report     {out / 'identification.md'}\n")
+    click.echo(f"Options of experiment and walk:\n  {content['options']}\n")
+    click.echo(f"In a sweep file:\n{content['yaml']}", nl=False)

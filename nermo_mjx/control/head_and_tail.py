@@ -1,0 +1,304 @@
+"""Head control: held relative to the torso, or with its gaze held in the world while the torso sways.
+
+The gaze is a direction d in the world. With the torso's rotation R, read from its IMU and extrapolated with the gyro by
+the servos' lag, its direction in the torso's frame is u = R^T d, and the head looks there with
+
+    neck = atan2(u_x, -u_y),        tilt = atan2(-u_z, |(u_x, u_y)|),
+
+which also removes the effect of roll and pitch on the centre of the image. A robot without a servo for the tilt uses
+the neck alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, Protocol, TypeVar, runtime_checkable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from nermo_mjx.kinematics.body import attitude, turned_back
+from nermo_mjx.kinematics.spine import joint_angle, yaw
+from nermo_mjx.robot.geometry import Geometry, geometry_of
+from nermo_mjx.robot.parameters import SERVOS, Sensors
+from nermo_mjx.robot.quantity import choice, parameter_tree, quantity
+from nermo_mjx.shapes import Array, Scalar, Scalars
+
+# ---
+# The robot's heading without its sway, from the attitude of its torso and the bend of its spine.
+#
+# Head and tail react to the torso's deviation from its course. The course is the heading of the body, half-way between
+# torso and hip, followed by a critically damped observer: with x the measured heading, b the bandwidth and T the tick,
+#
+#     e = wrap(x - (c + T r)),    c <- c + T r + 2 T b e,    r <- r + T b^2 e,
+#
+# so that it has no lag in a steady turn.
+
+
+class Pace(NamedTuple):
+    """Inputs of head and tail control, in addition to the sensors.
+
+    Attributes:
+        phase: of the gait cycle.
+        speed: commanded [m/s of the controller's clock].
+        turn_rate: commanded, in [-1, 1], positive left.
+        cycle_rate: gait cycles per simulated second [1/s].
+    """
+
+    phase: Scalars
+    speed: Scalars
+    turn_rate: Scalars
+    cycle_rate: Any
+
+
+class Course(NamedTuple):
+    """Estimate of the robot's course.
+
+    Attributes:
+        heading: positive left, 0 along -y; unwrapped [rad].
+        rate: of its change [rad/s].
+    """
+
+    heading: Scalar
+    rate: Scalar
+
+
+def body_heading(sensors: Sensors, geometry: Geometry) -> Scalar:
+    """Heading of the body [rad], in (-pi, pi]: a bent spine turns torso and hip to opposite sides of it."""
+    bend = yaw(joint_angle(sensors.servo_angle[SERVOS.index("spine")], geometry))
+    return attitude(sensors.orientation)[2] - 0.5 * bend
+
+
+def begin(sensors: Sensors, geometry: Geometry) -> Course:
+    """The course at the start."""
+    heading = body_heading(sensors, geometry)
+    return Course(heading, jnp.zeros_like(heading))
+
+
+def observe(course: Course, sensors: Sensors, bandwidth: Any, dt: float, geometry: Geometry) -> Course:
+    """The course one tick later.
+
+    Args:
+        course: before.
+        sensors: read now.
+        bandwidth: b [rad/s]; faster motion counts as sway.
+        dt: T, since the last tick [s].
+        geometry: of the robot.
+    """
+    expected = course.heading + dt * course.rate
+    surprise = wrapped(body_heading(sensors, geometry) - expected)
+    gain = dt * bandwidth
+    return Course(expected + 2.0 * gain * surprise, course.rate + gain * bandwidth * surprise)
+
+
+def wrapped(angle: Array) -> Array:
+    """The angle, wrapped to (-pi, pi] [rad]."""
+    return angle - 2.0 * jnp.pi * jnp.round(angle / (2.0 * jnp.pi))
+
+
+# ---
+# What control of the head and of the tail have in common: the protocol, and its two published forms.
+#
+# Both move with the gait, or against the torso's deviation from the robot's course (`sway`).
+
+
+Angles_co = TypeVar("Angles_co", covariant=True)
+Angles = TypeVar("Angles")
+
+
+@runtime_checkable
+class AppendageLike(Protocol[Angles_co]):
+    """Commands servo angles: pure functions of parameters and their own memory, any pytree. Values are unbatched."""
+
+    def start(self, params: Any, pace: Pace) -> tuple[Any, Angles_co]:
+        """Memory and angles before the first sensor reading; the start pose is built from them."""
+
+    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
+        """The memory of `start` updated with the first readings."""
+
+    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles_co]:
+        """Memory and angles one control tick of `dt` seconds later."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Memoryless(AppendageLike[Angles]):
+    """Angles that depend on the present only.
+
+    Attributes:
+        group: name of its parameters among the controller's.
+        angles: a function of these parameters, of the pace, and of the sensors, None before the first reading.
+    """
+
+    group: str
+    angles: Callable[[Any, Pace, Sensors | None], Angles]
+
+    def start(self, params: Any, pace: Pace) -> tuple[Any, Angles]:
+        return (), self.angles(getattr(params, self.group), pace, None)
+
+    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
+        return memory
+
+    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Angles]:
+        return memory, self.angles(getattr(params, self.group), pace, sensors)
+
+
+@dataclasses.dataclass(frozen=True)
+class OnCourse(AppendageLike[Angles]):
+    """Angles relative to the robot's course, which is observed with the bandwidth among the parameters.
+
+    Attributes:
+        group: name of its parameters among the controller's.
+        held: the angles before the first reading, a function of these parameters and of the pace.
+        angles: a function of these parameters, of the pace, of the sensors and of the course.
+    """
+
+    group: str
+    held: Callable[[Any, Pace], Angles]
+    angles: Callable[[Any, Pace, Sensors, Course], Angles]
+
+    def start(self, params: Any, pace: Pace) -> tuple[Course, Angles]:
+        return Course(jnp.zeros(()), jnp.zeros(())), self.held(getattr(params, self.group), pace)
+
+    def init(self, params: Any, memory: Course, sensors: Sensors) -> Course:
+        return begin(sensors, geometry_of(params))
+
+    def update(self, params: Any, memory: Course, sensors: Sensors, pace: Pace, dt: float) -> tuple[Course, Angles]:
+        own = getattr(params, self.group)
+        course = observe(memory, sensors, own.bandwidth * pace.cycle_rate, dt, geometry_of(params))
+        return course, self.angles(own, pace, sensors, course)
+
+
+GAZE: Final = "gaze"
+
+
+@parameter_tree
+class Head:
+    """Direction of the head, and stabilisation of its gaze; the tilt needs a robot with a servo for it."""
+
+    pan: Any = quantity(0.0, "rad", -1.0, 1.0, "neck beside straight ahead, positive left")
+    tilt: Any = quantity(0.0, "rad", -1.0, 1.0, "head from level, positive down")
+    into_turn: Any = quantity(0.0, "rad", -1.0, 1.0, "how far the neck looks into a full turn")
+    gain: Any = quantity(1.0, "1", 0.0, 2.0, "share of the torso's sway that the gaze takes out")
+    bandwidth: Any = quantity(0.5, "rad", 0.01, 10.0, "bandwidth of the course that the gaze holds, per gait cycle")
+    lead: Any = quantity(0.0, "s", 0.0, 0.2, "how far ahead the gyro carries the torso's rotation, for slow servos")
+
+
+class HeadAngles(NamedTuple):
+    """Commanded servo angles of the head [rad]: of the neck, positive left, and of the tilt, positive down."""
+
+    neck: Scalars
+    tilt: Scalars
+
+
+@runtime_checkable
+class HeadLike(AppendageLike[HeadAngles], Protocol):
+    """Head control, see `AppendageLike`."""
+
+
+def head_held(head: Head, pace: Pace, sensors: Sensors | None = None) -> HeadAngles:
+    """Looks in the torso's direction, offset by `head.pan`, `head.tilt` and `head.into_turn`."""
+    neck = head.pan + head.into_turn * pace.turn_rate
+    return HeadAngles(neck, jnp.zeros_like(neck) + head.tilt)
+
+
+def gaze(head: Head, pace: Pace, sensors: Sensors, course: Course) -> HeadAngles:
+    """Looks along the robot's course and level, with the offsets that `held` has from the torso's direction."""
+    offset = head_held(head, pace)
+    seen = turned_back(sensors.orientation, _direction(course.heading + offset.neck, offset.tilt))
+    seen = seen + head.lead * jnp.cross(seen, sensors.gyro)
+    level = jnp.sqrt(seen[0] ** 2 + seen[1] ** 2 + 1e-12)
+    wanted = HeadAngles(jnp.arctan2(seen[0], -seen[1]), jnp.arctan2(-seen[2], level))
+    return HeadAngles(*(own + head.gain * (to - own) for own, to in zip(offset, wanted, strict=True)))
+
+
+_HEADS: Final[dict[str, HeadLike]] = {"none": Memoryless("head", head_held), GAZE: OnCourse("head", head_held, gaze)}
+HEADS: Final = tuple(_HEADS)
+
+
+def named_head(name: str = "none") -> HeadLike:
+    """The head control of this name in `HEADS`."""
+    return _HEADS[choice("head", name, HEADS)]
+
+
+def _direction(heading: Scalars, down: Scalars) -> Float[Array, " 3"]:
+    """The unit vector of a heading [rad], positive left of -y, that points down by an angle [rad]."""
+    level = jnp.cos(down)
+    return jnp.stack([level * jnp.sin(heading), -level * jnp.cos(heading), -jnp.sin(down)])
+
+
+# ---
+# Tail control: held still, swinging with the gait, or moving against the sway of the body.
+#
+# The swing is that of the author's software, min(4.5 v^2, 0.5) cos(2 pi phase) at the commanded speed v. His positive
+# angle bends the tail's tip to the right (measured on his model), here it is the left: hence `tail.swing_phase` is pi.
+#
+# Against the yaw of the body it takes up angular momentum: when the torso turns to the left, so does the tail, which
+# moves its tip to the right. Against roll it acts as a prop, since its tip touches the ground: it moves to the side to
+# which the torso leans. As a counterweight it would move to the other side, with which the simulated robot rolls more.
+
+
+SWING, COUNTER_YAW, COUNTER_ROLL = "swing", "counter_yaw", "counter_roll"
+
+
+@parameter_tree
+class Tail:
+    """How the articulated tail moves; a positive servo angle moves the tip to the left."""
+
+    angle: Any = quantity(0.0, "rad", -1.0, 1.0, "servo angle about which it moves")
+    swing_amplitude: Any = quantity(0.5, "rad", 0.0, 1.0, "largest servo amplitude of the swing")
+    swing_gain: Any = quantity(
+        4.5, "rad s^2/m^2", 0.0, 1e4, "servo amplitude of the swing over the square of gait.speed"
+    )
+    swing_phase: Any = quantity(
+        np.pi, "rad", -2 * np.pi, 2 * np.pi, "of the swing A cos(2 pi phase + tail.swing_phase)"
+    )
+    # Both were chosen by sweeps of the trot at 0.8 Hz (docs/control.md): with higher values the robot rolls or slows
+    # down.
+    yaw_gain: Any = quantity(2.0, "1", -10.0, 10.0, "servo angle against the torso's yaw off course")
+    roll_gain: Any = quantity(2.0, "1", -10.0, 10.0, "servo angle over the torso's roll")
+    bandwidth: Any = quantity(
+        0.5, "rad", 0.01, 10.0, "bandwidth of the course that yaw is counted from, per gait cycle"
+    )
+
+
+@runtime_checkable
+class TailLike(AppendageLike[Scalars], Protocol):
+    """Tail control, see `AppendageLike`: its angle is that of the tail's servo, positive bends the tip to the left
+    [rad]."""
+
+
+def tail_held(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
+    """Stays at `tail.angle`."""
+    return jnp.zeros_like(pace.phase) + tail.angle
+
+
+def swing(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
+    """Swings once per gait cycle about `tail.angle`, as in the author's software."""
+    amplitude = jnp.minimum(tail.swing_gain * pace.speed**2, tail.swing_amplitude)
+    return tail_held(tail, pace) + amplitude * jnp.cos(2.0 * jnp.pi * pace.phase + tail.swing_phase)
+
+
+def counter_yaw(tail: Tail, pace: Pace, sensors: Sensors, course: Course) -> Scalars:
+    """Bends to the right by `tail.yaw_gain` times the torso's yaw to the left of the robot's course."""
+    return tail.angle - tail.yaw_gain * wrapped(attitude(sensors.orientation)[2] - course.heading)
+
+
+def counter_roll(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scalars:
+    """Bends to the side to which the torso leans, by `tail.roll_gain` times its roll."""
+    return tail_held(tail, pace) if sensors is None else tail.angle + tail.roll_gain * attitude(sensors.orientation)[0]
+
+
+_TAILS: Final[dict[str, TailLike]] = {
+    "none": Memoryless("tail", tail_held),
+    SWING: Memoryless("tail", swing),
+    COUNTER_YAW: OnCourse("tail", tail_held, counter_yaw),
+    COUNTER_ROLL: Memoryless("tail", counter_roll),
+}
+TAIL_MOTIONS: Final = tuple(_TAILS)
+
+
+def named_tail(name: str = "none") -> TailLike:
+    """The tail control of this name in `TAIL_MOTIONS`."""
+    return _TAILS[choice("tail_motion", name, TAIL_MOTIONS)]

@@ -1,0 +1,275 @@
+"""The spine's controller: auxiliary modes, their fusion with steering, and offset compensation.
+
+Positive spine servo and joint angles turn left (`robot/parameters.py`). (5.33)'s stride extension is therefore
++A cos(2 pi phase + psi) here, with the published stance offsets, with no further change of sign.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Any, Final, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from nermo_mjx.control import turning
+from nermo_mjx.control.parameters import HARMONICS, ControlParameters, Spine
+from nermo_mjx.control.trajectory import signed_power
+from nermo_mjx.kinematics.body import balance_angle, hip_height_offset
+from nermo_mjx.kinematics.spine import joint_angle, servo_angle
+from nermo_mjx.robot.assembly import RobotConfig
+from nermo_mjx.robot.geometry import Geometry, geometry_of
+from nermo_mjx.robot.masses import MassModel
+from nermo_mjx.robot.quantity import ParameterError, choice
+from nermo_mjx.robot.robot import mass_model_of
+from nermo_mjx.shapes import Array, Planar, Scalar, Scalars
+
+#: Auxiliary modes of the lateral servo; several may be active, and their sum is clipped.
+LATERAL_MODES: Final = ("stride_extension", "balance", "harmonics")
+#: Those of Nermo 4.1's vertical servo (`sagittal`).
+SAGITTAL_MODES: Final = ("sagittal_extension", "pitch_balance")
+MODES: Final = LATERAL_MODES + SAGITTAL_MODES
+NO_MODE: Final = "none"
+#: Every choice of modes, by its name.
+SPINES: Final = (NO_MODE, *("+".join(some) for n in range(1, 6) for some in itertools.combinations(MODES, n)))
+
+#: Share left by steering below which the power law is linear (see `signed_power`).
+_FADE_LINEAR_BELOW = 1e-3
+
+
+@runtime_checkable
+class SpineLike(Protocol):
+    """Controls the spine. Values are unbatched."""
+
+    def __call__(
+        self,
+        params: Any,
+        phase: Scalar,
+        turn_rate: Scalar,
+        feet: Float[Array, "4 2"],
+        stance: Bool[Array, " 4"],
+    ) -> Scalar:
+        """Commanded spine servo angle, positive left [rad].
+
+        Args:
+            params: of the controller.
+            phase: of the gait cycle.
+            turn_rate: in [-1, 1], positive left.
+            feet: wanted (y, z) in their legs' frames [m].
+            stance: planned contact.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class SpineModes(SpineLike):
+    """The published spine: steering fused with the sum of the auxiliary modes.
+
+    Attributes:
+        modes: "none", "stride_extension", "balance", "harmonics", or several joined by "+" (or a tuple of names);
+            converted to a tuple of `LATERAL_MODES`.
+        masses: two-mass model of the assembled robot, for the mode "balance". Stored as plain numbers.
+        robot: that the model belongs to, to compute it for other geometries; by default it is the same for all.
+
+    Raises:
+        ParameterError: an unknown mode, or the mode "balance" without masses.
+    """
+
+    modes: str | tuple[str, ...] = ()
+    masses: MassModel | None = None
+    robot: RobotConfig | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "modes", mode_names(self.modes, LATERAL_MODES))
+        if "balance" in self.modes and self.masses is None:
+            raise ParameterError(
+                f"masses is None: the spine mode {'+'.join(self.modes)!r} needs the robot's mass model."
+            )
+        if self.masses is not None:
+            object.__setattr__(self, "masses", _plain(self.masses))
+
+    def __call__(self, params: ControlParameters, phase: Array, turn_rate: Array, feet: Array, stance: Array) -> Scalar:
+        auxiliary = jnp.zeros_like(phase)
+        if "stride_extension" in self.modes:
+            auxiliary += stride_extension(params.spine, phase)
+        if "balance" in self.modes:
+            assert self.masses is not None
+            masses, geometry = self.masses, geometry_of(params)
+            if self.robot is not None and getattr(params, "geometry", None) is not None:
+                masses = mass_model_of(self.robot, geometry)
+            masses = jax.tree.map(jnp.asarray, masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
+            auxiliary += balance(params.spine, masses, feet, stance, geometry)
+        if "harmonics" in self.modes:
+            auxiliary += harmonics(params.spine, phase)
+        return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)
+
+
+def mode_names(spine: str | tuple[str, ...], modes: tuple[str, ...] = MODES) -> tuple[str, ...]:
+    """Names joined by "+", or in a tuple, as a tuple in the order of `modes`.
+
+    Raises:
+        ParameterError: an unknown name.
+    """
+    names = tuple(spine.split("+")) if isinstance(spine, str) else tuple(spine)
+    chosen = {choice("spine", name.strip(), (NO_MODE, *modes)) for name in names} - {NO_MODE}
+    return tuple(name for name in modes if name in chosen)
+
+
+def _plain(masses: MassModel) -> MassModel:
+    """The same values as plain numbers: hashable and comparable."""
+    return MassModel(
+        front_mass=float(masses.front_mass), rear_mass=float(masses.rear_mass),
+        front_com=tuple(map(float, masses.front_com)), rear_com=tuple(map(float, masses.rear_com)),
+    )  # fmt: skip
+
+
+def stride_extension(spine: Spine, phase: Scalars) -> Scalars:
+    """Servo angle A cos(2 pi phase + psi) [rad], which compresses the diagonal in swing and extends the other
+    (5.33)."""
+    return spine.amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.phase)
+
+
+def harmonics(spine: Spine, phase: Scalars) -> Scalars:
+    """Servo angle [rad] of a Fourier series, sum a_k cos(k 2 pi phase) + b_k sin(k 2 pi phase).
+
+    Unlike an amplitude and a phase, the coefficients have a derivative where they are zero.
+    """
+    turns = 2.0 * jnp.pi * jnp.arange(1.0, HARMONICS + 1.0) * jnp.asarray(phase)[..., None]
+    waves = jnp.stack([jnp.cos(turns), jnp.sin(turns)], axis=-1)
+    return jnp.sum(spine.harmonics * waves.reshape(*waves.shape[:-2], -1), axis=-1)
+
+
+def balance(
+    spine: Spine, masses: MassModel, feet: Float[Array, "4 2"], stance: Bool[Array, " 4"], geometry: Geometry
+) -> Scalar:
+    """Servo angle [rad] that brings the centre of mass over the stability diagonal, or inside the triangle (5.35).
+
+    Zero while all four feet are on the ground, where there is nothing to balance.
+
+    Args:
+        spine: `balance_lift` [m].
+        masses: two-mass model of the assembled robot.
+        feet: commanded feet (y, z) in their leg's frame [m].
+        stance: planned contact.
+        geometry: of the robot.
+    """
+    return servo_angle(balance_angle(masses, feet, stance, geometry, spine.balance_lift), geometry)
+
+
+def fuse(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
+    """q_sp = q_max (alpha_tr + (1 - |alpha_tr|)^s f_sp), in [-q_max, q_max] (5.45, 5.46) [rad].
+
+    Erratum: (5.46) is printed without the absolute value, which is needed: otherwise a left turn would amplify the
+    other mode.
+
+    Args:
+        spine: q_max and s.
+        steering: alpha_tr in [-1, 1], positive left.
+        auxiliary: servo angle wanted by the auxiliary modes [rad]; f_sp = auxiliary / q_max, clipped to [-1, 1].
+    """
+    return spine.max_servo_angle * jnp.clip(steering + shared_with_steering(spine, steering, auxiliary), -1.0, 1.0)
+
+
+def shared_with_steering(spine: Spine, steering: Scalars, auxiliary: Scalars) -> Scalars:
+    """(1 - |alpha_tr|)^s f_sp, the auxiliary modes as reduced by steering, in [-1, 1]; see `fuse`."""
+    wanted = jnp.clip(auxiliary / spine.max_servo_angle, -1.0, 1.0)
+    left_over = signed_power(1.0 - jnp.abs(steering), jnp.asarray(spine.fusion_exponent), _FADE_LINEAR_BELOW)
+    return left_over * wanted
+
+
+def compensation(
+    spine: Spine,
+    servo: Scalar,
+    geometry: Geometry,
+    lifted: Planar | None = None,
+    feet: Float[Array, "4 2"] | None = None,
+) -> Float[Array, "4 2"]:
+    """Shift (y, z) of the four commanded feet that undoes the hips' rise by the bent spine (5.31) [m].
+
+    Zero for the front legs; the rear feet go down by `offset_compensation` of their hip's rise, and with
+    `offset_at_feet` of their own, which is what the author's code takes.
+
+    Args:
+        spine: `offset_compensation`, `offset_at_feet`.
+        servo: lateral servo angle [rad].
+        geometry: of the robot.
+        lifted: rise of both rear feet due to the vertical joints of Nermo 4.1 [m].
+        feet: (y, z) in their legs' frames [m]; None for what the hips rise.
+    """
+    theta_v = joint_angle(servo, geometry)
+    rise = hip_height_offset(theta_v, geometry)
+    if feet is not None:
+        rise = rise + spine.offset_at_feet * (hip_height_offset(theta_v, geometry, feet) - rise)
+    rise = spine.offset_compensation * (rise if lifted is None else rise + lifted)
+    lowered = jnp.concatenate([jnp.zeros_like(rise), -rise], axis=-1)
+    return jnp.stack([jnp.zeros_like(lowered), lowered], axis=-1)
+
+
+# ---
+# The vertical servo of Nermo 4.1's spine: flexes and extends the spine with the stride, and levels the torso.
+#
+# Positive lifts the hip, which extends the spine; negative arches it and brings the rear feet forward. Neither mode is
+# published: the thesis describes the joints, and its experiments are those of Nermo-Lite. The stride extension is that
+# of (5.33) transferred to the sagittal plane, as mammals use it in bound and gallop: flexed when the hind feet touch
+# down, extended when they lift off.
+
+
+@runtime_checkable
+class SagittalLike(Protocol):
+    """Controls the vertical servo of the spine. Values are unbatched."""
+
+    def __call__(
+        self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
+    ) -> Scalar:
+        """Commanded servo angle, positive lifts the hip [rad].
+
+        Args:
+            params: of the controller.
+            phase: of the gait cycle.
+            turn_rate: in [-1, 1], positive left.
+            pitch: of the torso from its IMU, positive nose down [rad].
+            pitch_rate: measured angular velocity about the same axis [rad/s].
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class SagittalModes(SagittalLike):
+    """The sum of the chosen modes, reduced by steering as much as the lateral ones (5.46).
+
+    Attributes:
+        modes: "sagittal_extension", "pitch_balance", both joined by "+", or a tuple of names; converted to a tuple.
+
+    Raises:
+        ParameterError: an unknown mode.
+    """
+
+    modes: str | tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "modes", mode_names(self.modes, SAGITTAL_MODES))
+
+    def __call__(
+        self, params: ControlParameters, phase: Scalar, turn_rate: Scalar, pitch: Scalar, pitch_rate: Scalar
+    ) -> Scalar:
+        wanted = jnp.zeros_like(phase)
+        if "sagittal_extension" in self.modes:
+            wanted += sagittal_extension(params.spine, phase)
+        if "pitch_balance" in self.modes:
+            wanted += pitch_balance(params.spine, pitch, pitch_rate)
+        steering = turning.spine_share(params.turning, turn_rate)
+        return params.spine.max_servo_angle * shared_with_steering(params.spine, steering, wanted)
+
+
+def sagittal_extension(spine: Spine, phase: Scalars) -> Scalars:
+    """Servo angle -A cos(2 pi phase + psi) [rad]: with psi = 0 the spine is most flexed as a cycle begins, then
+    extends.
+
+    In `bound` and `gallop` the hind feet touch down at phase 0.
+    """
+    return -spine.sagittal_amplitude * jnp.cos(2.0 * jnp.pi * phase + spine.sagittal_phase)
+
+
+def pitch_balance(spine: Spine, pitch: Scalars, pitch_rate: Scalars) -> Scalars:
+    """Servo angle [rad] that levels the torso: flexion raises the rump and counteracts a rising nose."""
+    return spine.pitch_gain * pitch + spine.pitch_damping * pitch_rate

@@ -1,0 +1,282 @@
+"""Contacts of primitive geoms as MuJoCo C has them, where MJX has other ones.
+
+MJX adds 1e-6 to denominators of closest points, has one contact of parallel capsules, other frames of capsules on a
+plane, leaves out corners of a box that are 1 mm above its lowest and points of a cylinder, and takes approximate
+distances of ellipsoids and cylinders. Each function here takes two geoms and gives their contacts.
+`coverage.approximated` lists the pairs that keep contacts of MJX's which are not C's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from mujoco import mjMINVAL
+from mujoco.mjx._src import math
+from mujoco.mjx._src.collision_types import GeomInfo
+from mujoco.mjx._src.types import GeomType
+
+from nermo_mjx.dynamics import spatial
+from nermo_mjx.shapes import Array, Scalar
+
+Vector = Float[Array, " 3"]
+Matrix = Float[Array, "3 3"]
+#: Distances [m], positions and frames, of one contact or several.
+Contacts = tuple[Float[Array, "*n"], Float[Array, "*n 3"], Float[Array, "*n 3 3"]]
+#: Rounds of Newton's method for the direction in which two bodies are closest.
+ROUNDS: Final = 20
+#: Distance of what is no contact [m], as MJX has it.
+FAR: Final = 1.0
+_X: Final = np.array([1.0, 0.0, 0.0])
+#: Signs of a box's corners.
+_CORNERS: Final = np.array([[1.0 if i >> k & 1 else -1.0 for k in range(3)] for i in range(8)])
+
+
+def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]], Any]:
+    """A function of two geoms as MJX's driver calls it, for all pairs of a group."""
+
+    def wrap(function: Callable[[GeomInfo, GeomInfo], Contacts]) -> Any:
+        def collide(model: Any, data: Any, _: Any, geom: Any) -> Contacts:
+            pair = [GeomInfo(data.geom_xpos[each], data.geom_xmat[each], model.geom_size[each]) for each in geom.T]
+            dist, pos, frame = jax.vmap(function)(*pair)
+            return dist.reshape(-1), pos.reshape(-1, 3), frame.reshape(-1, 3, 3)
+
+        collide.ncon = count  # type: ignore[attr-defined]
+        return collide
+
+    return wrap
+
+
+def _unit(vector: Vector, otherwise: Array | np.ndarray = _X) -> Vector:
+    """Direction of a vector; another one, without a derivative by it, where it is zero."""
+    length = spatial.length(vector)
+    none = length < mjMINVAL
+    return jnp.where(none, otherwise, vector / jnp.where(none, 1.0, length))
+
+
+def _spheres(
+    one: GeomInfo, other: GeomInfo, at: Vector, to: Vector, radius: Scalar, other_radius: Scalar
+) -> tuple[Scalar, Vector, Vector]:
+    """Distance, position and normal of spheres in two geoms; where they coincide, the normal is across both axes."""
+    normal = _unit(to - at, _unit(spatial.cross(one.mat[:, 2], other.mat[:, 2])))
+    dist = spatial.length(to - at) - radius - other_radius
+    return dist, at + normal * (radius + 0.5 * dist), normal
+
+
+@_collider(1)
+def sphere_sphere(one: GeomInfo, other: GeomInfo) -> Contacts:
+    dist, pos, normal = _spheres(one, other, one.pos, other.pos, one.size[0], other.size[0])
+    return dist, pos, math.make_frame(normal)
+
+
+@_collider(1)
+def sphere_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
+    axis = other.mat[:, 2]
+    nearest = other.pos + axis * jnp.clip(axis @ (one.pos - other.pos), -other.size[1], other.size[1])
+    dist, pos, normal = _spheres(one, other, one.pos, nearest, one.size[0], other.size[0])
+    return dist, pos, math.make_frame(normal)
+
+
+@_collider(1)
+def sphere_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """Against the side, an end or the rim of the cylinder."""
+    axis, (radius, half) = other.mat[:, 2], other.size[:2]
+    height = axis @ (one.pos - other.pos)
+    across = one.pos - other.pos - axis * height
+    outside = spatial.length(across)
+    side, end = jnp.abs(height) < half, outside < radius
+    nearer_end = half - jnp.abs(height) < radius - outside
+    side, end = side & ~(end & nearer_end), end & ~(side & ~nearer_end)
+    up = jnp.where(height > 0.0, axis, -axis)
+    rim = other.pos + up * half + _unit(across) * radius
+    to, wide = jnp.where(side, other.pos + axis * height, rim), jnp.where(side, radius, 0.0)
+    found = _spheres(one, other, one.pos, to, one.size[0], wide)
+    above = jnp.abs(height) - half - one.size[0]
+    flat = above, one.pos - up * (one.size[0] + 0.5 * above), -up
+    dist, pos, normal = (jnp.where(end, ours, theirs) for ours, theirs in zip(flat, found, strict=True))
+    return dist, pos, math.make_frame(normal)
+
+
+@_collider(1)
+def sphere_box(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """Against the nearest point of the box, or its nearest face where the centre is within."""
+    centre = other.mat.T @ (one.pos - other.pos)
+    nearest = jnp.clip(centre, -other.size, other.size)
+    away = spatial.length(nearest - centre)
+    within = away <= mjMINVAL
+    faces = jnp.stack([other.size + centre, other.size - centre], 1).ravel()
+    face = jnp.argmin(jnp.abs(faces))
+    into = jnp.asarray(np.stack([np.eye(3), -np.eye(3)], 1).reshape(6, 3), centre.dtype)[face]
+    dist = jnp.where(within, -jnp.abs(faces[face]), away) - one.size[0]
+    normal = jnp.where(within, into, _unit(nearest - centre))
+    pos = centre + normal * (one.size[0] + 0.5 * dist)
+    return dist, other.pos + other.mat @ pos, math.make_frame(other.mat @ normal)
+
+
+@_collider(2)
+def capsule_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """At the closest points of the axes; of axes parallel to 1e-4 rad at both ends of where they are side by side."""
+    axis, across = one.mat[:, 2], other.mat[:, 2]
+    half, other_half = one.size[1], other.size[1]
+    apart = other.pos - one.pos
+    cosine, at, to = axis @ across, axis @ apart, across @ apart
+    sine = 1.0 - cosine * cosine
+    parallel = sine < 1e-8
+    free = jnp.where(parallel, 1.0, sine)
+    x, y = (at - cosine * to) / free, (cosine * at - to) / free
+    y = jnp.where(jnp.abs(x) > half, jnp.sign(x) * half * cosine - to, y)
+    x = jnp.where(jnp.abs(y) > other_half, jnp.sign(y) * other_half * cosine + at, x)
+    reach = other_half * jnp.abs(cosine)
+    ends = jnp.stack([jnp.maximum(at - reach, -half), jnp.minimum(at + reach, half)])
+    x = jnp.clip(jnp.where(parallel, ends, x), -half, half)
+    y = jnp.clip(jnp.where(parallel, x * cosine - to, y), -other_half, other_half)
+    points = one.pos + x[:, None] * axis, other.pos + y[:, None] * across
+    dist, pos, normal = jax.vmap(lambda p, q: _spheres(one, other, p, q, one.size[0], other.size[0]))(*points)
+    dist = jnp.stack([dist[0], jnp.where(parallel, dist[1], FAR)])
+    return dist, pos, jax.vmap(math.make_frame)(normal)
+
+
+@_collider(2)
+def plane_capsule(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """At both ends, with the friction's axes along the capsule."""
+    normal, axis = one.mat[:, 2], other.mat[:, 2]
+    along = _unit(axis - normal * (normal @ axis))
+    ends = other.pos + np.array([[1.0], [-1.0]]) * axis * other.size[1]
+    dist = (ends - one.pos) @ normal - other.size[0]
+    pos = ends - normal * (other.size[0] + 0.5 * dist[:, None])
+    frame = jnp.stack([normal, along, spatial.cross(normal, along)])
+    return dist, pos, jnp.stack([frame, frame])
+
+
+@_collider(4)
+def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """At the lowest points of both rims, and at two that make a triangle with the first.
+
+    Where the axis is along the normal the triangle points along the cylinder's x; it has no derivative by the tilt,
+    with which C's turns at once.
+    """
+    normal, axis = one.mat[:, 2], other.mat[:, 2]
+    down = axis * jnp.where(normal @ axis > 0.0, -1.0, 1.0)
+    lowest = other.size[0] * _unit(down * (normal @ down) - normal, other.mat[:, 0])
+    end = other.size[1] * down
+    aside = _unit(spatial.cross(lowest, end)) * other.size[0] * 0.75**0.5
+    points = other.pos + jnp.stack([
+        end + lowest, lowest - end, end - 0.5 * lowest + aside, end - 0.5 * lowest - aside
+    ])  # fmt: skip
+    dist = (points - one.pos) @ normal
+    return dist, points - 0.5 * dist[:, None] * normal, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
+
+
+@_collider(4)
+def plane_box(one: GeomInfo, other: GeomInfo) -> Contacts:
+    """At the four lowest corners, where these are not above the centre."""
+    normal = one.mat[:, 2]
+    corners = (_CORNERS * other.size) @ other.mat.T
+    lowest = jnp.argsort(jax.lax.stop_gradient(corners @ normal))[:4]
+    corners, below = corners[lowest], (corners @ normal)[lowest]
+    dist = jnp.where(below <= 0.0, (other.pos - one.pos) @ normal + below, FAR)
+    pos = other.pos + corners - 0.5 * dist[:, None] * normal
+    return dist, pos, jnp.broadcast_to(math.make_frame(normal), (4, 3, 3))
+
+
+def _round(one: GeomInfo, other: GeomInfo, shapes: list[Matrix], segment: Vector, radius: Scalar) -> Contacts:
+    """Where a capsule, sphere or ellipsoid is closest to, or deepest in, an ellipsoid.
+
+    The signed distance is the largest over unit vectors n of n . apart - h(n), with h the sum of the support functions:
+    sqrt(n . Q n) of an ellipsoid with the matrix Q, the radius, and |n . segment|. Of points of the segment it is
+    convex, and Newton's method finds both together. The derivative is that of the solution.
+
+    Args:
+        one, other: the geoms.
+        shapes: the matrices Q of those that are ellipsoids, the other's last.
+        segment, radius: half of the segment of the first, and the radius about it.
+    """
+    apart = other.pos - one.pos
+
+    def supports(n: Vector, shapes: list[Matrix]) -> list[tuple[Scalar, Vector]]:
+        heights = [jnp.sqrt(jnp.maximum(n @ shape @ n, mjMINVAL**2)) for shape in shapes]
+        return [(height, shape @ n / height) for height, shape in zip(heights, shapes, strict=True)]
+
+    def distance(n: Vector, between: Vector) -> Scalar:
+        return n @ between - sum(height for height, _ in supports(n, shapes)) - radius
+
+    def newton(n: Vector, t: Scalar, problem: Any, damped: bool) -> tuple[Vector, Scalar]:
+        apart, shapes, segment = problem
+        found = supports(n, shapes)
+        flat = jnp.eye(3, dtype=n.dtype) - jnp.outer(n, n)
+        bend = flat @ sum((q - jnp.outer(g, g)) / h for q, (h, g) in zip(shapes, found, strict=True)) @ flat
+        pull = apart - t * segment - sum(g for _, g in found)
+        lift = n @ pull
+        if damped:  # where it is not concave: the lesser of both curvatures
+            size, square = jnp.trace(bend), jnp.sum(bend * bend)
+            lift = jnp.maximum(lift, -0.45 * (size - jnp.sqrt(jnp.maximum(2.0 * square - size * size, 0.0))))
+        inverse = jnp.linalg.inv(jax.lax.stop_gradient(bend + lift * flat + jnp.outer(n, n)))
+        across, moved = flat @ segment, inverse @ flat @ pull
+        soft = jnp.maximum(jax.lax.stop_gradient(across @ inverse @ across), mjMINVAL)
+        place = jnp.clip(t + segment @ (n + moved) / soft, -1.0, 1.0)
+        change = moved - inverse @ across * (place - t)
+        if damped:
+            change *= jnp.minimum(1.0, 0.5 / jnp.maximum(spatial.length(change), mjMINVAL))
+        return _unit(n + change), place
+
+    problem = apart, shapes, segment
+    fixed = jax.lax.stop_gradient(problem)
+    axes = jnp.concatenate([one.mat.T, other.mat.T])
+    starts = jax.lax.stop_gradient(jnp.concatenate([_unit(apart)[None], axes, -axes]))
+    middle = jnp.clip(fixed[0] @ fixed[2] / jnp.maximum(fixed[2] @ fixed[2], mjMINVAL), -1.0, 1.0)
+
+    def converged(n: Vector) -> tuple[Vector, Scalar]:
+        return jax.lax.fori_loop(0, ROUNDS, lambda _, at: newton(at[0], at[1], fixed, True), (n, middle))
+
+    found = jax.vmap(converged)(starts)
+    best = jnp.argmax(jax.vmap(lambda n: distance(n, apart) - jnp.abs(n @ segment))(found[0]))
+    n, t = found[0][best], found[1][best]
+    n, t = newton(jax.lax.stop_gradient(n), jax.lax.stop_gradient(t), problem, False)
+    *inner, (_, outer) = supports(n, shapes)
+    touched = sum((g for _, g in inner), t * segment + radius * n)
+    pos = 0.5 * (one.pos + other.pos + touched - outer)
+    return distance(n, apart - t * segment), pos, math.make_frame(n)
+
+
+def _quadric(geom: GeomInfo) -> Matrix:
+    """The matrix of an ellipsoid's support function."""
+    return (geom.mat * geom.size**2) @ geom.mat.T
+
+
+@_collider(1)
+def capsule_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
+    return _round(one, other, [_quadric(other)], one.mat[:, 2] * one.size[1], one.size[0])
+
+
+@_collider(1)
+def sphere_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
+    return _round(one, other, [_quadric(other)], jnp.zeros_like(one.pos), one.size[0])
+
+
+@_collider(1)
+def ellipsoid_ellipsoid(one: GeomInfo, other: GeomInfo) -> Contacts:
+    none = jnp.zeros_like(one.pos)
+    return _round(one, other, [_quadric(one), _quadric(other)], none, none[0])
+
+
+def closest_on_segment(start: Vector, end: Vector, point: Vector) -> Vector:
+    """As MJX's `closest_segment_point`, without the 1e-6 that it adds to the square of the length."""
+    along = end - start
+    return start + jnp.clip((point - start) @ along / jnp.maximum(along @ along, mjMINVAL), 0.0, 1.0) * along
+
+
+#: Pairs of kinds of geoms whose contacts are those of this module.
+OURS: Final = {
+    (getattr(GeomType, one), getattr(GeomType, other)): function
+    for one, other, function in (
+        ("PLANE", "CAPSULE", plane_capsule), ("PLANE", "BOX", plane_box), ("PLANE", "CYLINDER", plane_cylinder),
+        ("SPHERE", "SPHERE", sphere_sphere),
+        ("SPHERE", "CAPSULE", sphere_capsule), ("SPHERE", "CYLINDER", sphere_cylinder), ("SPHERE", "BOX", sphere_box),
+        ("CAPSULE", "CAPSULE", capsule_capsule), ("SPHERE", "ELLIPSOID", sphere_ellipsoid),
+        ("CAPSULE", "ELLIPSOID", capsule_ellipsoid), ("ELLIPSOID", "ELLIPSOID", ellipsoid_ellipsoid),
+    )
+}  # fmt: skip

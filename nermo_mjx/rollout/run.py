@@ -1,0 +1,203 @@
+"""How long a run lasts and what part of it is measured."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from nermo_mjx.control.protocol import ControllerLike
+from nermo_mjx.dynamics.precision import full_precision
+from nermo_mjx.kinematics import spine
+from nermo_mjx.kinematics.body import feet_positions, hips, shoulders
+from nermo_mjx.kinematics.leg import forward, four_legs
+from nermo_mjx.robot import ParameterError, Robot
+from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.terrains import TerrainShape
+from nermo_mjx.rollout.setup import Start
+from nermo_mjx.runtime import compiler_options
+from nermo_mjx.shapes import Array
+
+Length = float | np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """How long a run lasts and what part of it is measured: gait cycles, or seconds.
+
+    >>> Run(duration=2.0, warmup=2.5)
+    Traceback (most recent call last):
+    nermo_mjx.robot.quantity.ParameterError: run.warmup is 2.5: allowed is less than the run's length, 2.
+
+    Each number holds for all worlds, or is an array (n,) with one entry per world.
+
+    Attributes:
+        cycles, warmup_cycles: length of the run, and of its unmeasured start, in gait cycles.
+        duration, warmup: the same in simulated seconds; `duration` excludes `cycles`.
+        distance: measuring stops at the end of the gait cycle in which the robot has walked this far [m].
+
+    Raises:
+        ParameterError: neither or both lengths, a warm-up as long as the run, a value that is not finite.
+    """
+
+    cycles: Length | None = None
+    warmup_cycles: Length | None = None
+    duration: Length | None = None
+    warmup: Length | None = None
+    distance: Length | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("cycles", "warmup_cycles", "duration", "warmup", "distance"):
+            value, zero_ok = getattr(self, name), name.startswith("warmup")
+            if value is None:
+                continue
+            bad = ~(np.isfinite(value) & ((np.asarray(value) > 0) | (zero_ok & (np.asarray(value) == 0))))
+            if bad.any():
+                shown = np.asarray(value)[bad].flat[0]
+                raise ParameterError(f"run.{name} is {float(shown)!r}: allowed is {'[' if zero_ok else '('}0, inf).")
+        if self.duration is not None and (self.cycles is not None or self.warmup_cycles is not None):
+            raise ParameterError("run.duration is given beside run.cycles: give either seconds or gait cycles.")
+        if self.duration is None and self.warmup is not None:
+            raise ParameterError("run.warmup is given without run.duration: with cycles, give run.warmup_cycles.")
+        length, warmup = np.broadcast_arrays(*self._lengths())
+        late = warmup >= length
+        if late.any():
+            name = "warmup_cycles" if self.duration is None else "warmup"
+            raise ParameterError(
+                f"run.{name} is {warmup[late].flat[0]:g}: allowed is less than the run's length, "
+                f"{length[late].flat[0]:g}."
+            )
+
+    def _lengths(self) -> tuple[Length, Length]:
+        if self.duration is not None:
+            return self.duration, 0.0 if self.warmup is None else self.warmup
+        cycles = 8.0 if self.cycles is None else self.cycles
+        default = np.where(np.asarray(cycles) > 2.0, 2.0, 0.0)
+        return cycles, default if self.warmup_cycles is None else self.warmup_cycles
+
+    def seconds(self, cycle_rate: Any) -> tuple[Any, Any]:
+        """(end of the warm-up, end of the run) in simulated seconds, shaped as `cycle_rate`, which may be traced.
+
+        >>> [float(each) for each in Run(cycles=8).seconds(0.8)]
+        [2.5, 10.0]
+
+        Args:
+            cycle_rate: gait cycles per simulated second [1/s].
+        """
+        length, warmup = self._lengths()
+        period = 1.0 / cycle_rate if self.duration is None else cycle_rate**0
+        return warmup * period, length * period
+
+
+# ---
+# A function of one world, for batches of any size, with results that do not depend on the batch.
+#
+# XLA's rounding depends on an array's shape, not on the position in it, so work is divided into chunks of one shape.
+
+
+#: Worlds per chunk; the last one is padded.
+LANES: Final = 256
+
+
+class Lanes:
+    """Applies a jittable function of one world to batches: leaves (n, ...) in, NumPy leaves (n, ...) out."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """
+        Args:
+            function: of one world.
+        """
+        self._program = jax.jit(full_precision(jax.vmap(function)), compiler_options=compiler_options())
+
+    def __call__(self, *arguments: Any) -> Any:
+        """The results of all worlds; n is at least 1."""
+        arguments = jax.tree.map(np.asarray, arguments)
+        worlds = len(jax.tree.leaves(arguments)[0])
+        pieces = []
+        for start in range(0, worlds, LANES):
+            ids = np.minimum(np.arange(start, start + LANES), worlds - 1)
+            pieces.append(self._program(*jax.tree.map(lambda leaf, ids=ids: leaf[ids], arguments)))
+        return jax.tree.map(lambda *parts: np.concatenate(parts)[:worlds], *pieces)
+
+
+# ---
+# The start pose of a world: in the posture of its gait, level, at rest, and on the ground.
+
+
+#: Tendons start longer than their limit by this much, as when loaded [m]. At the limit itself rounding would determine
+#: whether a tendon holds or its knee springs loose in the first step.
+TAUT: Final = 2e-5
+#: Initial penetration of the lowest sole [m]. On the surface rounding would determine whether it touches in the first
+#: steps, which moves the robot by 0.1 micrometres.
+DEPTH: Final = 1e-5
+
+#: Half-widths of the start's perturbation that makes repeats differ: a millimetre, a degree, a fiftieth of a cycle.
+START_SPREAD: Final = {"start.x": 1e-3, "start.y": 1e-3, "start.yaw": math.radians(1.0), "start.phase": 0.02}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class StartPose:
+    """Maps parameters to `qpos`."""
+
+    robot: Robot
+    controller: ControllerLike
+
+    def qpos(
+        self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None
+    ) -> Float[Array, " nq"]:
+        """Positions of one world (leaves of shape ()); torso level, the body's mean heading `start.yaw` from -y.
+
+        Args:
+            control: the controller's parameters.
+            start: position, heading and phase.
+            terrain: shape of the ground, see `Terrain.height`.
+            geometry: of the body, by default the published one.
+        """
+        geometry = geometry or Geometry()
+        servo = self.controller.initial_servo(control, start.phase)
+        legs = four_legs(geometry)
+        eased = servo.knee + legs.servo_direction * TAUT / legs.pulley_radius
+        pose = forward(legs, jnp.stack([servo.hip, eased], axis=-1), self.robot.config.routing)
+        bend = spine.joint_angle(servo.spine, geometry)
+        lifted = spine.joint_angle(servo.spine_vertical, geometry) if self.robot.joints.spine_vertical else None
+        axis_height = jnp.concatenate([shoulders(geometry)[:, 2], hips(bend, geometry)[:, 2]])
+        # A bent spine turns torso and hip to opposite sides of the robot's heading; the total bend is 4 theta_v.
+        yaw = start.yaw + 0.5 * 4 * bend
+        # The ground's height differs between feet; the foot that requires the greatest height determines the body's.
+        x, y, z = jnp.moveaxis(feet_positions(bend, pose.foot, geometry, lifted), -1, 0)
+        cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
+        place = start.x + cosine * x - sine * y, start.y + sine * x + cosine * y
+        beneath = self.robot.terrain.height(*place, terrain)
+        # The vertical spine turns the legs by up to half a radian, the lateral one by a few hundredths.
+        below = axis_height + pose.foot[:, 1] if lifted is None else z
+        height = jnp.max(geometry.foot.radius - DEPTH - below + beneath)
+
+        joints, half = self.robot.joints, yaw / 2
+        zero = jnp.zeros_like(half)
+        root = jnp.stack([zero + start.x, zero + start.y, height, jnp.cos(half), zero, zero, jnp.sin(half)])
+        qpos = jnp.asarray(self.robot.model.qpos0, float).at[joints.root : joints.root + 7].set(root)
+        qpos = qpos.at[np.array(joints.hip)].set(servo.hip).at[np.array(joints.pulley)].set(servo.knee)
+        hinges = self.robot.config.hinges  # bend equally
+        qpos = qpos.at[np.array(joints.knee)].set(pose.knee_angle[:, None] / hinges)
+        qpos = qpos.at[np.array(joints.spine)].set(bend / hinges).at[joints.spine_pulley].set(servo.spine)
+        if lifted is None:
+            return qpos
+        pulley = np.array(joints.spine_vertical_pulley)
+        return qpos.at[np.array(joints.spine_vertical)].set(lifted / hinges).at[pulley].set(servo.spine_vertical)
+
+    def batch(
+        self, control: Any, start: Start, terrain: TerrainShape | None = None, geometry: Geometry | None = None
+    ) -> np.ndarray:
+        """Positions of all worlds, (n, nq), from leaves with a leading world axis."""
+        return np.asarray(self._batched(control, start, terrain, geometry), float)
+
+    @functools.cached_property
+    def _batched(self) -> Lanes:
+        return Lanes(self.qpos)

@@ -1,0 +1,130 @@
+"""One declaration for a section of a file: a frozen dataclass that is file, object, defaults, bounds and docs at once.
+
+A section is a dataclass that derives from `Spec`. Its annotations carry the bounds (`specs.values`: `Positive`,
+`Whole`, `Numbers`, `Choice`, ...), the text under a field is the field's documentation and its description in the JSON
+Schema, and its default stands once. A field of a file declares it by its type, and reads it as the object:
+
+>>> @dataclasses.dataclass(frozen=True)
+... class Friction(Spec):
+...     what = "a field of the friction"
+...     sliding: Annotated[float, Field(gt=0)] = 1.0
+...     '''coefficient of dry friction'''
+>>> written(Friction(sliding=1.2))
+{'sliding': 1.2}
+
+Among several sections a file chooses by name, see `one_of`. Errors are told as for all fields (`specs.fields.read`):
+file and line, field, value, what is allowed, and the name that may have been meant.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, create_model
+from pydantic_core import core_schema
+
+from nermo_mjx.robot.quantity import did_you_mean
+from nermo_mjx.specs.fields import JsonSchema, OneOf, Refused
+from nermo_mjx.specs.reading import describe
+
+
+class Spec:
+    """A section of a file, to be derived from by a frozen dataclass.
+
+    Attributes:
+        what: what one of its fields is, for messages: "an option of 'ppo'".
+        expected: what is allowed instead of something that is no mapping; by default a mapping of its fields.
+        elsewhere: fields of the object that stand in another section of the file.
+    """
+
+    __pydantic_config__: ClassVar = ConfigDict(strict=True, extra="forbid", use_attribute_docstrings=True)
+    what: ClassVar[str]
+    expected: ClassVar[str] = ""
+    elsewhere: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        names = [name for name in cls.__dataclass_fields__ if name not in cls.elsewhere]  # type: ignore[attr-defined]
+        if isinstance(given, cls):
+            return given
+        if not isinstance(given, dict):
+            raise Refused(f"is {describe(given)}: expected {cls.expected or 'a mapping of ' + ', '.join(names)}.")
+        for key in given:
+            if key not in names:
+                raise Refused(f"is not {cls.what}; allowed are {', '.join(names)}{did_you_mean(key, names)}", key)
+        return given
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        schema = handler(source)
+        made: dict[str, Any] = handler.resolve_ref_schema(schema)  # type: ignore[assignment]
+        made["strict"] = False  # a mapping will do; its values are checked strictly
+        return core_schema.no_info_before_validator_function(cls._known, schema)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchema:
+        reference = handler(schema)
+        fields = handler.resolve_ref_schema(reference)["properties"]
+        for name in cls.elsewhere:
+            fields.pop(name, None)
+        return reference
+
+
+@dataclasses.dataclass(frozen=True)
+class _Chosen:
+    """Marks a field that is written as a name, or as the name and its options, and read as the section chosen."""
+
+    form: type[OneOf]
+    models: Mapping[str, type[Spec]]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.no_info_after_validator_function(self._made, handler.generate_schema(self.form))
+
+    def _made(self, found: OneOf) -> Spec:
+        name, value = found.chosen
+        return self.models[name]() if value is None else value
+
+
+def one_of(form: str, other: str, models: Mapping[str, type[Spec]]) -> Any:
+    """The marker of a field that is one of several sections: NAME, {NAME: } or {NAME: {option: value}}.
+
+    Args:
+        form: name of the form in the JSON Schema.
+        other: says of another name that there is no such section.
+        models: the sections by their names; the first line of each one's docstring describes it to an editor.
+    """
+    fields: dict[str, Any] = {
+        name: (model | None, Field(default=None, description=(model.__doc__ or "").partition("\n")[0]))
+        for name, model in models.items()
+    }
+    made: type[OneOf] = create_model(form, __base__=OneOf, **fields)
+    *first, last = models
+    made.expected = f"{', '.join(first)} or {last} as a name, or {{name: {{option: value}}}}"
+    made.other, made.other_name, made.alone = other, "is {name!r}", tuple(models)
+    made.short = ({"enum": [*models]},)
+    return _Chosen(made, models)
+
+
+def written(spec: Spec) -> dict[str, Any]:
+    """A section as plain values for a file, with defaults; without fields that are None by default."""
+    data = {}
+    for field in dataclasses.fields(spec):  # type: ignore[arg-type]
+        value = getattr(spec, field.name)
+        if field.name not in spec.elsewhere and (value is not None or field.default is not None):
+            data[field.name] = plain(value)
+    return data
+
+
+def named(spec: Any, models: Mapping[str, type[Spec]]) -> dict[str, Any]:
+    """One of several sections as a file has it, see `one_of`."""
+    name = next(name for name, model in models.items() if isinstance(spec, model))
+    return {name: written(spec)}
+
+
+def plain(value: Any) -> Any:
+    """A value with lists instead of tuples."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, tuple) else value

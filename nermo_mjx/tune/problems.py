@@ -1,0 +1,333 @@
+"""The simulation behind a tuning: a batch of walks in MJX, their objective and its gradients, and a recorded walk that
+they may be compared with.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import pickle
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from nermo_mjx.programs import Program
+from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Simulator
+from nermo_mjx.rollout.differentiable import Rollout, choose_mode, cost, value_and_gradient
+from nermo_mjx.runs.code import CodeStamp, stamp
+from nermo_mjx.runs.workers import TaskFailed, Workers
+from nermo_mjx.runtime import cpu_batch_limit
+from nermo_mjx.sweep.simulating import SimulatorLike
+from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Evaluation, Problem
+from nermo_mjx.tune.spec import Tuning
+
+#: Spread of a coordinate below which it counts as this large: a millimetre, and a hundredth of a radian.
+_LEAST_SPREAD: Final = (1e-3, 1e-2)
+
+
+class WalkProblem:
+    """Implements `evaluation.Problem` for a tuning file; one world per point."""
+
+    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
+        """
+        Args:
+            tuning: what is tuned.
+            reference: replaces the tuning's recording, whose file need not be there then.
+
+        Raises:
+            ParameterError: the tuning's recording cannot be compared with its walk.
+        """
+        self.tuning, self.names = tuning, tuning.names
+        self.mode = choose_mode(len(self.names), tuning.mode)
+        self.gradient_cost = cost(len(self.names), self.mode)
+        lowest = dict(zip(self.names, map(float, tuning.bounds.low), strict=True))
+        self.rollout = Rollout(tuning.setup, tuning.run, slowest=lowest.get("frequency"))
+        self.simulated_seconds = self.rollout.seconds(tuning.constants | lowest)
+        self.reference = reference
+        if reference is None and tuning.recording is not None:
+            self.reference = load_reference(tuning.recording, self.rollout, self.simulated_seconds)
+        identity = self._identity()
+        self._value = Program(jax.vmap(self._walk), identity and f"value {identity}")
+        gradient = jax.vmap(value_and_gradient(self._walk, self.mode))
+        self._gradient = Program(gradient, identity and f"{self.mode} {identity}")
+
+    def __reduce__(self) -> tuple[type[WalkProblem], tuple[Any, ...]]:
+        """For another machine, which lacks the recording and rebuilds everything else."""
+        return WalkProblem, (self.tuning, self.reference)
+
+    def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
+        """See `evaluation.Problem.evaluate`."""
+        limit = cpu_batch_limit() or len(points)
+        parts = [self._part(points[first : first + limit], gradient) for first in range(0, len(points), limit)]
+        return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
+
+    def _part(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
+        if not gradient:
+            value, metrics = self._value(points)
+            return Evaluation(value, None, metrics, _walked(value, metrics))
+        value, slope, metrics = self._gradient(points)
+        return Evaluation(value, slope, metrics, _walked(value, metrics) & jnp.isfinite(slope).all(axis=-1))
+
+    def _identity(self) -> str | None:
+        """All that decides a walk, see `Rollout.identity`, its objective and what it is compared with."""
+        walk, against = self.rollout.identity, self.reference
+        if walk is None:
+            return None
+        recorded = against and [hashlib.sha256(each.tobytes()).hexdigest() for each in (against.qpos, against.weight)]
+        lowest = self.simulated_seconds
+        return repr((walk, dict(self.tuning.constants), self.names, self.tuning.objective, lowest, recorded))
+
+    def _walk(self, point: Float[Array, " p"]) -> tuple[Float[Array, ""], dict[str, Array]]:
+        """Objective and metrics of one walk."""
+        values: dict[str, Any] = dict(self.tuning.constants) | dict(zip(self.names, point, strict=True))
+        metrics, path = self.rollout.record(values)
+        if self.reference is not None:
+            metrics = metrics | {TRAJECTORY_ERROR: self.reference.error(path.qpos)}
+        return self.tuning.objective.value(metrics), metrics
+
+
+def _walked(value: Array, metrics: dict[str, Array]) -> Array:
+    """Whether each world walked to its end, with a finite objective."""
+    return (metrics["fell"] == 0.0) & (metrics["diverged"] == 0.0) & jnp.isfinite(value)
+
+
+@dataclasses.dataclass(frozen=True)
+class Reference:
+    """Positions at the end of each control tick, and how much each of them counts.
+
+    Attributes:
+        qpos: (ticks, nq).
+        weight: inverse of each coordinate's variance over the recording, (nq,).
+    """
+
+    qpos: Float[np.ndarray, "ticks nq"]
+    weight: Float[np.ndarray, " nq"]
+
+    def error(self, qpos: Float[Array, "ticks nq"]) -> Float[Array, ""]:
+        """Mean over time and coordinates of the squared difference from the recording, over the recording's variance.
+
+        Args:
+            qpos: of a walk, at the end of each control tick; what is longer than the reference does not count.
+        """
+        apart = (qpos[: len(self.qpos)] - jnp.asarray(self.qpos, qpos.dtype)) ** 2
+        return jnp.mean(apart @ jnp.asarray(self.weight, qpos.dtype)) / self.qpos.shape[1]
+
+
+def load_reference(path: Path, rollout: Rollout, seconds: float) -> Reference:
+    """Read a recording as the reference of a walk of `seconds`.
+
+    Raises:
+        ParameterError: it is not a recording, of another robot, or shorter than the walk; one sentence.
+    """
+    try:
+        recording = Recording.load(path)
+        recording.check_model(rollout.robot.model)
+    except RecordingError as error:
+        raise ParameterError(f"recording is {path}: {error}") from None
+    dt = rollout.controller.dt
+    time = dt * (1.0 + np.arange(round(seconds / dt)))
+    if recording.time[-1] < time[-1] - 0.5 * dt or recording.time[0] > 2.5 * dt:
+        first, last = recording.time[0], recording.time[-1]
+        raise ParameterError(
+            f"recording is {path}, from {first:.3g} to {last:.3g} s: expected all of the run, from its start to "
+            f"{time[-1]:.3g} s."
+        )
+    qpos = np.stack([np.interp(time, recording.time, column) for column in recording.qpos.T], axis=-1)
+    place = np.arange(qpos.shape[1]) - rollout.robot.joints.root
+    least = np.where((place >= 0) & (place < 3), *_LEAST_SPREAD)
+    return Reference(qpos, 1.0 / np.maximum(qpos.std(axis=0), least) ** 2)
+
+
+# ---
+# The simulation behind a tuning without derivatives: walks in MuJoCo C, and slopes from their neighbours.
+
+
+class SimulatedProblem:
+    """Implements `evaluation.Problem` on the engine `c`; a gradient costs the runs of a point's neighbours."""
+
+    def __init__(
+        self, tuning: Tuning, reference: Reference | None = None, simulator: SimulatorLike | None = None
+    ) -> None:
+        """
+        Args:
+            tuning: what is tuned.
+            reference: replaces the tuning's recording, whose file need not be there then.
+            simulator: replaces `Simulator(tuning.setup, "c")`.
+
+        Raises:
+            ParameterError: the tuning's recording cannot be compared with its walk.
+        """
+        self.tuning, self.names, self.reference = tuning, tuning.names, reference
+        self.simulator: Any = simulator or Simulator(tuning.setup, tuning.method.engine)
+        self.gradient_cost = 1.0 + tuning.method.neighbours(len(self.names))
+        slowest = {each.name: each.low for each in tuning.tuned}
+        timing = {name: value for name, value in (tuning.constants | slowest).items() if name in tuning.setup.timing}
+        self.simulated_seconds = float(tuning.run.seconds(tuning.setup.cycle_rate(timing))[1])
+        if reference is None and tuning.recording is not None:
+            rollout = Rollout(tuning.setup, tuning.run, slowest=slowest.get("frequency"))
+            self.reference = load_reference(tuning.recording, rollout, self.simulated_seconds)
+
+    def __reduce__(self) -> tuple[type[SimulatedProblem], tuple[Any, ...]]:
+        """For another machine, which lacks the recording and rebuilds everything else."""
+        return SimulatedProblem, (self.tuning, self.reference)
+
+    def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
+        """See `evaluation.Problem.evaluate`."""
+        at = np.asarray(points, float)
+        if not gradient:
+            value, metrics, ok = self.walk(at)
+            return _evaluation(value, None, metrics, ok)
+        n, p = at.shape
+        apart = self._apart(p)
+        worlds, reach = self._within(at[:, None] + apart)
+        value, metrics, ok = self.walk(worlds.reshape(-1, p))
+        value, ok = value.reshape(n, -1), ok.reshape(n, -1)
+        # Of each parameter two worlds with different values of it: either neighbour, or one and the point itself.
+        high = 1 + np.arange(p)
+        low = high + p if self.tuning.method.scheme == "central" else np.zeros(p, int)
+        rise = value[:, high] - value[:, low]
+        run = reach[:, high, np.arange(p)] - reach[:, low, np.arange(p)]
+        metrics = {name: column.reshape(n, -1)[:, 0] for name, column in metrics.items()}
+        return _evaluation(value[:, 0], rise / run, metrics, np.logical_and.reduce(ok, axis=1))
+
+    def _apart(self, p: int) -> np.ndarray:
+        """From a point to itself and its neighbours (worlds, p)."""
+        ranges = np.array([each.high - each.low for each in self.tuning.tuned])
+        steps = np.diag(self.tuning.method.step * ranges)
+        return np.concatenate([np.zeros((1, p)), steps, *([-steps] if self.tuning.method.scheme == "central" else [])])
+
+    def _within(self, worlds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The worlds (n, worlds, p) within the bounds, and where they are along each parameter, unwrapped.
+
+        A neighbour beyond a bound stands on it; a forward one turns to the other side where nothing would be left.
+        """
+        low, high = (np.array([getattr(each, end) for each in self.tuning.tuned]) for end in ("low", "high"))
+        periodic = np.array([each.periodic for each in self.tuning.tuned])
+        centre = worlds[:, :1]
+        if self.tuning.method.scheme == "forward":
+            worlds = np.where(~periodic & (worlds > high), 2.0 * centre - worlds, worlds)
+        reach = np.where(periodic, worlds, np.clip(worlds, low, high))
+        return np.where(periodic, low + np.mod(worlds - low, high - low), reach), reach
+
+    def walk(
+        self, points: np.ndarray, others: Mapping[str, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], np.ndarray]:
+        """Objective, metrics and whether each of the points (n, p) walked to its end, (n,) each.
+
+        Args:
+            others: parameters beside the tuned ones, name -> (n,).
+        """
+        values = {name: np.full(len(points), value) for name, value in self.tuning.constants.items()}
+        values |= {name: points[:, i] for i, name in enumerate(self.names)} | dict(others or {})
+        how: dict[str, Any] = {"record": True} if self.reference is not None else {}
+        result = self.simulator.run(values, self.tuning.run, **how)
+        metrics = {name: np.asarray(column, float) for name, column in result.metrics.items()}
+        if self.reference is not None:
+            error = [float(self.reference.error(jnp.asarray(qpos))) for qpos in result.trace.qpos]
+            metrics[TRAJECTORY_ERROR] = np.array(error)
+        value = np.asarray(self.tuning.objective.value(metrics), float)
+        return value, metrics, (np.asarray(result.status) == "ok") & np.isfinite(value)
+
+
+def _evaluation(value: Any, slope: Any, metrics: dict[str, Any], ok: Any) -> Evaluation:
+    """What was found, as NumPy arrays: differences of float64 are not rounded before they are slopes."""
+    return Evaluation(value, slope, metrics, ok)
+
+
+# ---
+# The simulation behind a tuning by line search: derivatives by MJX, walks without derivatives in MuJoCo C.
+
+
+class GuidedProblem:
+    """Implements `evaluation.Problem` on both engines; a walk on `c` costs a tenth of one in MJX on a CPU."""
+
+    def __init__(self, tuning: Tuning, reference: Reference | None = None) -> None:
+        """See `problem.WalkProblem`."""
+        self._tuning, self._derived = tuning, WalkProblem(tuning, reference)
+        self._walked = SimulatedProblem(tuning, self._derived.reference, Simulator(tuning.setup, "c"))
+        self.names, self.gradient_cost = self._derived.names, self._derived.gradient_cost
+        self.simulated_seconds = self._derived.simulated_seconds
+
+    def __reduce__(self) -> tuple[type[GuidedProblem], tuple[Any, ...]]:
+        """For another machine, which lacks the recording and rebuilds everything else."""
+        return GuidedProblem, (self._tuning, self._derived.reference)
+
+    def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
+        """See `evaluation.Problem.evaluate`."""
+        return (self._derived if gradient else self._walked).evaluate(points, gradient)
+
+
+# ---
+# A tuning's worlds, distributed over workers: each evaluates those of some starts, with a program that stays warm.
+
+
+class Evaluator:
+    """Evaluates points; a `nermo_mjx.runs.workers.Computer`. The problem is sent pickled, and rebuilt there."""
+
+    def __init__(self, tuning: Tuning, problem: Problem) -> None:
+        self._setup, self._engine = tuning.setup, tuning.method.engine
+        self._problem: Problem | bytes = problem
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_problem": pickle.dumps(self._problem)}
+
+    def warm(self) -> None:
+        """Make the problem, which may raise `ParameterError`; it compiles with the first points."""
+        if isinstance(self._problem, bytes):
+            self._problem = pickle.loads(self._problem)
+
+    def stamp(self) -> CodeStamp:
+        """Stamp of the code and the model that simulate here."""
+        return stamp(self._setup.load().fingerprint, self._engine)
+
+    def __call__(self, task: tuple[np.ndarray, bool], progress: Callable[[float], None] | None = None) -> Evaluation:
+        """Points (n, p), with gradients or without; the same as NumPy arrays."""
+        points, gradient = task
+        self.warm()
+        assert not isinstance(self._problem, bytes)
+        return jax.tree.map(np.asarray, self._problem.evaluate(jnp.asarray(points), gradient))
+
+
+class SharedProblem:
+    """A problem whose worlds are shared among workers; an `evaluation.Problem` itself.
+
+    Shares are whole starts, as many in each, which stays while the tuning runs: a worker compiles once, and numbers do
+    not depend on who computes them. One share is the whole batch, and its numbers are the problem's own. With several,
+    MJX rounds the last digits differently, as XLA does in batches of another size.
+
+    Raises:
+        ParameterError, WorkersLost: the problem cannot be evaluated.
+    """
+
+    def __init__(self, tuning: Tuning, problem: Problem, workers: Workers) -> None:
+        self.names, self.simulated_seconds = problem.names, problem.simulated_seconds
+        self.gradient_cost = problem.gradient_cost
+        self._workers = workers
+        self._starts, self._parts = tuning.starts, workers.parts
+        workers.begin(Evaluator(tuning, problem))
+
+    def evaluate(self, points: Float[Array, "n p"], gradient: bool) -> Evaluation:
+        """See `evaluation.Problem.evaluate`; raises what the problem raises, or `WorkersLost`."""
+        given = np.asarray(points)
+        size = math.ceil(self._starts / self._parts) * (len(given) // self._starts)
+        shares = math.ceil(len(given) / size)
+        # The last share is filled up with points from the beginning.
+        filled = np.resize(given, (shares * size, given.shape[1])).reshape(shares, size, -1)
+        try:
+            found = dict(self._workers.results(((k, (share, gradient)) for k, share in enumerate(filled)), _untold))
+        except TaskFailed as failed:
+            raise failed.error from None
+        parts = [found[k] for k in range(shares)]
+        return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(given)], *parts)
+
+
+def _untold(key: int, share: float) -> None:
+    """How far a fraction of the worlds is does not matter: an iteration ends with the last of them."""

@@ -1,0 +1,421 @@
+"""The page of a directory: all runs of a sweep or a search, to filter, to brush and to play."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import re
+import shlex
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from nermo_mjx.plotting import style
+from nermo_mjx.plotting.shown import shown
+from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.parameters import PRESETS
+from nermo_mjx.rollout import Setup
+from nermo_mjx.runs import DirectoryError, kind_of
+from nermo_mjx.specs.reading import SpecError, read_file
+from nermo_mjx.sweep.figures import thinned
+from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
+from nermo_mjx.sweep.table import LEADING, meta
+from nermo_mjx.view.clip import COMPACT, Models, Packer, clip_of
+from nermo_mjx.view.page import Page, document, text
+
+#: Roles of the columns that are shown, in this order; seeds and codes are not informative.
+ROLES: Final = ("varied", "randomized", "metric", "status", "index")
+#: Maximum number of rows in a page: 3 MB with 50 columns.
+MOST_ROWS: Final = 20_000
+#: Number of best rows that are always kept.
+_BEST_KEPT: Final = 500
+#: Maximum number of values of a parameter that forms an axis of cells.
+MOST_CELLS: Final = 64
+_SIDES: Final = {"max": "high", "min": "low", "nearest zero": "zero"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Column:
+    """A column of the table.
+
+    Attributes:
+        name, unit, description, role: from its metadata, SI units.
+        better: `high`, `low` or `zero`, the side that is better; empty if there is none.
+        log: whether it was spread logarithmically.
+        values: (n,) numbers, or texts.
+    """
+
+    name: str
+    unit: str
+    description: str
+    role: str
+    better: str
+    log: bool
+    values: np.ndarray
+
+    @property
+    def is_text(self) -> bool:
+        """Whether it holds names, such as those of structures."""
+        return self.values.dtype == object
+
+    @property
+    def distinct(self) -> np.ndarray:
+        """Its distinct values, sorted, without NaN."""
+        return np.unique(self.values if self.is_text else self.values[np.isfinite(self.values)])
+
+    def cost(self) -> np.ndarray:
+        """Its values, signed so that lower is better; without a better direction, higher values count as better."""
+        signed = {"low": self.values, "zero": np.abs(self.values)}.get(self.better, -self.values)
+        return np.where(np.isfinite(signed), signed, np.inf)
+
+
+@dataclasses.dataclass(frozen=True)
+class Runs:
+    """The runs of a directory.
+
+    Attributes:
+        kind: `sweep`, `search` or `atlas`.
+        columns: by name, in the order in which they are shown; of (n,) values each.
+        rows: number of each run in its table, (n,).
+        total: number of rows in the table.
+        leading: the first requested metric.
+        grid: whether the varied parameters form a grid.
+        atlas: an atlas' objective and measures; None for other directories.
+    """
+
+    kind: str
+    columns: Mapping[str, Column]
+    rows: np.ndarray
+    total: int
+    leading: str
+    grid: bool = False
+    atlas: Mapping[str, Any] | None = None
+
+    def of(self, *roles: str) -> list[Column]:
+        """Columns of these roles that differ between the runs."""
+        return [each for each in self.columns.values() if each.role in roles and len(each.distinct) > 1]
+
+
+def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Runs:
+    """The runs of a directory.
+
+    Args:
+        path: of a sweep or a search; if it has `atlas.parquet`, the cells are shown.
+        kept: rows that are always included.
+        most: maximum number of rows; of more, the best and an even selection of the others.
+
+    Raises:
+        DirectoryError: it has no runs yet, or they cannot be read.
+    """
+    table, about = _table(path)
+    fields = {field.name: meta(field) for field in table.schema}
+    shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
+    metrics = [name for name in shown if fields[name]["role"] == "metric"]
+    atlas = json.loads(about[b"atlas"]) if b"atlas" in about else None
+    sides = sides_in(table.schema)
+    leading = _leading(metrics, sides, atlas)
+    number = table.column("row")
+    price = _column(leading, fields[leading], sides, table.column(leading)).cost()
+    places = np.arange(len(number))
+    if len(number) > most:
+        best = np.argsort(price, kind="stable")[: min(_BEST_KEPT, most // 2)]
+        places = np.union1d(thinned(places, most - len(best)), best)
+        places = np.union1d(places, np.flatnonzero(np.isin(number, list(kept))))
+    columns = {name: _column(name, fields[name], sides, table.column(name)[places]) for name in shown if name != "row"}
+    for objective in [] if atlas is None else [atlas["objective"]]:
+        side = "low" if objective["direction"] == "minimize" else "high"
+        columns[leading] = dataclasses.replace(columns[leading], better=side)
+    kind = "atlas" if atlas is not None else kind_of(path) or "sweep"
+    grid = about.get(b"sampler") == b"grid"
+    return Runs(kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas)
+
+
+class _Read:
+    """A table in memory with columns as NumPy arrays; `Results` offers the same for chunks."""
+
+    def __init__(self, table: pa.Table) -> None:
+        self.schema, self._table = table.schema, table
+
+    def column(self, name: str) -> np.ndarray:
+        return np.asarray(self._table.column(name).to_numpy())
+
+
+def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
+    """The table of a directory, and its schema's metadata."""
+    atlas = path / "atlas.parquet"
+    if atlas.exists():
+        try:
+            table = pq.read_table(atlas)
+        except (OSError, pa.ArrowException) as error:
+            raise DirectoryError(f"{atlas} cannot be read ({error}): run the same search again.") from None
+        if not len(table):
+            raise DirectoryError(f"{atlas} has no filled cell yet.")
+        return _Read(table), table.schema.metadata or {}
+    files = sorted((path / "results").glob("*.parquet"))
+    if not files:
+        raise DirectoryError(f"{path} holds no results yet: nermo-mjx status {path} says how to resume.")
+    results = Results(files)
+    return results, results.schema.metadata or {}
+
+
+def _leading(metrics: Sequence[str], sides: Mapping[str, str], atlas: Mapping[str, Any] | None) -> str:
+    if atlas is not None:
+        return str(atlas["objective"]["metric"])
+    if not metrics:
+        raise DirectoryError("The table has no metric: no column's role is 'metric'.")
+    directed = [name for name in metrics if name in sides]
+    return LEADING if LEADING in metrics else (directed or list(metrics))[0]
+
+
+def _column(name: str, about: Mapping[str, str], sides: Mapping[str, str], values: np.ndarray) -> Column:
+    role = about["role"]
+    better = _SIDES[sides[name]] if role == "metric" and name in sides else ""
+    if values.dtype.kind in "OUS" and any(isinstance(value, str) for value in values):
+        values = np.array(["–" if value is None else str(value) for value in values], object)
+    else:
+        values = values.astype(float)  # None of a nullable column becomes NaN
+    unit, log = about.get("unit", "1"), about.get("scale") == "log"
+    return Column(name, unit, about.get("description", ""), role, better, log, values)
+
+
+#: Choices that are options of `nermo-mjx walk`, with the values that it takes.
+_OPTIONS: Final = (
+    "robot", "scene", "tail", "physics", "gait", "spine", "steering", "profile", "trajectory", "head", "tail_motion",
+)  # fmt: skip
+#: Choices without an option: `walk` supports only their defaults.
+_NO_OPTIONS: Final = {"routing": Setup.routing, "cone": Setup.cone, "hinges": Setup.hinges}
+#: Pilots that `walk` supports, and the parameters that their options set.
+_PILOTS: Final = {"straight": (), "arc": ("radius", "direction"), "open_loop": ("turn_rate",)}
+_TURNS: Final = {"left": 1.0, "right": -1.0}
+
+
+def commands_of(path: Path, runs: Runs) -> dict[str, Any]:
+    """Commands of a directory's rows.
+
+    Returns:
+        `replay`: words to which the row's number is added; `walk`: `words`, `options`, pairs of an option and the
+        column of its value, and `set`, columns that `--set NAME=X` takes; None if `walk` cannot repeat the rows' runs.
+    """
+    spec = path / ("sweep.yaml" if runs.kind == "sweep" else "search.yaml")
+    try:
+        walk = _walk(read_file(spec, runs.kind).data, runs) if spec.exists() else None
+    except SpecError:  # of another version; the readable part is shown
+        walk = None
+    return {"replay": f"nermo-mjx replay {shlex.quote(str(path))} --row", "walk": walk}
+
+
+def _walk(spec: Mapping[str, Any], runs: Runs) -> dict[str, Any] | None:
+    """The `nermo-mjx walk` command for a row of a resolved file; None if there is none."""
+    varied = [each for each in runs.columns.values() if each.role in ("varied", "randomized")]
+    names = {each.name: set(each.values) for each in varied if each.is_text}
+    if not _walkable(spec, names):
+        return None
+    pilot, chosen = _pilot(spec)
+    fixed = dict(spec.get("set") or {})
+    words = ["nermo-mjx", "walk"]
+    for name in _OPTIONS:
+        value = str(spec.get(name, getattr(Setup, name)))
+        words += [_option(name), value] if name not in names and value != str(getattr(Setup, name)) else []
+    if "pilot" not in names:
+        words += ["--pilot", pilot] if pilot != Setup.pilot else []
+        fixed |= {f"pilot.{key}": _TURNS.get(value, value) for key, value in chosen.items()}
+    run = spec.get("run") or {}
+    length, warmup = ("duration", "warmup") if "duration" in run else ("cycles", "warmup_cycles")
+    for option, name in ((f"--{length}", length), ("--warmup", warmup)):
+        words += [option, f"{run[name]:.17g}"] if name in run else []
+    for name, value in fixed.items():
+        words += ["--set", f"{name}={value!r}"]
+    return {
+        "words": shlex.join(words),
+        "options": [[_option(name), name] for name in (*_OPTIONS, "pilot") if name in names],
+        "set": [each.name for each in varied if not each.is_text],
+    }
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _walkable(spec: Mapping[str, Any], names: Mapping[str, Set[str]]) -> bool:
+    """Whether `walk` has an option for every choice of a file, and for those that its rows vary (`names`)."""
+    if spec.get("controller") is not None or not set(names) <= {*_OPTIONS, "pilot"}:
+        return False
+    if any(spec.get(name, default) != default for name, default in _NO_OPTIONS.items()):
+        return False
+    chosen = {name: names.get(name, {str(spec.get(name, getattr(Setup, name)))}) for name in ("scene",)}
+    # A custom scene is stored as MJCF, which cannot be an option's value.
+    if any("<" in value for value in chosen["scene"]):
+        return False
+    step, preset = spec.get("timestep"), PRESETS.get(str(spec.get("physics", Setup.physics)))
+    if "physics" not in names and step is not None and (preset is None or float(step) != preset.timestep):
+        return False
+    pilot, options = _pilot(spec)
+    return (
+        names["pilot"] <= set(_PILOTS) if "pilot" in names else pilot in _PILOTS and set(options) <= set(_PILOTS[pilot])
+    )
+
+
+def _pilot(spec: Mapping[str, Any]) -> tuple[str, Mapping[str, Any]]:
+    """The pilot of a file, and its options."""
+    given = spec.get("pilot", Setup.pilot)
+    if not isinstance(given, dict):
+        return str(given), {}
+    name, options = next(iter(given.items()))
+    return str(name), options or {}
+
+
+#: Kinds of directories that have such a page.
+KINDS: Final = ("sweep", "search")
+#: Default maximum number of recordings in a page: 4 MB at ten seconds each.
+MOST_RECORDINGS: Final = 50
+#: Maximum number of distinct values of a column for which they are sent with all their digits.
+_LISTED: Final = 256
+#: Maximum number of distinct values for which each is a step of an axis, even without a grid.
+_FEW: Final = 12
+_LEVELS: Final = 32
+
+
+def explore(
+    path: str | os.PathLike[str],
+    *,
+    recordings: int = MOST_RECORDINGS,
+    height: int = 680,
+    notify: Callable[[str], None] | None = None,
+) -> Page:
+    """The page of a sweep's or a search's directory: every run as a point, or as a cell of an atlas or a grid.
+
+    Columns can be selected for the axes and the colour, and brushed; clicking a run shows its numbers and the command
+    that repeats it, and plays it in 3D if `recordings/` has it.
+
+    Args:
+        path: the directory; it is only read, and may be unfinished.
+        recordings: maximum number in the page; of more, an even selection from the best to the worst.
+        height: in a notebook [pixels].
+        notify: called with a message about anything that is left out.
+
+    Raises:
+        DirectoryError: it is not such a directory, has no runs yet, or they cannot be read.
+    """
+    path = Path(path)
+    if kind_of(path) not in KINDS:
+        raise DirectoryError(f"{path} is neither the directory of a sweep nor that of a search: those have a page.")
+    there = {
+        int(found[1]): each
+        for each in sorted((path / "recordings").glob("row-*.npz"))
+        if (found := re.fullmatch(r"row-(\d+)\.npz", each.name))
+    }
+    runs = runs_of(path, there)
+    notes = [f"{len(runs.rows):,} of {runs.total:,} runs: the best, and the others evenly."]
+    notes = notes if len(runs.rows) < runs.total else []
+    chosen = _chosen(runs, there, recordings)
+    if len(chosen) < len(there):
+        notes.append(f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst.")
+    table, models = Packer("table"), Packer("models")
+    clips, headers, parts = _clips({row: there[row] for row in chosen}, models, notes)
+    if notify is not None:
+        for note in notes:
+            notify(note)
+    name = path.resolve().name
+    header = {
+        "kind": runs.kind,
+        "title": name,
+        "directory": str(path),
+        "notes": notes,
+        "total": runs.total,
+        "rows": table.plain(runs.rows, "uint32"),
+        "fields": [_field(column, runs.grid, table) for column in runs.columns.values()],
+        "start": start_of(runs),
+        "atlas": runs.atlas,
+        "palette": _palette(),
+        "commands": commands_of(path, runs),
+        "models": headers,
+        "recordings": clips,
+        "viewer": text("page.html") if clips else "",
+    }
+    title = f"Nermo: {name}, {'an' if runs.kind == 'atlas' else 'a'} {runs.kind}"
+    html = document("explore.html", title, header, [table, models, *parts], ("", "explore"))
+    return Page(html, height, rows=len(runs.rows), recordings=len(clips))
+
+
+def start_of(runs: Runs) -> dict[str, Any]:
+    """Initial view of the page: columns for both axes and the colour, and cells or points."""
+    varied, metrics = runs.of("varied"), runs.of("metric")
+    numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
+    gridded = [each for each in varied if len(each.distinct) <= MOST_CELLS]
+    if runs.atlas is not None:
+        measures = [each["metric"] for each in runs.atlas["measures"]]
+        x, y = [*measures, runs.leading][:2]
+        return {"x": x, "y": y, "colour": runs.leading, "cells": len(measures) > 1}
+    if runs.grid and len(gridded) > 1:
+        # A number across, and structures above each other.
+        steps, names = ([each.name for each in gridded if each.is_text == is_text] for is_text in (False, True))
+        x, y = (steps[:1] + names[:1] + steps[1:] + names[1:])[:2]
+        return {"x": x, "y": y, "colour": runs.leading, "cells": True}
+    usual = [*OBJECTIVES]  # in the requested order
+    directed = sorted(
+        (each.name for each in metrics if each.better and each.name != runs.leading),
+        key=lambda name: usual.index(name) if name in usual else len(usual),
+    )
+    others = [*[each.name for each in [*numbers, *varied]], *[each.name for each in metrics], runs.leading]
+    across = next(name for name in others if name != runs.leading or name == others[-1])
+    return {"x": across, "y": runs.leading, "colour": (directed or [runs.leading])[0], "cells": False}
+
+
+def _chosen(runs: Runs, there: Collection[int], most: int) -> list[int]:
+    """Rows whose recordings are included in the page, best first."""
+    known = np.flatnonzero(np.isin(runs.rows, list(there)))
+    ranked = known[np.argsort(runs.columns[runs.leading].cost()[known], kind="stable")]
+    if most < 1:
+        return []
+    return [int(runs.rows[ranked[i]]) for i in thinned(np.arange(len(ranked)), most)]
+
+
+def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[dict[str, Any], list[Any], list[Packer]]:
+    """For each row its data part and the recording's header; the models' headers; the parts."""
+    models = Models(shapes)
+    clips, parts = {}, []
+    for row, file in files.items():
+        packer = Packer(f"row-{row}")
+        try:
+            clip = clip_of(Recording.load(file), f"row {row}", models, packer, COMPACT)
+        except (RecordingError, ParameterError) as error:
+            notes.append(f"recordings/{file.name} is left out: {error}")
+            continue
+        model, clip["model"] = clip["model"], 0
+        clips[str(row)] = {"part": packer.part, "model": model, "clip": packer.json(clip)}
+        parts.append(packer)
+    return clips, models.headers, parts
+
+
+def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
+    """The header of a column, and its values packed."""
+    unit = shown(column.name, column.unit, [1.0])
+    about: dict[str, Any] = {
+        "name": column.name, "role": column.role, "about": column.description, "unit": unit.unit,
+        "factor": float(unit.values[0]), "better": column.better, "log": column.log,
+    }  # fmt: skip
+    known = column.distinct
+    about["stepped"] = len(known) <= (MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW)
+    if column.is_text:
+        codes = np.searchsorted(known.astype(str), column.values.astype(str))
+        return about | {"texts": known.tolist(), "values": packer.plain(codes, "uint16")}
+    if len(known) <= _LISTED:
+        codes = np.where(np.isfinite(column.values), np.searchsorted(known, column.values), len(known))
+        return about | {"known": known.tolist(), "values": packer.plain(codes, "uint16")}
+    return about | {"values": packer.floats(column.values, exact=column.role != "metric")}
+
+
+def _palette() -> dict[str, Any]:
+    """The common colours: of values from low to high, of categories, and of missing values."""
+    from matplotlib import colormaps  # importing it takes a second
+    from matplotlib.colors import to_hex
+
+    scale = [to_hex(colour) for colour in colormaps[style.COLOURS](np.linspace(0, 1, _LEVELS))]
+    return {"scale": scale, "series": list(style.SERIES), "missing": style.MISSING}

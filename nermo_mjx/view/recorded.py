@@ -1,0 +1,492 @@
+"""What is read from a recording for all of its displays: robot and motion, signals, stance, titles and figures."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from jaxtyping import Bool, Float
+
+from nermo_mjx.recording import Recording, RecordingError
+from nermo_mjx.robot import LIMBS, ModelParameters, Robot, RobotConfig, load_robot
+from nermo_mjx.robot.geometry import Geometry
+from nermo_mjx.robot.parameters import servos_by_count
+from nermo_mjx.robot.quantity import quantities, replace_quantities, values_of
+from nermo_mjx.robot.terrains import terrain_values
+
+
+def robot_of(recording: Recording) -> Robot:
+    """The robot in its scene, built from the recording's setup; unnamed choices have their defaults.
+
+    Raises:
+        ParameterError: the setup names something that this version does not have.
+        RecordingError: the robot's model has changed since.
+    """
+    setup = recording.metadata.get("setup") or {}
+    names = [field.name for field in dataclasses.fields(RobotConfig)]
+    robot = load_robot(**{name: setup[name] for name in names if name in setup})
+    recording.check_model(robot.model)
+    return robot
+
+
+def recorded_geometry(recording: Recording) -> Geometry:
+    """The recorded robot's geometry; the published one if the recording has none."""
+    given, known = recording.metadata.get("parameters") or {}, {name for name, _ in quantities(Geometry)}
+    own = {name.removeprefix("geometry."): value for name, value in given.items() if value is not None}
+    return replace_quantities(Geometry(), {name: np.asarray(own[name], float) for name in known & own.keys()})
+
+
+def has_own_geometry(recording: Recording) -> bool:
+    """Whether the recorded robot's geometry differs from the published one."""
+    one, other = (dict(values_of(geometry)) for geometry in (recorded_geometry(recording), Geometry()))
+    return any(float(one[name]) != float(other[name]) for name in one)
+
+
+def shown_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
+    """The robot's whole model for rendering, with the geometry of the recorded robot."""
+    return robot.with_geometry(recorded_geometry(recording)) if has_own_geometry(recording) else robot.model
+
+
+def recorded_model(recording: Recording, robot: Robot) -> mujoco.MjModel:
+    """The robot's whole model with the masses, springs, dampers, servos, contacts and geometry of the run.
+
+    Returns:
+        `robot.model` itself if the recording's parameters do not change the body.
+    """
+    from nermo_mjx.physics.variation import compile_model  # importing JAX takes a second
+
+    known = {name: about.default for name, about in quantities(ModelParameters)}
+    known |= terrain_values(str(robot.config.scene))
+    given = recording.metadata.get("parameters") or {}
+    changed = {name: value for name, value in given.items() if name in known and value not in (None, known[name])}
+    return compile_model(robot, changed) if changed else robot.model
+
+
+#: Number of points drawn between the two ends of a tendon's wrap.
+ARC: Final = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class Tendon:
+    """A tendon over time.
+
+    Attributes:
+        name: in the model.
+        radius: as it is drawn [m].
+        path: points of its polygon in the world [m]; the last is repeated where a tendon has fewer.
+        tension: [N], 0 where it is slack.
+    """
+
+    name: str
+    radius: float
+    path: Float[np.ndarray, "T K 3"]
+    tension: Float[np.ndarray, " T"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Contact:
+    """A contact point between two geoms over time.
+
+    Attributes:
+        limb: which of `LIMBS` it belongs to, or -1.
+        point: in the world [m]; without a contact, that of the nearest time with one.
+        force: on the robot, in the world [N]; 0 where there is no contact.
+    """
+
+    limb: int
+    point: Float[np.ndarray, "T 3"]
+    force: Float[np.ndarray, "T 3"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """The drawn motion of a run.
+
+    Attributes:
+        time: of each sample [s].
+        position, quaternion: of every body of the model, the world first, in the world [m], (w, x, y, z).
+        tendons, contacts: see there.
+    """
+
+    time: Float[np.ndarray, " T"]
+    position: Float[np.ndarray, "T nbody 3"]
+    quaternion: Float[np.ndarray, "T nbody 4"]
+    tendons: tuple[Tendon, ...]
+    contacts: tuple[Contact, ...]
+
+
+def motion_of(recording: Recording, model: mujoco.MjModel, most: int | None = None) -> Motion:
+    """Evaluate a model at a recording's samples, up to the first that is not finite.
+
+    Args:
+        recording: the run.
+        model: that was simulated, with the run's parameters (`recorded_model`).
+        most: maximum number of samples; of a longer recording every second, third, ... one is kept.
+
+    Raises:
+        RecordingError: it does not fit the model, or has no finite state.
+    """
+    recording.check_model(model)
+    samples = finite_samples(recording, most)
+    data = mujoco.MjData(model)
+    position = np.empty((len(samples), model.nbody, 3))
+    quaternion = np.empty((len(samples), model.nbody, 4))
+    tension = np.zeros((len(samples), model.ntendon))
+    wraps: list[_Wraps] = []
+    found: dict[tuple[int, int, int], dict[int, tuple[np.ndarray, np.ndarray]]] = {}
+    for i, sample in enumerate(samples):
+        data.qpos[:], data.qvel[:] = recording.qpos[sample], recording.qvel[sample]
+        data.ctrl[:] = np.nan_to_num(recording.ctrl[sample])
+        mujoco.mj_forward(model, data)
+        position[i], quaternion[i] = data.xpos, data.xquat
+        limits = data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON
+        np.add.at(tension[i], data.efc_id[limits], data.efc_force[limits])
+        wraps.append(_Wraps.of(data))
+        for key, point, force in _contacts(model, data):
+            found.setdefault(key, {})[i] = (point, force)
+    tendons = tuple(
+        Tendon(model.tendon(k).name, float(model.tendon_width[k]), _paths(model, wraps, k), tension[:, k])
+        for k in range(model.ntendon)
+    )
+    contacts = tuple(_contact(model, key, found[key], len(samples)) for key in sorted(found))
+    return Motion(recording.time[samples].astype(float), position, quaternion, tendons, contacts)
+
+
+def finite_samples(recording: Recording, most: int | None = None) -> np.ndarray:
+    """Indices of the shown samples: those before the first that is not finite, at most `most` of them."""
+    finite = np.isfinite(recording.qpos).all(axis=1) & np.isfinite(recording.qvel).all(axis=1)
+    count = len(finite) if finite.all() else int(np.argmin(finite))
+    if count == 0:
+        raise RecordingError("The recording has no finite state to show.")
+    return np.arange(0, count, 1 if most is None else -(-count // most))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Wraps:
+    """Paths of the tendons at one sample, from MuJoCo's data; geoms are those that any tendon may wrap."""
+
+    first: np.ndarray
+    count: np.ndarray
+    geom: np.ndarray
+    point: np.ndarray
+    centre: np.ndarray
+    axis: np.ndarray
+
+    @classmethod
+    def of(cls, data: mujoco.MjData) -> _Wraps:
+        axis = data.geom_xmat.reshape(-1, 3, 3)[:, :, 2]
+        return cls(
+            data.ten_wrapadr.copy(), data.ten_wrapnum.copy(), data.wrap_obj.reshape(-1).copy(),
+            data.wrap_xpos.reshape(-1, 3).copy(), data.geom_xpos.copy(), axis.copy(),
+        )  # fmt: skip
+
+
+def _paths(model: mujoco.MjModel, wraps: list[_Wraps], tendon: int) -> Float[np.ndarray, "T K 3"]:
+    """The polygon of one tendon at each sample, with an arc around each pulley."""
+    paths = [_path(each, tendon) for each in wraps]
+    longest = max(map(len, paths))
+    return np.stack([np.pad(path, ((0, longest - len(path)), (0, 0)), mode="edge") for path in paths])
+
+
+def _path(wraps: _Wraps, tendon: int) -> Float[np.ndarray, "K 3"]:
+    first, count = int(wraps.first[tendon]), int(wraps.count[tendon])
+    points, geoms = wraps.point[first : first + count], wraps.geom[first : first + count]
+    parts: list[np.ndarray] = []
+    for i in range(count):
+        parts.append(points[i : i + 1])
+        if i + 1 < count and geoms[i] >= 0 and geoms[i] == geoms[i + 1]:
+            geom = int(geoms[i])
+            parts.append(_arc(points[i], points[i + 1], wraps.centre[geom], wraps.axis[geom]))
+    return np.concatenate(parts)
+
+
+def _arc(begin: np.ndarray, end: np.ndarray, centre: np.ndarray, axis: np.ndarray) -> Float[np.ndarray, "ARC 3"]:
+    """Points between two on a cylinder, along the shorter arc, since wraps are shorter than half a turn."""
+    u, v = begin - centre, end - centre
+    height_u, height_v = u @ axis, v @ axis
+    u, v = u - height_u * axis, v - height_v * axis
+    angle = np.arctan2(np.dot(axis, _cross(u, v)), u @ v)
+    share = np.linspace(0.0, 1.0, ARC + 2)[1:-1, None]
+    turned = np.cos(share * angle) * u + np.sin(share * angle) * _cross(axis, u)
+    return centre + turned + (height_u + share * (height_v - height_u)) * axis
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """`np.cross` of two vectors, without its large overhead."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[tuple[int, int, int], np.ndarray, np.ndarray]]:
+    """((geom, geom, number), point, force on the robot) of each contact."""
+    result: list[Any] = []
+    seen: dict[tuple[int, int], int] = {}
+    wrench = np.zeros(6)
+    for i in range(data.ncon):
+        contact = data.contact[i]
+        if contact.efc_address < 0:
+            continue
+        mujoco.mj_contactForce(model, data, i, wrench)
+        one, two = int(contact.geom1), int(contact.geom2)
+        number = seen[one, two] = seen.get((one, two), -1) + 1
+        # MuJoCo's normal points from the first geom to the second, and the force acts on the second.
+        sign = -1.0 if model.body_weldid[model.geom_bodyid[two]] == 0 else 1.0
+        result.append(((one, two, number), contact.pos.copy(), sign * (contact.frame.reshape(3, 3).T @ wrench[:3])))
+    return result
+
+
+def _contact(
+    model: mujoco.MjModel, key: tuple[int, int, int], found: dict[int, tuple[np.ndarray, np.ndarray]], count: int
+) -> Contact:
+    there = np.array(sorted(found))
+    force = np.zeros((count, 3))
+    force[there] = [found[i][1] for i in there]
+    # The point of the previous contact, and before the first contact the first one's.
+    nearest = there[np.maximum(np.searchsorted(there, np.arange(count), side="right") - 1, 0)]
+    point = np.array([found[i][0] for i in nearest])
+    bodies = [model.body(model.geom_bodyid[geom]).name for geom in key[:2]]
+    limb = next((i for i, limb in enumerate(LIMBS) if any(body.startswith(limb) for body in bodies)), -1)
+    return Contact(limb, point, force)
+
+
+#: A foot is in stance above this load [N]; the robot weighs 2.65 N. The metrics' smooth threshold is centred on it.
+STANDING: Final = 0.02
+
+
+def spans(flags: Bool[np.ndarray, " T"], time: Float[np.ndarray, " T"]) -> list[tuple[float, float]]:
+    """(begin, length) of each stretch of samples that are true; a sample stands for the time since the one before.
+
+    Args:
+        flags: (T,) bool.
+        time: (T,) [s].
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    begins = np.concatenate([time - step, [time[-1]]])
+    return [(float(begins[a]), float(begins[b] - begins[a])) for a, b in edges.reshape(-1, 2)]
+
+
+_LIMB_TITLES: Final = tuple(limb.replace("_", " ") for limb in LIMBS)
+
+
+@dataclasses.dataclass(frozen=True)
+class Curve:
+    """One curve.
+
+    Attributes:
+        name: in the legend.
+        colour: a name that the page's style knows: a limb's, `tail`, or `first`, `second`, `third`.
+        values: over time, in the plot's unit.
+        faint: whether it belongs to the previous line, with the same colour.
+    """
+
+    name: str
+    colour: str
+    values: Float[np.ndarray, " T"]
+    faint: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Plot:
+    """Curves over time with one axis; `bars` shows where values are above zero."""
+
+    key: str
+    title: str
+    unit: str
+    lines: tuple[Curve, ...]
+    bars: bool = False
+
+
+def plots_of(recording: Recording, motion: Motion) -> list[Plot]:
+    """The plots of a run at the motion's samples; those whose sensors the recording lacks are left out."""
+    samples = np.searchsorted(recording.time, motion.time)
+    sensors = {name: np.asarray(values)[samples] for name, values in recording.sensors.items()}
+    plots = []
+    if "foot_force" in sensors:
+        force = sensors["foot_force"]
+        stance, forces = _per_limb((force > STANDING).astype(float)), _per_limb(force)
+        if "tail_force" in sensors:
+            tail = sensors["tail_force"]
+            stance += (Curve("tail", "tail", (tail > STANDING).astype(float)),)
+            forces += (Curve("tail", "tail", tail),)
+        plots.append(Plot("stance", "Feet and tail on the ground", "", stance, bars=True))
+        plots.append(Plot("force", "Force on feet and tail", "N", forces))
+    if {"position", "orientation"} <= sensors.keys():
+        plots += _body(recording, motion.time, sensors)
+    plots += _tensions(motion)
+    if "servo_angle" in sensors:
+        plots += _servos(np.rad2deg(sensors["servo_angle"]), np.rad2deg(recording.ctrl[samples]))
+    return plots
+
+
+def _per_limb(values: np.ndarray, faint: np.ndarray | None = None) -> tuple[Curve, ...]:
+    lines = []
+    for i, (limb, title) in enumerate(zip(LIMBS, _LIMB_TITLES, strict=True)):
+        lines.append(Curve(title, limb, values[:, i]))
+        if faint is not None:
+            lines.append(Curve(f"{title}, commanded", limb, faint[:, i], faint=True))
+    return tuple(lines)
+
+
+def _body(recording: Recording, time: np.ndarray, sensors: dict[str, np.ndarray]) -> list[Plot]:
+    angles = _attitude(sensors["orientation"])
+    orientation = tuple(
+        Curve(name, colour, angles[:, i])
+        for i, (name, colour) in enumerate((("roll", "first"), ("pitch", "second"), ("yaw", "third")))
+    )
+    place = 1e3 * sensors["position"]
+    plots = [Plot("attitude", "Attitude of the torso", "°", orientation)]
+    if "linear_velocity" in sensors:
+        yaw = np.deg2rad(angles[:, 2])
+        velocity = 1e3 * sensors["linear_velocity"]
+        forward = velocity[:, 0] * np.sin(yaw) - velocity[:, 1] * np.cos(yaw)
+        parameters = recording.metadata.get("parameters") or {}
+        period = float(parameters.get("tracking.clock_ratio") or 1.0) / float(parameters.get("frequency") or 1.0)
+        lines = (Curve("over a cycle", "first", _over_cycle(forward, time, period)),
+                 Curve("at once", "first", forward, faint=True))  # fmt: skip
+        plots.append(Plot("speed", "Forward speed", "mm/s", lines))
+    way = (Curve("forward", "first", -place[:, 1]), Curve("to the left", "second", place[:, 0]))
+    return [*plots, Plot("place", "Position of the torso", "mm", way)]
+
+
+def _attitude(quaternion: Float[np.ndarray, "T 4"]) -> Float[np.ndarray, "T 3"]:
+    """(roll, pitch, yaw) as in `kinematics.body`, in degrees, with unwrapped yaw; NumPy, to plot without JAX."""
+    w, x, y, z = quaternion.T
+    r01, r11 = 2 * (x * y - w * z), 1 - 2 * (x * x + z * z)
+    r20, r21, r22 = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    roll, pitch = np.arctan2(-r20, r22), np.arctan2(r21, np.hypot(r20, r22))
+    return np.rad2deg(np.stack([roll, pitch, np.unwrap(np.arctan2(-r01, r11))], axis=1))
+
+
+def _over_cycle(values: np.ndarray, time: np.ndarray, period: float) -> np.ndarray:
+    """Mean over one gait cycle around each sample; NaN where the cycle is not whole."""
+    if len(values) < 2:
+        return np.full(len(values), np.nan)
+    way = np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2 * np.diff(time))])
+    begin, end = time - period / 2, time + period / 2
+    mean = (np.interp(end, time, way) - np.interp(begin, time, way)) / period
+    return np.where((begin >= time[0] - 1e-9) & (end <= time[-1] + 1e-9), mean, np.nan)
+
+
+def _tensions(motion: Motion) -> list[Plot]:
+    knees, others = [], []
+    for tendon in motion.tendons:
+        limb = next((i for i, name in enumerate(LIMBS) if tendon.name.startswith(name)), None)
+        if limb is not None:
+            knees.append(Curve(_LIMB_TITLES[limb], LIMBS[limb], tendon.tension))
+        else:
+            others.append(tendon)
+    plots = [Plot("knee_tension", "Tension, leg tendons", "N", tuple(knees))] if knees else []
+    for part in dict.fromkeys(tendon.name.split("_")[0] for tendon in others):
+        mine = [tendon for tendon in others if tendon.name.split("_")[0] == part]
+        lines = tuple(
+            Curve(tendon.name.removeprefix(f"{part}_").replace("_", " "), colour, tendon.tension)
+            for tendon, colour in zip(mine, ("first", "second", "third"), strict=False)
+        )
+        plots.append(Plot(f"{part}_tension", f"Tension, {part} tendons", "N", lines))
+    return plots
+
+
+def _servos(angle: np.ndarray, command: np.ndarray) -> list[Plot]:
+    names = servos_by_count(angle.shape[1])
+    plots = []
+    for kind in ("hip", "knee"):
+        chosen = [names.index(f"{limb}_{kind}") for limb in LIMBS]
+        plots.append(Plot(kind, f"{kind.capitalize()} servos", "°", _per_limb(angle[:, chosen], command[:, chosen])))
+    for key, title, servos in (
+        ("body_servos", "Body servos, + left", ("spine", "neck", "tail")),
+        ("vertical_servos", "Vertical servos, + hip up, nose down", ("spine_vertical", "head")),
+    ):
+        single: list[Curve] = []
+        for name, colour in zip(servos, ("first", "second", "third"), strict=False):
+            if name in names:
+                i, called = names.index(name), name.replace("_", " ")
+                single += [Curve(called, colour, angle[:, i]),
+                           Curve(f"{called}, commanded", colour, command[:, i], faint=True)]  # fmt: skip
+        plots += [Plot(key, title, "°", tuple(single))] if single else []
+    return plots
+
+
+_GAITS: Final = {"trt": "Trot", "trt1": "Walking trot", "lat": "Lateral sequence walk"}
+_DEGREES: Final = math.degrees(1.0)
+_SHOWN: Final = {"rad": ("°", _DEGREES), "rad/s": ("°/s", _DEGREES), "m": ("mm", 1e3), "m/s": ("mm/s", 1e3)}
+#: Metrics in the page's head, and their labels.
+_HEADLINE: Final = {
+    "speed": "speed", "roll_std": "roll σ", "pitch_std": "pitch σ", "slip": "slip",
+    "cost_of_transport": "cost of transport",
+}  # fmt: skip
+
+
+def title_of(recording: Recording) -> str:
+    """The gait, its frequency and the spine mode, as far as known; or the name of an experiment's case."""
+    if "case" in recording.metadata:
+        return str(recording.metadata["case"])
+    setup, parameters = _part(recording, "setup"), _part(recording, "parameters")
+    gait, controller = setup.get("gait"), str(setup.get("controller") or "Recording").rpartition(":")[2]
+    controller = controller.rpartition("/")[2]  # of a policy's file, its name
+    parts = [_GAITS.get(str(gait), str(gait)) if gait else controller]
+    if (frequency := _number(parameters.get("frequency"))) is not None:
+        parts.append(f"{frequency:.3g} Hz")
+    spine = str(setup.get("spine", "none")).replace("_", " ")
+    if spine != "none":
+        parts.append(f"spine {spine}")
+    rate = _number(parameters.get("pilot.turn_rate"))
+    if setup.get("pilot") == "open_loop" and rate:
+        parts.append(f"turn rate {rate:g}")
+    return ", ".join(parts)
+
+
+def headline_of(recording: Recording) -> list[list[str]]:
+    """A few metrics as (label, value with unit), and the status if something went wrong."""
+    metrics = _part(recording, "metrics")
+    units = _units(recording)
+    known = [(name, label) for name, label in _HEADLINE.items() if name in metrics]
+    rows = [[label, _shown(metrics[name], units[name], digits=3)] for name, label in known]
+    status = metrics.get("status", "ok")
+    return [row for row in rows if row[1] != "–"] + ([["status", str(status)]] if status != "ok" else [])
+
+
+def details_of(recording: Recording) -> list[dict[str, Any]]:
+    """Tables `{"title", "rows": [[name, value with unit], ...]}` of all metadata of the recording."""
+    tables = []
+    for key, title in (("labels", "Case"), ("metrics", "Metrics"), ("parameters", "Parameters"), ("setup", "Setup"),
+                       ("run", "Run"), ("versions", "Versions")):  # fmt: skip
+        units = _units(recording) if key in ("metrics", "parameters") else {}
+        rows = [[name, _shown(value, units.get(name, ""))] for name, value in _part(recording, key).items()]
+        rows = [row for row in rows if row[1] not in ("–", "")]
+        if rows:
+            tables.append({"title": title, "rows": rows})
+    return tables
+
+
+def _part(recording: Recording, key: str) -> dict[str, Any]:
+    value = recording.metadata.get(key)
+    return dict(value) if isinstance(value, dict) else {}
+
+
+def _units(recording: Recording) -> dict[str, str]:
+    """Units of metrics and parameters by name, including the recording's custom metrics."""
+    from nermo_mjx.robot.quantity import quantities
+    from nermo_mjx.rollout import METRICS  # starts JAX
+    from nermo_mjx.rollout.setup import WorldParameters
+
+    units = {name: about.unit for name, about in quantities(WorldParameters)}
+    return units | {name: metric.unit for name, metric in METRICS.items()} | _part(recording, "units")
+
+
+def _number(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
+
+def _shown(value: Any, unit: str, digits: int = 4) -> str:
+    """A value as people read it: degrees and millimetres."""
+    number = _number(value)
+    if number is None:
+        return "–" if value is None else ("no", "yes")[value] if isinstance(value, bool) else str(value)
+    if not math.isfinite(number):
+        return "–"
+    name, factor = _SHOWN.get(unit, ("" if unit == "1" else unit, 1.0))
+    shown = f"{number * factor:{'#' if digits == 3 else ''}.{digits}g}".rstrip(".")
+    return f"{shown}{'' if name == '°' else ' '}{name}".rstrip()
