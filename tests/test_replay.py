@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from sweep_fake import FakeSimulator, speed
+from sweep_fake import FakeSimulator, part_of, speed
 
 from nermo_mjx.physics.c_engine import CEngine, CSession, _Block
 from nermo_mjx.rollout import METRICS, Simulator
@@ -144,7 +144,7 @@ def test_a_row_that_the_sweep_has_not_come_to_is_replayed_as_it_will_be(walks: P
     """Its chunk is missing: nothing to compare with; when the sweep goes on, the table gets the same numbers."""
     out = tmp_path / "part"
     shutil.copytree(walks, out)
-    (out / "results" / "chunk-00001.parquet").unlink()
+    part_of(out, 1).unlink()
     missing = set(range(ROWS)) - set(read_table(out).column("row").to_pylist())
     assert len(missing) == 3
     row = max(missing)

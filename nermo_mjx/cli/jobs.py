@@ -284,7 +284,7 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, q
     from the first of them.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.merging import merge_sweeps
+        from nermo_mjx.sweep import merge_sweeps
 
         result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
 

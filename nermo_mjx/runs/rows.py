@@ -6,7 +6,7 @@ resumed, extended, sharded or merged asks for keys, and has those that are missi
 DIR/results/part-GROUP-DIGEST.parquet   runs, their keys in the column `key`; the name has the digest of the content
 DIR/series/part-GROUP-DIGEST.parquet    their time series, if any are kept; the metadata of the runs' part names it
 DIR/former/                             results/ and series/ of other jobs, such as a sweep before it was extended
-DIR/results.aside/                      parts that were damaged
+DIR/results.aside/, series.aside/       parts that were damaged, and what belonged to them
 
 GROUP is the digest of the job that wrote a part. Columns such as `row` are numbered by that job: the rows of an equal
 job are taken as they are, those of any other are found by their keys, and written again under its own numbers.
@@ -21,7 +21,7 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -54,19 +54,20 @@ def keys_of(identity: str, values: Mapping[str, np.ndarray], runs: int) -> np.nd
     columns = [(np.asarray(values[name], float) + 0.0).tolist() for name in names]
     for i in range(runs):
         total = base.copy()
-        total.update("\n".join(f"{name} {column[i]!r}" for name, column in zip(names, columns, strict=True)
-                               if column[i] == column[i]).encode())  # fmt: skip
+        known = (f"{name} {column[i]!r}" for name, column in zip(names, columns, strict=True) if column[i] == column[i])
+        total.update("\n".join(known).encode())
         keys[i] = total.hexdigest().encode()
     return keys
 
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """A part's file, the runs' time series if it has any, and its metadata: engine, steps, wall_seconds, ..."""
+    """A part's file, how many runs it has, the file's metadata, and the runs' numbers if they are the job's own."""
 
     path: Path
     rows: int
     about: Mapping[str, str]
+    numbers: np.ndarray
 
     @property
     def group(self) -> str:
@@ -80,8 +81,12 @@ class Part:
 
     @property
     def series(self) -> Path | None:
+        """The file of the runs' time series, if they have any; a process that is killed moves the two one by one."""
         name = self.about.get("series")
-        return self.path.parent.parent / SERIES / name if name else None
+        if not name:
+            return None
+        places = (self.path.parent.parent / SERIES, self.directory / FORMER / SERIES, self.directory / SERIES)
+        return next((place / name for place in places if (place / name).exists()), places[0] / name)
 
     @property
     def effort(self) -> tuple[float, float]:
@@ -90,17 +95,18 @@ class Part:
 
 
 class Runs:
-    """The runs of a directory held by this process, and of others that are only read.
+    """The runs of a directory, and of others that are only read.
 
     Args:
-        held: the directory.
+        out: the directory.
         group: digest of the job, see above; hexadecimal.
         also: other directories; a run that is in several is taken from the first, this one before them.
         warn: called with a message about each part that cannot be used.
         series: whether runs without intact time series count as missing.
+        held: the directory as this process holds it; without it nothing is written.
 
     Attributes:
-        parts: the intact parts of the job itself, by their names.
+        parts: the intact parts of the job itself.
         others: the intact parts of other jobs, here and in `also`.
 
     Raises:
@@ -108,54 +114,75 @@ class Runs:
     """
 
     def __init__(
-        self, held: RunDirectory, group: str, also: Sequence[Path] = (), warn: Warn | None = None, series: bool = False
+        self,
+        out: Path,
+        group: str,
+        also: Sequence[Path] = (),
+        warn: Warn | None = None,
+        series: bool = False,
+        held: RunDirectory | None = None,
     ) -> None:
-        self.held, self.group, self._also = held, group, tuple(also)
+        self.out, self.group, self.held, self._also = out, group, held, tuple(also)
         self._warn, self._series = warn or (lambda _: None), series
-        with clear_errors(held.out):
-            (held.out / RESULTS).mkdir(exist_ok=True)
-            for folder in (RESULTS, SERIES) if held.shard is None else ():
-                remove_leftovers(held.out / folder)
-                self._settle(held.out / folder, held.out / FORMER / folder)
+        if held is not None:
+            with clear_errors(out):
+                (out / RESULTS).mkdir(exist_ok=True)
+                for folder in (RESULTS, SERIES) if held.shard is None else ():
+                    remove_leftovers(out / folder)
+                for folder in (SERIES, RESULTS):
+                    _move(out / FORMER / folder, out / folder, lambda found: found == group)
+        self.others = [part for place in (out, *self._also) for part in self._intact(place, own=False)]
         self.survey()
 
-    def _settle(self, here: Path, former: Path) -> None:
-        """Keep the job's own parts in a folder, and those of other jobs in the other one."""
-        moves = [(path, former) for path in here.glob("part-*.parquet") if path.name.split("-")[1] != self.group]
-        moves += [(path, here) for path in former.glob(f"part-{self.group}-*.parquet")]
-        for path, folder in moves:
-            folder.mkdir(parents=True, exist_ok=True)
-            path.rename(folder / path.name)
-        for folder in (here, former) if moves else ():
-            sync_folder(folder)
-
     def survey(self) -> None:
-        """Read the folders again, every byte of them. A damaged part is moved aside: its runs are missing."""
-        parts: list[Part] = []
-        for out in (each for whole in (self.held.out, *self._also) for each in (whole, whole / FORMER)):
-            with clear_errors(out):
-                for path in part_files(out):
-                    part, flaw = _inspected(path, self._series)
-                    if part is not None:
-                        parts.append(part)
-                    elif path.parent != self.held.out / RESULTS:
-                        self._warn(f"{path} {flaw}; its runs are not used.")
-                    elif self.held.move_aside(path.relative_to(out), f"{RESULTS}.aside") is not None:
-                        self._warn(f"{path} {flaw}; it is kept in {RESULTS}.aside, and its runs are made again.")
-        here = self.held.out / RESULTS
-        self.parts = [part for part in parts if part.path.parent == here and part.group == self.group]
-        self.others = [part for part in parts if part.path.parent != here or part.group != self.group]
+        """Read the job's own parts again, every byte. A damaged one is moved aside: its runs are missing."""
+        self.parts = self._intact(self.out, own=True)
+        if self.held is not None and self.held.shard is None:
+            named = {part.about.get("series") for part in self.parts}
+            for path in part_files(self.out, self.group, SERIES):
+                if path.name not in named:  # of a part that was damaged, or that was never written
+                    self.held.move_aside(path.relative_to(self.out), f"{SERIES}.aside")
         self.__dict__.pop("_index", None)
         self._table.cache_clear()
 
-    def column(self, name: str) -> np.ndarray:
-        """A column of whole numbers of the job's own parts, (runs,), such as `row`."""
-        found = [pq.read_table(part.path, columns=[name])[name].to_numpy() for part in self.parts]
-        return np.concatenate(found) if found else np.empty(0, np.int64)
+    def _intact(self, out: Path, own: bool) -> list[Part]:
+        """The intact parts of a directory, those of the job itself or the other ones; damaged ones are moved aside."""
+        parts = []
+        with clear_errors(out):
+            for path in (*part_files(out), *part_files(out / FORMER)):
+                if (out == self.out and path.name.split("-")[1] == self.group) != own:
+                    continue
+                part, flaw = self._inspected(path, own)
+                if part is not None:
+                    parts.append(part)
+                elif self.held is None or path.parent != self.out / RESULTS:
+                    self._warn(f"{path} {flaw}; its runs are not used.")
+                elif self.held.move_aside(path.relative_to(out), f"{RESULTS}.aside") is not None:
+                    self._warn(f"{path} {flaw}; it is kept in {RESULTS}.aside, and its runs are made again.")
+        return parts
+
+    def _inspected(self, path: Path, own: bool) -> tuple[Part | None, str]:
+        """A part if it is intact to the last bit, else what is wrong with it."""
+        content, flaw = _content(path)
+        if content is None:
+            return None, flaw
+        with pq.ParquetFile(pa.BufferReader(content)) as file:
+            texts = (file.metadata.metadata or {}).items()
+            about = {key.decode(): value.decode() for key, value in texts if key != b"ARROW:schema"}
+            numbers = file.read(["row"])["row"].to_numpy() if own else np.empty(0, np.int64)
+            part = Part(path, file.metadata.num_rows, about, numbers)
+        if self._series and (part.series is None or _content(part.series)[0] is None):
+            return None, "has no time series, or damaged ones"
+        return part, ""
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Which runs of the job are there, by the numbers in the column `row`, (n,)."""
+        return np.concatenate([np.empty(0, np.int64), *(part.numbers for part in self.parts)])
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Where runs are, (n,) int; -1 where they have not been made."""
-        known = self._index[0]
+        known = self._index.keys
         if not len(known):
             return np.full(len(keys), -1)
         at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
@@ -168,23 +195,23 @@ class Runs:
             The columns of the parts, `key` included; of the metadata `engine` is that of the first run, `steps` and
             `wall_seconds` are the runs' shares of their parts'.
         """
-        files, rows = self._index[1][places].T
+        files, rows = self._index.places[places].T
         steps = seconds = 0.0
         found, order = [], []
         for file in np.unique(files).tolist():
-            here, part = np.flatnonzero(files == file), self._all[file]
+            here, part = np.flatnonzero(files == file), self._index.parts[file]
             steps += part.effort[0] * len(here) / part.rows
             seconds += part.effort[1] * len(here) / part.rows
             found.append(self._table(part.path).take(rows[here]).replace_schema_metadata(None))
             order.append(here)
         table = pa.concat_tables(found, promote_options="default").take(np.argsort(np.concatenate(order)))
-        engine = self._all[int(files[0])].about.get("engine", "")
+        engine = self._index.parts[int(files[0])].about.get("engine", "")
         return table.replace_schema_metadata({"engine": engine, "steps": str(steps), "wall_seconds": str(seconds)})
 
     def series(self, places: np.ndarray) -> Iterator[pa.Table]:
         """The time series of runs, one after the other, with the numbers `row` of the job that made them."""
-        for file, row in self._index[1][places].tolist():
-            part = self._all[file]
+        for file, row in self._index.places[places].tolist():
+            part = self._index.parts[file]
             assert part.series is not None
             number = self._table(part.path).column("row")[row].as_py()
             yield self._table(part.series).filter(pc.equal(self._table(part.series).column("row"), number))
@@ -203,22 +230,36 @@ class Runs:
         about = dict(table.schema.metadata or {})
         if series is not None:
             about[b"series"] = self._write(SERIES, series).name.encode()
-        table = table.append_column(pa.field("key", pa.string(), metadata={"role": "key"}), pa.array(keys.astype(str)))
-        path = self._write(RESULTS, table.replace_schema_metadata(about))
-        part = Part(path, table.num_rows, {key.decode(): value.decode() for key, value in about.items()})
+        column = pa.field("key", pa.string(), metadata={"unit": "1", "description": "what decides it", "role": "key"})
+        table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(about)
+        texts = {key.decode(): value.decode() for key, value in about.items()}
+        part = Part(self._write(RESULTS, table), table.num_rows, texts, table["row"].to_numpy())
         self.parts.append(part)
-        self.__dict__.pop("_index", None)
         return part
 
     def take_codes(self, stamps: Sequence[CodeStamp], *, accept: bool, any_model: bool = False) -> None:
-        """Record which codes are about to add runs, or refuse; see `RunDirectory.take_code`."""
-        holds = any(part.path.is_relative_to(self.held.out) for part in self._all)
+        """Record which codes are about to add runs, or refuse; see `RunDirectory.take_code`.
+
+        Parts of other jobs leave the folder then, which readers take whole.
+        """
+        assert self.held is not None
+        holds = any(part.path.is_relative_to(self.out) for part in (*self.parts, *self.others))
         for stamp in stamps:
             self.held.take_code(stamp, holds_rows=holds, accept=accept, any_model=any_model)
             holds = True
+        if retire(self.held, self.group):
+            self._warn(f"{self.out} has parts of another job, or made with other defaults: now in {FORMER}.")
+
+        def moved(part: Part) -> Part:
+            here = part.group != self.group and part.path.parent == self.out / RESULTS
+            return dataclasses.replace(part, path=self.out / FORMER / RESULTS / part.path.name) if here else part
+
+        self.others = [moved(part) for part in self.others]
+        if "_index" in self.__dict__:
+            self._index = self._index._replace(parts=[moved(part) for part in self._index.parts])
 
     def codes(self, *, accept: bool) -> list[CodeStamp]:
-        """Which codes made the runs of other directories, as far as these say.
+        """Which codes made the runs of other jobs, as far as their directories say.
 
         Raises:
             OtherCode: one does not, and `accept` is not given.
@@ -227,32 +268,32 @@ class Runs:
         for out in dict.fromkeys(part.directory for part in self.others):
             codes = codes_of(out)
             if not codes and not accept:
-                raise OtherCode(f"{out} does not say which code made it: its runs are used with --accept-new-code; "
-                                "distinguish them by their column code.")  # fmt: skip
+                raise OtherCode(
+                    f"{out} does not say which code made it: its runs are used with --accept-new-code; distinguish "
+                    "them by their column code."
+                )
             found |= codes
         return list(found.values())
 
     def _write(self, folder: str, table: pa.Table) -> Path:
+        assert self.held is not None
         content = parquet_bytes(table)
-        (self.held.out / folder).mkdir(exist_ok=True)
-        path = self.held.out / folder / f"part-{self.group}-{_digest(content)}.parquet"
-        self.held.write(path.relative_to(self.held.out), content)
+        path = self.out / folder / f"part-{self.group}-{_digest(content)}.parquet"
+        self.held.write(path.relative_to(self.out), content)
         return path
 
-    @property
-    def _all(self) -> list[Part]:
-        return [*self.parts, *self.others]
-
     @functools.cached_property
-    def _index(self) -> tuple[np.ndarray, np.ndarray]:
-        """All keys in order, and of each the part and the row in it, (n, 2)."""
+    def _index(self) -> _Index:
+        """All keys that were there at the first question after a survey."""
+        parts = [*self.parts, *self.others]
         keys, places = [np.empty(0, "S32")], [np.empty((0, 2), np.int64)]
-        for number, part in enumerate(self._all):
-            own = pq.read_table(part.path, columns=["key"])["key"].to_numpy(zero_copy_only=False).astype("S32")
+        for number, part in enumerate(parts):
+            with opened(part.path) as file:
+                own = file.read(["key"])["key"].to_numpy(zero_copy_only=False).astype("S32")
             keys.append(own)
             places.append(np.column_stack([np.full(len(own), number), np.arange(len(own))]))
         unique, first = np.unique(np.concatenate(keys), return_index=True)
-        return unique, np.concatenate(places)[first]
+        return _Index(unique, np.concatenate(places)[first], parts)
 
     @functools.lru_cache(_HELD)  # noqa: B019 - the store lives as long as the job
     def _table(self, path: Path) -> pa.Table:
@@ -277,28 +318,48 @@ def opened(path: Path) -> Iterator[pq.ParquetFile]:
         raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
 
 
-def _inspected(path: Path, series: bool) -> tuple[Part | None, str]:
-    """A part if it is intact to the last bit, else what is wrong with it."""
-    flaw = _flaw(path)
-    if flaw:
-        return None, flaw
-    about: Any = pq.read_metadata(path)
-    texts = (about.metadata or {}).items()
-    words = {key.decode(): value.decode(errors="replace") for key, value in texts if key != b"ARROW:schema"}
-    part = Part(path, about.num_rows, words)
-    if series and (part.series is None or _flaw(part.series)):
-        return None, "has no time series, or damaged ones"
-    return part, ""
+def retire(held: RunDirectory, group: str) -> int:
+    """Move the parts of other jobs out of the folders that are read whole; their own job takes them back.
+
+    Returns:
+        How many parts of runs were moved.
+    """
+    with clear_errors(held.out):
+        return [
+            _move(held.out / folder, held.out / FORMER / folder, lambda found: found != group)
+            for folder in (SERIES, RESULTS)
+        ][1]
 
 
-def _flaw(path: Path) -> str:
-    """What is wrong with a file whose name has the digest of its content; empty if nothing is."""
+def _move(source: Path, target: Path, wanted: Callable[[str], bool]) -> int:
+    """Move parts whose job is wanted, and count them; another process may be doing the same."""
+    moved = [path for path in source.glob("part-*.parquet") if wanted(path.name.split("-")[1])]
+    for path in moved:
+        target.mkdir(parents=True, exist_ok=True)
+        with contextlib.suppress(FileNotFoundError):
+            path.rename(target / path.name)
+    for folder in (source, target) if moved else ():
+        sync_folder(folder)
+    return len(moved)
+
+
+def _content(path: Path) -> tuple[bytes | None, str]:
+    """The content of a file whose name has its digest, or what is wrong with it."""
     try:
-        found = _NAME.fullmatch(path.name)
-        return "" if found is not None and _digest(path.read_bytes()) == found[2] else "is damaged"
+        content = path.read_bytes()
     except OSError as error:
-        return f"cannot be read ({error.strerror})"
+        return None, f"cannot be read ({error.strerror})"
+    found = _NAME.fullmatch(path.name)
+    return (content, "") if found is not None and _digest(content) == found[2] else (None, "is damaged")
 
 
 def _digest(content: bytes) -> str:
     return hashlib.blake2b(content, digest_size=8).hexdigest()
+
+
+class _Index(NamedTuple):
+    """Keys in order, of each the part and the row in it, (n, 2), and the parts."""
+
+    keys: np.ndarray
+    places: np.ndarray
+    parts: list[Part]

@@ -518,7 +518,7 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     return SweepRow(
         out=out, sweep=search.sweep, row=row, line=Rows(**index, values=values, structure=np.zeros(1, int)),
         begin=float(begin), end=float(end), engine=_engine_of(out),
-        chunk=np.array([row]), stored=stored, outdated=False,
+        stored=stored, outdated=False,
     )  # fmt: skip
 
 

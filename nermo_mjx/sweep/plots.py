@@ -35,7 +35,7 @@ from nermo_mjx.sweep.figures import (
     titled,
 )
 from nermo_mjx.sweep.findings import findings
-from nermo_mjx.sweep.results import Results, chunk_files
+from nermo_mjx.sweep.results import Results, result_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.side_by_side import groups_of, structure_figures
 from nermo_mjx.sweep.spec import Sweep, cost, sides_in
@@ -170,7 +170,7 @@ def figures(
         ParameterError: there is no such column.
         DirectoryError: there is nothing to draw, or it cannot be read.
     """
-    files = list(chunk_files(out).values())
+    files = result_files(out)
     if not files:
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.results import chunk_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.store import RECORDINGS
@@ -19,8 +19,8 @@ def status(out: Path) -> Status:
         rows = len(Sample(Sweep.from_directory(out)))
     except (SpecError, OSError) as error:
         notes.append(f"Its sweep cannot be read: {error}")
-    for path in chunk_files(out).values():
-        if about := metadata_of(path, notes, "it will be run again."):
+    for path in part_files(out):
+        if about := metadata_of(path, notes, "its runs will be made again."):
             done += about.num_rows
             engines.append((about.metadata or {}).get(b"engine", b"").decode())
     if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):

@@ -16,7 +16,7 @@ from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
-from nermo_mjx.sweep.results import Results, chunk_files
+from nermo_mjx.sweep.results import Results, result_files
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import label_of
@@ -65,7 +65,7 @@ def opened(source: Source) -> tuple[str, Results, Sweep | None, list[str]]:
     out = Path(source)
     if not out.is_dir():
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
-    files = list(chunk_files(out).values())
+    files = result_files(out)
     if not files:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     results, sweep, notes = Results(files), None, []
