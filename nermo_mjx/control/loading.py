@@ -7,6 +7,7 @@ import hashlib
 import importlib
 import importlib.util
 import sys
+from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Final
@@ -36,13 +37,19 @@ def content_of_source(subject: str, source: str, form: str) -> tuple[str, bytes]
         raise ParameterError(f"{subject}: {path} cannot be read ({error.strerror}).") from None
 
 
+#: Whether files and modules that are named may be run: what only reads a directory runs none of its code.
+RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
+
+
 def module_of(subject: str, source: str, form: str) -> ModuleType:
     """The module of a source; a file is executed once for each version of its content. The arguments are those of
     `content_of_source`.
 
     Raises:
-        ParameterError: see `content_of_source`; or it cannot be imported.
+        ParameterError: see `content_of_source`; or it cannot be imported, or nothing may be run here.
     """
+    if not RUNS_CODE.get():
+        raise ParameterError(f"{subject}: it is code, which a command that only reads does not run.")
     path, content = content_of_source(subject, source, form)
     try:
         return _imported(source, path, content)

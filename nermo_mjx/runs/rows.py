@@ -19,6 +19,7 @@ import dataclasses
 import functools
 import hashlib
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -35,6 +36,7 @@ from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, pa
 RESULTS, SERIES, FORMER = "results", "series", "former"
 #: Tables of parts that are held at once: the runs that are wanted next lie in a few of them.
 _HELD: Final = 32
+_ABOUT: Final = ("engine", "steps", "wall_seconds", "series")
 _NAME: Final = re.compile(r"part-([0-9a-f]+)-([0-9a-f]{16})\.parquet")
 Warn = Callable[[str], None]
 
@@ -167,8 +169,7 @@ class Runs:
         if content is None:
             return None, flaw
         with pq.ParquetFile(pa.BufferReader(content)) as file:
-            texts = (file.metadata.metadata or {}).items()
-            about = {key.decode(): value.decode() for key, value in texts if key != b"ARROW:schema"}
+            about = _about(file.metadata.metadata or {})
             numbers = file.read(["row"])["row"].to_numpy() if own else np.empty(0, np.int64)
             part = Part(path, file.metadata.num_rows, about, numbers)
         if self._series and (part.series is None or _content(part.series)[0] is None):
@@ -232,8 +233,7 @@ class Runs:
             about[b"series"] = self._write(SERIES, series).name.encode()
         column = pa.field("key", pa.string(), metadata={"unit": "1", "description": "what decides it", "role": "key"})
         table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(about)
-        texts = {key.decode(): value.decode() for key, value in about.items()}
-        part = Part(self._write(RESULTS, table), table.num_rows, texts, table["row"].to_numpy())
+        part = Part(self._write(RESULTS, table), table.num_rows, _about(about), table["row"].to_numpy())
         self.parts.append(part)
         return part
 
@@ -341,6 +341,13 @@ def _move(source: Path, target: Path, wanted: Callable[[str], bool]) -> int:
     for folder in (source, target) if moved else ():
         sync_folder(folder)
     return len(moved)
+
+
+def _about(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
+    """What is kept in memory of a part's metadata; there may be ten thousand of them."""
+    return {
+        sys.intern(name): sys.intern(metadata[name.encode()].decode()) for name in _ABOUT if name.encode() in metadata
+    }
 
 
 def _content(path: Path) -> tuple[bytes | None, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import pyarrow as pa
@@ -15,7 +15,6 @@ from nermo_mjx.sweep.comparing import compare
 from nermo_mjx.sweep.comparing import figures as comparison_figures
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.sensitivity import sensitivity
-from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.table import LEADING
 
 
@@ -37,12 +36,19 @@ class Finding:
 
 
 def findings(
-    results: Results, sweep: Sweep, metric: str = LEADING, notify: Callable[[str], None] | None = None
+    results: Results,
+    comparison: Mapping[str, Any] | None,
+    metric: str = LEADING,
+    notify: Callable[[str], None] | None = None,
 ) -> Iterator[Finding]:
-    """The findings for one metric; a message is issued for what cannot be computed, as from a few runs."""
+    """The findings for one metric; a message is issued for what cannot be computed, as from a few runs.
+
+    Args:
+        comparison: what the sweep's file compares, as its section `compare` has it.
+    """
     for name, find in (("comparison", _comparison), ("sensitivity", _sensitivity)):
         try:
-            finding = find(results, sweep, metric)
+            finding = find(results, comparison, metric)
         except ParameterError as error:
             if notify is not None:
                 notify(f"There is no {name}: {error}")
@@ -51,16 +57,17 @@ def findings(
             yield finding
 
 
-def _comparison(results: Results, sweep: Sweep, metric: str) -> Finding | None:
-    if (asked := sweep.comparison) is None:
+def _comparison(results: Results, comparison: Mapping[str, Any] | None, metric: str) -> Finding | None:
+    if comparison is None:
         return None
-    found = compare(results, by=asked.by, base=asked.base, groups=asked.groups, drawn=(metric,))
+    by, base, groups = comparison["by"], comparison.get("base"), comparison.get("for", ())
+    found = compare(results, by=by, base=base, groups=groups, drawn=(metric,))
     about = found.about(only=found.drawn)
     return Finding("comparison", found.table, about, comparison_figures.figures_of(found.table))
 
 
-def _sensitivity(results: Results, sweep: Sweep, metric: str) -> Finding | None:
-    if sweep.sampler != "saltelli":
+def _sensitivity(results: Results, comparison: Mapping[str, Any] | None, metric: str) -> Finding | None:
+    if (results.schema.metadata or {}).get(b"sampler") != b"saltelli":
         return None
     found = sensitivity(results, metric)
     return Finding("sensitivity", found.table, found.about(), sensitivity_figure.figures_of(found.table))

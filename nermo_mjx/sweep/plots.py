@@ -35,10 +35,9 @@ from nermo_mjx.sweep.figures import (
     titled,
 )
 from nermo_mjx.sweep.findings import findings
-from nermo_mjx.sweep.results import Results, result_files
-from nermo_mjx.sweep.sampling import Sample
+from nermo_mjx.sweep.results import Results, SweepRecord, result_files
 from nermo_mjx.sweep.side_by_side import groups_of, structure_figures
-from nermo_mjx.sweep.spec import Sweep, cost, sides_in
+from nermo_mjx.sweep.spec import cost, sides_in
 from nermo_mjx.sweep.survey import survey_figures, trade_off_figure
 from nermo_mjx.sweep.table import LEADING, columns_of, spine_ratio
 
@@ -175,13 +174,11 @@ def figures(
         raise DirectoryError(
             f"{out} holds no results of its sweep yet: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out}."
         )
-    results, sweep = Results(files), Sweep.from_directory(out)
-    rows = len(Sample(sweep))
-    remark = ""
-    if results.rows < rows:
-        remark = f"{results.rows:,} of {rows:,} runs so far; "
+    results, sweep, remark = Results(files), SweepRecord.of_directory(out), ""
+    if sweep is not None and results.rows < sweep.rows:
+        remark = f"{results.rows:,} of {sweep.rows:,} runs so far; "
         if notify is not None:
-            notify(f"{results.rows:,} of {rows:,} runs are in {out}; the figures show these.")
+            notify(f"{results.rows:,} of {sweep.rows:,} runs are in {out}; the figures show these.")
     if x is not None:
         return chosen_figure(results, x, y, color, remark)
     if y is not None:
@@ -189,7 +186,7 @@ def figures(
     if color is not None and color not in columns_of(results, "metric"):
         _check_column(results, color, "color")
         raise ParameterError(f"color is {color!r}, a parameter: name x and y, too.")
-    found = findings(results, sweep, color or LEADING, notify)
+    found = findings(results, None if sweep is None else sweep.comparison, color or LEADING, notify)
     return itertools.chain(_usual(out, results, color or LEADING, remark), *(finding.figures for finding in found))
 
 

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.runs.files import DirectoryError, parquet_table
+from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
 from nermo_mjx.runs.rows import opened, part_files
 
 #: Schema metadata that differs between the parts of one table.
@@ -20,6 +23,51 @@ PART_KEYS = (b"chunk", b"series", b"steps", b"wall_seconds", b"engine", b"code")
 HELD = 24_000_000
 #: Files whose columns are joined at once: ten thousand small arrays would take more memory than their numbers.
 _JOINED = 500
+
+
+#: What a directory says of its sweep for those who only read it.
+RECORD: Final = "sweep.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepRecord:
+    """A directory's sweep.json: what readers need of a sweep, so that none of them runs the code that it may name.
+
+    Attributes:
+        rows: of the whole sweep.
+        fields: of the first structure's walk, as in a file; code by its digest.
+        labelled: names of the varied structures.
+        parameters: value of each parameter that is not varied, None where structures differ or do not read it.
+        comparison: the section `compare`, if there is one.
+        metrics: digest of a file of metrics -> unit, doc, better and name of each.
+    """
+
+    rows: int
+    fields: Mapping[str, Any]
+    labelled: Sequence[str]
+    parameters: Mapping[str, float | None]
+    comparison: Mapping[str, Any] | None
+    metrics: Mapping[str, Sequence[Mapping[str, Any]]]
+
+    @classmethod
+    def of_directory(cls, out: Path) -> SweepRecord | None:
+        """What a directory has; None if it has none.
+
+        Raises:
+            DirectoryError: it is damaged.
+        """
+        if (content := content_of(out / RECORD)) is None:
+            return None
+        try:
+            found = cls(**json.loads(content))
+            mappings = (found.fields, found.fields["set"], found.parameters, found.metrics)
+            about = [set(each) for several in found.metrics.values() for each in several]
+            whole = isinstance(found.rows, int) and all(isinstance(each, dict) for each in mappings)
+            if whole and all(each == {"name", "unit", "doc", "better"} for each in about):
+                return found
+        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            pass
+        raise DirectoryError(f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again.")
 
 
 class Results:

@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout.own_metrics import without_code
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, parquet_bytes
 from nermo_mjx.runs.interruption import resumable
@@ -35,7 +36,7 @@ from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.comparing.comparison import better
 from nermo_mjx.sweep.findings import findings
 from nermo_mjx.sweep.plots import figures_of
-from nermo_mjx.sweep.results import Results, read_table
+from nermo_mjx.sweep.results import Results, SweepRecord, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.series import check_room, chunk_with_series, record_rows, series_table
 from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name
@@ -544,7 +545,8 @@ def _sum_up(
 ) -> tuple[dict[str, Any], list[Path]]:
     """Write the summary and the figures of a complete table."""
     summary, figures = {**summarize(results), **work.effort()}, figures_of(results)
-    for finding in findings(results, work.sweep, notify=warn):
+    comparison = None if work.sweep.comparison is None else work.sweep.comparison.written()
+    for finding in findings(results, comparison, notify=warn):
         held.write(f"{finding.name}.parquet", parquet_bytes(finding.table))
         summary[finding.name] = finding.about
         figures = itertools.chain(figures, finding.figures)
@@ -572,6 +574,9 @@ def merge_sweeps(
     Its sweep lists the variants of all of them as `rows`, with as many repeats as the one that has most. A row that is
     in several is taken from the first. Rows that none has are missing, and `sweep` runs them.
 
+    No code of the directories is run: metrics are known by their names; sweeps of another controller are refused, and
+    `run_sweep` takes their rows by `use`.
+
     Args:
         sources: the directories, two at least.
         out: where the result goes.
@@ -588,7 +593,9 @@ def merge_sweeps(
         raise SpecError("merge takes two directories or more.")
     if Path(out).resolve() in [place.resolve() for place in places]:
         raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
-    return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
+    records = [SweepRecord.of_directory(place) for place in places]
+    with without_code({digest: known for record in records if record for digest, known in record.metrics.items()}):
+        return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
 
 
 def merged(places: Sequence[Path]) -> Sweep:

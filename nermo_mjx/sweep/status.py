@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.runs.rows import part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
-from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.results import SweepRecord
 from nermo_mjx.sweep.store import RECORDINGS
 
 
@@ -16,9 +15,10 @@ def status(out: Path) -> Status:
     """How many runs of its sweep a directory holds."""
     notes, rows, done, engines = list[str](), None, 0, list[str]()
     try:
-        rows = len(Sample(Sweep.from_directory(out)))
-    except (SpecError, OSError) as error:
-        notes.append(f"Its sweep cannot be read: {error}")
+        sweep = SweepRecord.of_directory(out)
+        rows = None if sweep is None else sweep.rows
+    except DirectoryError as error:
+        notes.append(str(error))
     for path in part_files(out):
         if about := metadata_of(path, notes, "its runs will be made again."):
             done += about.num_rows

@@ -1,6 +1,7 @@
 """A sweep's directory: what it is for, how two sweeps differ, and which of its rows are simulated together.
 
 DIR/sweep.yaml                    the resolved sweep
+DIR/sweep.json                    what is to be known of it without running code that it names
 DIR/controller.py, DIR/metrics.py copies of the files of another controller, and of metrics, if the sweep names them
 DIR/run.json                      which codes made the rows; each session's versions, machine and command
 DIR/results/, series/, former/    the rows, their time series, and those of the sweep before it was extended, see
@@ -21,13 +22,16 @@ from typing import Any, Final
 
 import numpy as np
 
+from nermo_mjx.rollout.own_metrics import digest_of_file, load_metrics, parts_of
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, clear_errors, create_file
+from nermo_mjx.runs.files import DirectoryError, clear_errors, content_of, create_file
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
-from nermo_mjx.specs.controllers import code_identity, with_code_copied
+from nermo_mjx.runs.text import to_json
+from nermo_mjx.specs.controllers import code_identity, with_code_copied, written_metrics
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.specs.walk import WalkSpec
+from nermo_mjx.specs.walk import WalkSpec, unread
+from nermo_mjx.sweep.results import RECORD, SweepRecord
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
@@ -249,7 +253,34 @@ def claim(held: RunDirectory, sweep: Sweep, *, extend: bool = False) -> Sweep:
         elif held.shard is None and begun.comparison != sweep.comparison:  # no row depends on it
             again = dataclasses.replace(begun, comparison=sweep.comparison)
             held.write(path.name, again.to_yaml(folder).encode())
+        record = to_json(dataclasses.asdict(_record(sweep)))
+        if held.shard is not None:
+            create_file(out / RECORD, record)
+        elif content_of(out / RECORD) != record:
+            held.write(RECORD, record)
     return sweep
+
+
+def _record(sweep: Sweep) -> SweepRecord:
+    """What readers need to know of a sweep."""
+    values = dict[str, set[float]]()
+    for walk in sweep.structures:
+        own = walk.setup.defaults() | walk.constants
+        for name in sweep.parameters:
+            values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
+    metrics = dict[str, list[dict[str, Any]]]()
+    for where in (each for each in written_metrics(sweep.setup) if parts_of(each)[0].endswith(".py")):
+        metrics.setdefault(digest_of_file(where), []).extend(
+            {name: getattr(each, name) for name in ("name", "unit", "doc", "better")} for each in load_metrics(where)
+        )
+    return SweepRecord(
+        rows=sweep.variants * sweep.repeats,
+        fields=sweep.walk_fields() | code_identity(sweep.setup),
+        labelled=sweep.labelled,
+        parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
+        comparison=None if sweep.comparison is None else sweep.comparison.written(),
+        metrics=metrics,
+    )
 
 
 def _with_files(held: RunDirectory, sweep: Sweep) -> Sweep:

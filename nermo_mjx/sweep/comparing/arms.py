@@ -15,10 +15,7 @@ import pyarrow as pa
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.specs.walk import unread
-from nermo_mjx.sweep.results import Results, result_files
-from nermo_mjx.sweep.sampling import Sample
-from nermo_mjx.sweep.spec import Sweep
+from nermo_mjx.sweep.results import Results, SweepRecord, result_files
 from nermo_mjx.sweep.structures import label_of
 from nermo_mjx.sweep.table import columns_of
 
@@ -54,8 +51,8 @@ class Arm:
         return self.results.column(name)[self.rows]
 
 
-def opened(source: Source) -> tuple[str, Results, Sweep | None, list[str]]:
-    """The name of a table, the table, its sweep, if known, and notes on missing rows.
+def opened(source: Source) -> tuple[str, Results, SweepRecord | None, list[str]]:
+    """The name of a table, the table, what is known of its sweep, and notes on missing rows.
 
     Raises:
         DirectoryError: it holds no results, or they cannot be read.
@@ -68,11 +65,9 @@ def opened(source: Source) -> tuple[str, Results, Sweep | None, list[str]]:
     files = result_files(out)
     if not files:
         raise DirectoryError(f"{out} holds no results of a sweep.")
-    results, sweep, notes = Results(files), None, []
-    if (out / "sweep.yaml").exists():
-        sweep = Sweep.from_directory(out)
-        if results.rows < (rows := len(Sample(sweep))):
-            notes.append(f"{out} is not complete: {results.rows:,} of {rows:,} runs.")
+    results, sweep, notes = Results(files), SweepRecord.of_directory(out), []
+    if sweep is not None and results.rows < sweep.rows:
+        notes.append(f"{out} is not complete: {results.rows:,} of {sweep.rows:,} runs.")
     return str(source), results, sweep, notes
 
 
@@ -179,32 +174,24 @@ def _in_order(values: np.ndarray) -> list[Value]:
     return distinct[np.argsort(first)].tolist()
 
 
-def _fixed(arm: Arm, sweep: Sweep | None, names: Sequence[str]) -> dict[str, np.ndarray]:
+def _fixed(arm: Arm, sweep: SweepRecord | None, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Columns that only the other table varies: the value that this sweep has fixed, or none where it has no effect."""
     found: dict[str, np.ndarray] = {}
-    for name in names:
-        if name in arm.keys:
-            continue
-        if sweep is None or name in columns_of(arm.results, "randomized"):
-            found[name] = np.full(len(arm.rows), np.nan)
-        elif name in sweep.parameters:
-            known = {(walk.setup.defaults() | walk.constants)[name] for walk in sweep.structures
-                     if unread(walk.setup, name) is None}  # fmt: skip
-            found[name] = np.full(len(arm.rows), known.pop() if len(known) == 1 else np.nan)
-        else:
-            found[name] = np.full(len(arm.rows), label_of(sweep.walk_fields()[name]))
+    for name in (name for name in names if name not in arm.keys):
+        value: Any = None
+        if sweep is not None and name not in columns_of(arm.results, "randomized"):
+            value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields[name])
+        found[name] = np.full(len(arm.rows), math.nan if value is None else value)
     return found
 
 
-def _differences(base: Sweep, other: Sweep, varied: Mapping[str, Any]) -> list[str]:
+def _differences(base: SweepRecord, other: SweepRecord, varied: Mapping[str, Any]) -> list[str]:
     """What the two sweeps fix to different values, apart from what one of them varies."""
-    first, second = ({**sweep.walk_fields(), **sweep.walk_fields()["set"]} for sweep in (base, other))
-    names = [name for name in {**first, **second} if name != "set" and name not in varied]
-    told = []
-    for name in names:
-        if name in base.labelled or name in other.labelled:
+    first, second = ({**each.fields, **each.fields["set"]} for each in (base, other))
+    apart = []
+    for name in {**first, **second}:
+        if name in ("set", *varied, *base.labelled, *other.labelled) or first.get(name) == second.get(name):
             continue
-        values = [dict(each).get(name) for each in (first, second)]
-        if values[0] != values[1]:
-            told.append("{}: {} and {}".format(name, *("the default" if each is None else each for each in values)))
-    return told
+        values = ("the default" if each.get(name) is None else each[name] for each in (first, second))
+        apart.append("{}: {} and {}".format(name, *values))
+    return apart
