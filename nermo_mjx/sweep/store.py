@@ -14,7 +14,6 @@ DIR/summary.json, DIR/plots/      made from the table when it is complete
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -176,14 +175,12 @@ def keys_of_rows(sweep: Sweep, rows: Rows) -> np.ndarray:
     keys = np.empty(len(rows), "S32")
     for at in np.unique(rows.structure):
         walk, here = sweep.structures[at], np.flatnonzero(rows.structure == at)
-        fields = {name: value for name, value in walk.walk_fields().items() if name != "set"}
-        identity = json.dumps([fields | code_identity(walk.setup), walk.setup.defaults()], sort_keys=True)
         values = {name: np.full(len(here), value, float) for name, value in walk.fixed.items()}
         values |= known({name: column[here] for name, column in rows.values.items()})
         for name in (name for name in values if name.startswith("start.")):
             # A start in its place is that of a walk that does not name it.
             values[name] = np.where(values[name] == 0, np.nan, values[name])
-        keys[here] = keys_of(identity, values, len(here))
+        keys[here] = keys_of(walk.identity, values, len(here))
     return keys
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import itertools
 import json
@@ -15,6 +16,7 @@ from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
 from nermo_mjx.robot.scene import is_mjcf, scene_name
+from nermo_mjx.specs.controllers import code_identity
 from nermo_mjx.specs.fields import Fields, JsonSchema, Refused, optional, read
 from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_text
 from nermo_mjx.specs.values import Checked, by_parameter, refuse_parameter
@@ -40,6 +42,12 @@ class Structure(WalkSpec):
     """
 
     labels: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @functools.cached_property
+    def identity(self) -> str:
+        """All that decides a run apart from named values: fields, defaults, content of custom code."""
+        fields = {name: value for name, value in self.walk_fields().items() if name != "set"}
+        return json.dumps([fields | code_identity(self.setup), self.setup.defaults()], sort_keys=True)
 
     def written(self, name: str) -> Any:
         """A structure as it stands in a file."""
