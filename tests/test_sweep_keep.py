@@ -20,10 +20,9 @@ from nermo_mjx.rollout.saving import all_signals, chosen_signals
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.sweep import SpecError, Sweep, SweepInterrupted, read_table, run_sweep, series
 from nermo_mjx.sweep.replay import replay_row
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.results import Results, status
 from nermo_mjx.sweep.series import kept_rows
 from nermo_mjx.sweep.spec import Keep
-from nermo_mjx.sweep.status import status
 from nermo_mjx.sweep.table import meta
 
 pytestmark = pytest.mark.usefixtures("shared_simulators")

@@ -36,7 +36,6 @@ from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, pa
 RESULTS, SERIES, FORMER = "results", "series", "former"
 #: Tables of parts that are held at once: the runs that are wanted next lie in a few of them.
 _HELD: Final = 32
-_ABOUT: Final = ("engine", "steps", "wall_seconds", "series")
 _NAME: Final = re.compile(r"part-([0-9a-f]+)-([0-9a-f]{16})\.parquet")
 Warn = Callable[[str], None]
 
@@ -62,38 +61,60 @@ def keys_of(identity: str, values: Mapping[str, np.ndarray], runs: int) -> np.nd
     return keys
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Part:
-    """A part's file, how many runs it has, the file's metadata, and the runs' numbers if they are the job's own."""
+    """A part's file, of which ten thousand may be held.
 
-    path: Path
+    Attributes:
+        folder, name: of the file.
+        rows: how many runs it has.
+        engine, steps, seconds: what made them, physics steps of all, and the time they took [s].
+        series_name: file of their time series; empty if they have none.
+    """
+
+    folder: Path
+    name: str
     rows: int
-    about: Mapping[str, str]
-    numbers: np.ndarray
+    engine: str
+    steps: float
+    seconds: float
+    series_name: str
+
+    @classmethod
+    def of(cls, path: Path, rows: int, metadata: Mapping[bytes, bytes]) -> Part:
+        """With what a file's metadata says."""
+        about = {key: metadata.get(key, b"").decode() for key in (b"engine", b"steps", b"wall_seconds", b"series")}
+        engine, steps, seconds, series = about.values()
+        effort = float(steps or 0), float(seconds or 0)
+        return cls(_shared(path.parent), path.name, rows, sys.intern(engine), *effort, series)
+
+    @property
+    def path(self) -> Path:
+        return self.folder / self.name
 
     @property
     def group(self) -> str:
-        return self.path.name.split("-")[1]
+        return self.name.split("-")[1]
 
     @property
     def directory(self) -> Path:
         """The directory of runs that it is in."""
-        above = self.path.parent.parent
-        return above.parent if above.name == FORMER else above
+        return self.folder.parent.parent if self.folder.parent.name == FORMER else self.folder.parent
 
     @property
     def series(self) -> Path | None:
         """The file of the runs' time series, if they have any; a process that is killed moves the two one by one."""
-        name = self.about.get("series")
-        if not name:
+        if not self.series_name:
             return None
-        places = (self.path.parent.parent / SERIES, self.directory / FORMER / SERIES, self.directory / SERIES)
-        return next((place / name for place in places if (place / name).exists()), places[0] / name)
+        places = (self.folder.parent / SERIES, self.directory / FORMER / SERIES, self.directory / SERIES)
+        found = (place / self.series_name for place in places)
+        return next((path for path in found if path.exists()), places[0] / self.series_name)
 
-    @property
-    def effort(self) -> tuple[float, float]:
-        """Physics steps of its runs, and the time they took [s]."""
-        return float(self.about.get("steps", 0.0)), float(self.about.get("wall_seconds", 0.0))
+
+@functools.lru_cache
+def _shared(folder: Path) -> Path:
+    """The folder as one object for all of its parts."""
+    return folder
 
 
 class Runs:
@@ -138,9 +159,10 @@ class Runs:
 
     def survey(self) -> None:
         """Read the job's own parts again, every byte. A damaged one is moved aside: its runs are missing."""
+        self._numbers: list[np.ndarray] = []
         self.parts = self._intact(self.out, own=True)
         if self.held is not None and self.held.shard is None:
-            named = {part.about.get("series") for part in self.parts}
+            named = {part.series_name for part in self.parts}
             for path in part_files(self.out, self.group, SERIES):
                 if path.name not in named:  # of a part that was damaged, or that was never written
                     self.held.move_aside(path.relative_to(self.out), f"{SERIES}.aside")
@@ -169,17 +191,24 @@ class Runs:
         if content is None:
             return None, flaw
         with pq.ParquetFile(pa.BufferReader(content)) as file:
-            about = _about(file.metadata.metadata or {})
-            numbers = file.read(["row"])["row"].to_numpy() if own else np.empty(0, np.int64)
-            part = Part(path, file.metadata.num_rows, about, numbers)
+            part = Part.of(path, file.metadata.num_rows, file.metadata.metadata or {})
+            numbers = file.read(["row"])["row"].to_numpy() if own else None
         if self._series and (part.series is None or _content(part.series)[0] is None):
             return None, "has no time series, or damaged ones"
+        if numbers is not None:
+            self._note(numbers)
         return part, ""
 
     @property
     def numbers(self) -> np.ndarray:
         """Which runs of the job are there, by the numbers in the column `row`, (n,)."""
-        return np.concatenate([np.empty(0, np.int64), *(part.numbers for part in self.parts)])
+        self._numbers = [np.concatenate([np.empty(0, np.int32), *self._numbers])]
+        return self._numbers[0]
+
+    def _note(self, numbers: np.ndarray) -> None:
+        self._numbers.append(numbers.astype(np.int32))
+        if len(self._numbers) > _HELD:  # one array takes less than many small ones
+            _ = self.numbers
 
     def find(self, keys: np.ndarray) -> np.ndarray:
         """Where runs are, (n,) int; -1 where they have not been made."""
@@ -201,12 +230,12 @@ class Runs:
         found, order = [], []
         for file in np.unique(files).tolist():
             here, part = np.flatnonzero(files == file), self._index.parts[file]
-            steps += part.effort[0] * len(here) / part.rows
-            seconds += part.effort[1] * len(here) / part.rows
+            steps += part.steps * len(here) / part.rows
+            seconds += part.seconds * len(here) / part.rows
             found.append(self._table(part.path).take(rows[here]).replace_schema_metadata(None))
             order.append(here)
         table = pa.concat_tables(found, promote_options="default").take(np.argsort(np.concatenate(order)))
-        engine = self._index.parts[int(files[0])].about.get("engine", "")
+        engine = self._index.parts[int(files[0])].engine
         return table.replace_schema_metadata({"engine": engine, "steps": str(steps), "wall_seconds": str(seconds)})
 
     def series(self, places: np.ndarray) -> Iterator[pa.Table]:
@@ -233,7 +262,8 @@ class Runs:
             about[b"series"] = self._write(SERIES, series).name.encode()
         column = pa.field("key", pa.string(), metadata={"unit": "1", "description": "what decides it", "role": "key"})
         table = table.append_column(column, pa.array(keys.astype(str))).replace_schema_metadata(about)
-        part = Part(self._write(RESULTS, table), table.num_rows, _about(about), table["row"].to_numpy())
+        part = Part.of(self._write(RESULTS, table), table.num_rows, about)
+        self._note(table["row"].to_numpy())
         self.parts.append(part)
         return part
 
@@ -251,8 +281,8 @@ class Runs:
             self._warn(f"{self.out} has parts of another job, or made with other defaults: now in {FORMER}.")
 
         def moved(part: Part) -> Part:
-            here = part.group != self.group and part.path.parent == self.out / RESULTS
-            return dataclasses.replace(part, path=self.out / FORMER / RESULTS / part.path.name) if here else part
+            here = part.group != self.group and part.folder == self.out / RESULTS
+            return dataclasses.replace(part, folder=self.out / FORMER / RESULTS) if here else part
 
         self.others = [moved(part) for part in self.others]
         if "_index" in self.__dict__:
@@ -341,13 +371,6 @@ def _move(source: Path, target: Path, wanted: Callable[[str], bool]) -> int:
     for folder in (source, target) if moved else ():
         sync_folder(folder)
     return len(moved)
-
-
-def _about(metadata: Mapping[bytes, bytes]) -> dict[str, str]:
-    """What is kept in memory of a part's metadata; there may be ten thousand of them."""
-    return {
-        sys.intern(name): sys.intern(metadata[name.encode()].decode()) for name in _ABOUT if name.encode() in metadata
-    }
 
 
 def _content(path: Path) -> tuple[bytes | None, str]:

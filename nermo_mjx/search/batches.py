@@ -42,11 +42,10 @@ from nermo_mjx.search.spec import Scores, Search, cells_of, elites_of, scores_of
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError, changes, dump
 from nermo_mjx.sweep.replay import SweepRow
-from nermo_mjx.sweep.results import Results, chunk_files, read_table
+from nermo_mjx.sweep.results import RECORDINGS, Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.series import recording_file
 from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator
-from nermo_mjx.sweep.store import RECORDINGS
 from nermo_mjx.sweep.table import Columns, chunk_table, columns_of, meta
 
 SEARCH: Final = "search.yaml"

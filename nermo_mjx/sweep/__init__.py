@@ -10,7 +10,21 @@ from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.table import summarize
 
 __all__ = [
-    "DirectoryError", "Results", "Rows", "Sample", "SpecError", "Sweep", "SweepError", "SweepInterrupted",
-    "SweepProgress", "SweepResult", "machine", "merge_sweeps", "read_table", "run_sweep", "sample",
-    "summarize", "versions",
-]  # fmt: skip
+    "DirectoryError",
+    "Results",
+    "Rows",
+    "Sample",
+    "SpecError",
+    "Sweep",
+    "SweepError",
+    "SweepInterrupted",
+    "SweepProgress",
+    "SweepResult",
+    "machine",
+    "merge_sweeps",
+    "read_table",
+    "run_sweep",
+    "sample",
+    "summarize",
+    "versions",
+]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import os
@@ -15,8 +16,8 @@ import numpy as np
 from nermo_mjx.physics import ENGINES
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.rollout import History, Simulator
-from nermo_mjx.runs.files import parquet_table
-from nermo_mjx.runs.rows import part_files
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.sampling import Rows, Sample
@@ -128,24 +129,25 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
     if not out.is_dir():
         raise SpecError(f"{out}: {'this is a file, not a directory' if out.exists() else 'no such directory'}.")
     if not (out / "sweep.yaml").exists():
-        raise SpecError(f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or "
-                        "search.yaml.")  # fmt: skip
+        raise SpecError(
+            f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or search.yaml."
+        )
     sweep = Sweep.from_directory(out)
-    rows, stored, engines, outdated = Sample(sweep), None, list[str](), False
+    rows, stored, engines, outdated = Sample(sweep), dict[str, Any](), list[str](), False
     if not 0 <= row < len(rows):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
     for path in part_files(out):
-        table = parquet_table(path)
-        if table is None:
-            continue
-        here = np.flatnonzero(table["row"].to_numpy() == row)
-        if table.schema.metadata[b"sweep"].decode() != sweep.digest():
-            outdated |= len(here) > 0
-            continue
-        engines.append(table.schema.metadata[b"engine"].decode())
-        if len(here):
-            stored, engines = table.slice(int(here[0]), 1).to_pylist()[0], engines[-1:]
-            break
+        with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged part has no rows
+            about, span = file.metadata.metadata, file.metadata.row_group(0).column(0).statistics
+            skipped = span is not None and span.has_min_max and not span.min <= row <= span.max
+            here = np.empty(0, int) if skipped else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
+            if about[b"sweep"].decode() != sweep.digest():
+                outdated |= len(here) > 0
+                continue
+            engines.append(about[b"engine"].decode())
+            if len(here):
+                stored, engines = file.read().slice(int(here[0]), 1).to_pylist()[0], engines[-1:]
+                break
     line = rows.take(np.array([row]))
     walk = sweep.structures[int(line.structure[0])]
     begin, end = walk.run.seconds(walk.setup.cycle_rate(walk.constants | _values(line)))
@@ -157,8 +159,8 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
         begin=float(begin),
         end=float(end),
         engine=engines[0] if engines else None,
-        stored=stored,
-        outdated=outdated and stored is None,
+        stored=stored or None,
+        outdated=outdated and not stored,
     )
 
 

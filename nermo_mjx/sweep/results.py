@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -14,8 +15,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from nermo_mjx.runs.files import DirectoryError, content_of, parquet_table
+from nermo_mjx.runs.files import DirectoryError, content_of
 from nermo_mjx.runs.rows import opened, part_files
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 
 #: Schema metadata that differs between the parts of one table.
 PART_KEYS = (b"chunk", b"series", b"steps", b"wall_seconds", b"engine", b"code")
@@ -27,6 +29,8 @@ _JOINED = 500
 
 #: What a directory says of its sweep for those who only read it.
 RECORD: Final = "sweep.json"
+#: Its folder of the rows that are kept.
+RECORDINGS: Final = "recordings"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,7 +98,8 @@ class Results:
             schema = source.schema
         else:
             with opened(source[0]) as file:
-                schema = _without_key(file.schema_arrow.empty_table()).schema
+                schema = file.schema_arrow
+                schema = pa.schema([field for field in schema if field.name != "key"], schema.metadata)
         self.schema = schema.with_metadata(_common(schema))
         table = self._read(["row", "status"])
         self._order = _order(table, once=not isinstance(source, pa.Table))
@@ -162,7 +167,10 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     Raises:
         DirectoryError: no readable part is there.
     """
-    parts = [_without_key(table) for path in result_files(out) if (table := parquet_table(path)) is not None]
+    parts = []
+    for path in result_files(out):
+        with contextlib.suppress(DirectoryError), opened(path) as file:  # a damaged one is left out
+            parts.append(file.read([name for name in file.schema_arrow.names if name != "key"]))
     if not parts:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(parts[0].schema)
@@ -184,10 +192,30 @@ def _order(table: pa.Table, *, once: bool) -> np.ndarray:
     return order[first] if once and not first.all() else order
 
 
-def _without_key(table: pa.Table) -> pa.Table:
-    return table.drop_columns("key") if "key" in table.column_names else table
-
-
 def _common(schema: pa.Schema) -> dict[bytes, bytes]:
     """Metadata of the table, whatever its files have."""
     return {key: value for key, value in (schema.metadata or {}).items() if key not in PART_KEYS}
+
+
+# ---
+# How far a sweep's directory is.
+
+
+def status(out: Path) -> Status:
+    """How many runs of its sweep a directory holds."""
+    notes, rows, done, engines = list[str](), None, 0, list[str]()
+    try:
+        sweep = SweepRecord.of_directory(out)
+        rows = None if sweep is None else sweep.rows
+    except DirectoryError as error:
+        notes.append(str(error))
+    for path in part_files(out):
+        if about := metadata_of(path, notes, "its runs will be made again."):
+            done += about.num_rows
+            engines.append((about.metadata or {}).get(b"engine", b"").decode())
+    if kept := len(list((out / RECORDINGS).glob("row-*.npz"))):
+        notes.append(f"{kept} of its runs {'are' if kept > 1 else 'is'} recorded in {RECORDINGS}/.")
+    complete = done == rows and (out / "summary.json").exists()
+    # The figures need no simulation; the others are distinguished by the table's columns.
+    engine = ", ".join(dict.fromkeys(filter(None, engines))) or None
+    return status_of("runs", out, done, rows, complete, command="sweep", spec="sweep.yaml", engine=engine, notes=notes)

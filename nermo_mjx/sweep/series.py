@@ -22,10 +22,10 @@ from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.text import plain
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.replay import engine_for, find_row, replay_row, report_of
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.results import RECORDINGS, Results
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.spec import Keep, Sweep, cost, sides_in
-from nermo_mjx.sweep.store import RECORDINGS, simulated_seconds
+from nermo_mjx.sweep.store import simulated_seconds
 
 #: Most that the series of one chunk may take in memory [bytes]; two chunks are held at once.
 LARGEST_CHUNK: Final = 512 * 2**20
@@ -46,8 +46,10 @@ def series_table(sweep: Sweep, index: np.ndarray, series: Series) -> pa.Table:
         "row": pa.array(np.repeat(index.astype(np.int64), chunk.count)),
         "time": pa.array(np.broadcast_to(chunk.time, kept.shape)[kept]),
     }
-    fields = [_field("row", pa.int64(), "1", "position of the run in the sweep", "index"),
-              _field("time", pa.float64(), "s", "since the start, warm-up included", "index")]  # fmt: skip
+    fields = [
+        _field("row", pa.int64(), "1", "position of the run in the sweep", "index"),
+        _field("time", pa.float64(), "s", "since the start, warm-up included", "index"),
+    ]
     for signal in signals_of(sweep):
         arrays[signal.name] = pa.array(chunk.values[signal.name][kept])
         fields.append(_field(signal.name, pa.float32(), signal.unit, signal.doc, "signal"))

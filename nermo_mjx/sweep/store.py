@@ -30,7 +30,7 @@ from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import code_identity, with_code_copied, written_metrics
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import WalkSpec, unread
-from nermo_mjx.sweep.results import RECORD, SweepRecord
+from nermo_mjx.sweep.results import RECORD, RECORDINGS, SweepRecord
 from nermo_mjx.sweep.sampling import Rows, Sample
 from nermo_mjx.sweep.spec import Sweep
 from nermo_mjx.sweep.structures import STRUCTURES
@@ -81,9 +81,11 @@ def refusal(there: Sweep, here: Sweep) -> str:
 
 
 def _of_rows(name: str, free: set[str]) -> bool:
-    return name in free or name.split(".")[0] in free & set(STRUCTURES) or any(
-        name == field or name.startswith(f"{field}.") for field in _ROWS
-    )  # fmt: skip
+    return (
+        name in free
+        or name.split(".")[0] in free & set(STRUCTURES)
+        or any(name == field or name.startswith(f"{field}.") for field in _ROWS)
+    )
 
 
 def _apart(there: Sweep, here: Sweep) -> list[str]:
@@ -188,8 +190,6 @@ def keys_of_rows(sweep: Sweep, rows: Rows) -> np.ndarray:
 # What a directory is for: its sweep, which is written first, and extended where that is asked for.
 
 
-#: Folder of the rows that are kept.
-RECORDINGS: Final = "recordings"
 #: What is made of the results, and belongs to them.
 _MADE: Final = ("summary.json", "comparison.parquet", "sensitivity.parquet", "plots", RECORDINGS)
 
