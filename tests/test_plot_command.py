@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from command import call
-from sweep_fake import SPEC, FakeSimulator
+from sweep_fake import SPEC, FakeSimulator, part_of
 from test_experiment_plots import walked
 from tune_fake import SPEC as TUNE_SPEC
 from tune_fake import FakeProblem, FakeWalker
@@ -93,7 +93,7 @@ def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> N
 
 
 def test_an_unfinished_sweep_is_drawn_as_far_as_it_is(sweep: Path) -> None:
-    chunk = sweep / "results" / "chunk-00001.parquet"
+    chunk = part_of(sweep, 1)
     there = 36 - pq.read_metadata(chunk).num_rows
     chunk.unlink()
     result = plot(sweep)

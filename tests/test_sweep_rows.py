@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from sweep_fake import SPEC, FakeSimulator, speed
+from sweep_fake import SPEC, FakeSimulator, part_of, speed
 
 from nermo_mjx.cli import main
 from nermo_mjx.sweep import SpecError, Sweep, read_table, run_sweep, simulating
@@ -68,7 +68,7 @@ def test_the_directory_needs_the_file_no_more(tmp_path, expected):
     out = tmp_path / "out"
     run_sweep({"rows": str(tmp_path / "design.csv"), "plots": False}, out, chunk=1, simulator=FakeSimulator())
     (tmp_path / "design.csv").unlink()
-    (out / "results" / "chunk-00001.parquet").unlink()
+    part_of(out, 1).unlink()
     moved = tmp_path / "moved"
     shutil.move(out, moved)
     assert find_row(moved, 3).values["spine.amplitude"] == expected["spine.amplitude"][3]

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from sweep_fake import FakeSimulator
+from sweep_fake import FakeSimulator, part_of
 
 from nermo_mjx.cli import main
 from nermo_mjx.runs import codes_of
@@ -142,7 +142,7 @@ def test_each_model_has_its_own_code_and_they_are_no_other_code(tmp_path, asked)
     assert len(set(columns(table, "tail", "code"))) == 2
     rigid, articulated = codes_of(tmp_path).values()
     assert rigid.unlike(articulated) == f"model {rigid.model}, not {articulated.model}"
-    (tmp_path / "results" / "chunk-00003.parquet").unlink()
+    part_of(tmp_path, 3).unlink()
     assert run_sweep(spec, tmp_path, engine="c").table.equals(table)
 
 

@@ -57,7 +57,7 @@ class Kind:
 KINDS: Final = {
     kind.name: kind
     for kind in (
-        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.status:status", ("x", "y", "color", "notify")),
+        Kind("sweep", "a sweep", "sweep.plots:figures", "sweep.results:status", ("x", "y", "color", "notify")),
         Kind("search", "a search", "search.plots:figures", "search.status:status", ("x", "y", "color", "notify")),
         Kind("tuning", "a tuning", "tune.plots:figures", "tune.status:status"),
         Kind("training", "a training", "learn.plots:figures", "learn.status:status"),
@@ -66,8 +66,8 @@ KINDS: Final = {
              tracked=True),
         Kind("identification", "an identification", "experiments.identification:drawn",
              "experiments.identification:status", tracked=True),
-        Kind("comparison", "a comparison", "sweep.comparing.figures:figures", "sweep.table:status", tracked=True),
-        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity_figure:figures", "sweep.table:status",
+        Kind("comparison", "a comparison", "sweep.comparing:figures", "sweep.table:status", tracked=True),
+        Kind("sensitivity", "a sensitivity analysis", "sweep.sensitivity:figures", "sweep.table:status",
              tracked=True),
         Kind("benchmarks", "benchmarks", "bench.results:figures", "bench.results:status", tracked=True),
     )
@@ -289,8 +289,7 @@ def compare_command(
         raise click.UsageError("--base is a value of --by; for two directories, the first one is the base.")
     chosen = dict(_split(text) for text in where)
     with stdout_reserved():
-        from nermo_mjx.sweep.comparing import compare
-        from nermo_mjx.sweep.comparing.figures import figures_of
+        from nermo_mjx.sweep.comparing import compare, figures_of
 
         found = compare(a, b, by=by, base=base, groups=groups, where=chosen, drawn=drawn)
     tell_report("compare", "comparison", found, figures_of, out, _print_comparison, as_json=as_json, quiet=quiet)
@@ -363,8 +362,7 @@ def sensitivity_command(path: Path, metric: str, out: Path | None, as_json: bool
     gives all of them, any other random sample the first-order ones.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.sensitivity import sensitivity
-        from nermo_mjx.sweep.sensitivity_figure import figures_of
+        from nermo_mjx.sweep.sensitivity import figures_of, sensitivity
 
         found = sensitivity(path, metric)
     tell_report("sensitivity", "sensitivity", found, figures_of, out, _print_sensitivity, as_json=as_json, quiet=quiet)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from nermo_mjx.search import Search, SearchProgress, SearchResult
     from nermo_mjx.search.cost import Cost as SearchCost
     from nermo_mjx.sweep import Sweep, SweepResult
-    from nermo_mjx.sweep.forecast import Forecast
+    from nermo_mjx.sweep.run import Forecast
     from nermo_mjx.tune import Tuning, TuningProgress, TuningResult
     from nermo_mjx.tune.cost import MethodCost
     from nermo_mjx.tune.landscape import LandscapeResult
@@ -159,7 +159,7 @@ def sweep_command(
         raise click.UsageError("--dry-run estimates for this machine: leave out --workers.")
     if dry_run or out is None:
         with stdout_reserved():
-            from nermo_mjx.sweep.forecast import forecast
+            from nermo_mjx.sweep.run import forecast
 
             found = forecast(_read_sweep(spec, rows, seed), out, **{name: how[name] for name in _FORECAST})
         return dataclasses.asdict(found), lambda: _print_forecast(found)
@@ -284,7 +284,7 @@ def merge_command(sources: tuple[Path, ...], out: Path, accept_new_code: bool, q
     from the first of them.
     """
     with stdout_reserved():
-        from nermo_mjx.sweep.merging import merge_sweeps
+        from nermo_mjx.sweep import merge_sweeps
 
         result = merge_sweeps(sources, out, accept_new_code=accept_new_code, warn=sayer("merge", quiet))
 

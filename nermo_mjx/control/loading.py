@@ -12,6 +12,7 @@ import inspect
 import sys
 import traceback
 from collections.abc import Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Final
@@ -45,13 +46,19 @@ def content_of_source(subject: str, source: str, form: str) -> tuple[str, bytes]
         raise ParameterError(f"{subject}: {path} cannot be read ({error.strerror}).") from None
 
 
+#: Whether files and modules that are named may be run: what only reads a directory runs none of its code.
+RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
+
+
 def module_of(subject: str, source: str, form: str) -> ModuleType:
     """The module of a source; a file is executed once for each version of its content. The arguments are those of
     `content_of_source`.
 
     Raises:
-        ParameterError: see `content_of_source`; or it cannot be imported.
+        ParameterError: see `content_of_source`; or it cannot be imported, or nothing may be run here.
     """
+    if not RUNS_CODE.get():
+        raise ParameterError(f"{subject}: it is code, which a command that only reads does not run.")
     path, content = content_of_source(subject, source, form)
     with told(f"{subject}: it cannot be imported"):
         return _imported(source, path, content)

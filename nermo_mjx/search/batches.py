@@ -42,11 +42,10 @@ from nermo_mjx.search.spec import Scores, Search, cells_of, elites_of, scores_of
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError, changes, dump
 from nermo_mjx.sweep.replay import SweepRow
-from nermo_mjx.sweep.results import Results, chunk_files, read_table
+from nermo_mjx.sweep.results import RECORDINGS, Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows
 from nermo_mjx.sweep.series import recording_file
 from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator
-from nermo_mjx.sweep.store import RECORDINGS
 from nermo_mjx.sweep.table import Columns, chunk_table, columns_of, meta
 
 SEARCH: Final = "search.yaml"
@@ -518,7 +517,7 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
     return SweepRow(
         out=out, sweep=search.sweep, row=row, line=Rows(**index, values=values, structure=np.zeros(1, int)),
         begin=float(begin), end=float(end), engine=_engine_of(out),
-        chunk=np.array([row]), stored=stored, outdated=False,
+        stored=stored, outdated=False,
     )  # fmt: skip
 
 

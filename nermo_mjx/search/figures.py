@@ -17,7 +17,7 @@ from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, colour_sc
 from nermo_mjx.rollout import Metric
 from nermo_mjx.search.batches import Evaluations, atlas_progress, hypervolumes
 from nermo_mjx.search.spec import cells_of, elites_of
-from nermo_mjx.sweep.survey import named_points, trade_off
+from nermo_mjx.sweep.plots import named_points, trade_off
 from nermo_mjx.tune.objective import Term
 
 _WIDTH: Final = 7.2

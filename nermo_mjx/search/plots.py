@@ -13,9 +13,8 @@ from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.search import figures as drawn
 from nermo_mjx.search.batches import SEARCH, Evaluations
 from nermo_mjx.search.spec import Search
-from nermo_mjx.sweep.plots import chosen_figure
+from nermo_mjx.sweep.plots import chosen_figure, survey_figures
 from nermo_mjx.sweep.results import Results, chunk_files
-from nermo_mjx.sweep.survey import survey_figures
 
 
 def figures_of(search: Search, results: Results) -> Iterator[tuple[str, Figure]]:
