@@ -269,7 +269,7 @@ def update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
         eyes=eye_metrics.update(state.eyes, sensors, part.weight, share),
-        drawn=electrical.update(state.drawn, torque, sensors.servo_velocity, servo or Servo(), part.weight),
+        drawn=electrical.update(state.drawn, torque, sensors.servo_velocity, servo or ModelParameters().servo, part.weight),
         clamped=state.clamped + part.weight * clamped,
         airborne=state.airborne + part.weight * jnp.mean(sensors.contact_distance >= 0.0),
         penetration=jnp.where(
