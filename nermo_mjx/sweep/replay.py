@@ -133,7 +133,7 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
             f"{out}: not the directory of a sweep or a search; allowed is one with a file sweep.yaml or search.yaml."
         )
     sweep = Sweep.from_directory(out)
-    rows, stored, engines, outdated = Sample(sweep), dict[str, Any](), list[str](), False
+    digest, rows, stored, engines, outdated = sweep.digest(), Sample(sweep), dict[str, Any](), list[str](), False
     if not 0 <= row < len(rows):
         raise SpecError(f"row is {row}: allowed is 0 to {len(rows) - 1}.")
     for path in part_files(out):
@@ -141,7 +141,7 @@ def find_row(out: str | os.PathLike[str], row: int) -> SweepRow:
             about, span = file.metadata.metadata, file.metadata.row_group(0).column(0).statistics
             skipped = span is not None and span.has_min_max and not span.min <= row <= span.max
             here = np.empty(0, int) if skipped else np.flatnonzero(file.read(["row"])["row"].to_numpy() == row)
-            if about[b"sweep"].decode() != sweep.digest():
+            if about[b"sweep"].decode() != digest:
                 outdated |= len(here) > 0
                 continue
             engines.append(about[b"engine"].decode())
