@@ -306,13 +306,15 @@ def test_time_without_contact_and_the_deepest_contact():
     result, _ = measure(stream(401, contact_distance=distance))
     assert result["airborne_time"] == pytest.approx(0.25)
     assert result["penetration"] == pytest.approx(0.003)
+    assert result["sunk_time"] == 0.0
 
 
 def test_endings_say_what_is_no_walk():
-    table = {name: np.zeros(6) for name in ("fell", "diverged", "penetration", "airborne_time")}
-    table["fell"][:1], table["diverged"][1], table["penetration"][:3], table["airborne_time"][2:4] = 1, 1, 0.0041, 0.51
-    named = metrics.endings(table, np.array([True] * 5 + [False]))
-    assert named.tolist() == ["fell", "diverged", "sank", "floated", "unsolved", "ok"]
+    table = {name: np.zeros(7) for name in ("fell", "diverged", "penetration", "sunk_time", "airborne_time")}
+    table["fell"][:1], table["diverged"][1], table["penetration"][:3], table["sunk_time"][3] = 1, 1, 0.0061, 0.06
+    table["airborne_time"][3:5] = 0.51
+    named = metrics.endings(table, np.array([True] * 6 + [False]))
+    assert named.tolist() == ["fell", "diverged", "sank", "sank", "floated", "unsolved", "ok"]
 
 
 def test_cost_of_transport_needs_a_distance():

@@ -46,8 +46,11 @@ FALLEN_COSINE: Final = 0.5
 FALLEN_HEIGHT: Final = 0.025
 #: Speed above which the simulation counts as diverged [m/s].
 DIVERGED_SPEED: Final = 50.0
-#: Deepest contact that is still one of a sole, the sole's thickness [m].
+#: Thickness of the sole [m]. A contact that is deeper for more than this share of the time, or ever deeper than that
+#: [m], is none of a sole any more.
 SUNK: Final = 0.004
+SUNK_TIME: Final = 0.05
+DEEPEST: Final = 0.006
 #: Share of time without a contact from which a run is no walk.
 FLOATED: Final = 0.5
 GRAVITY: Final = 9.81
@@ -63,7 +66,7 @@ class Ending(enum.Enum):
     ok = "The robot walked to the end."
     fell = "The robot fell."
     diverged = "The simulation diverged."
-    sank = "A part of the robot sank into the ground or an obstacle by more than 4 mm, the sole's thickness."
+    sank = "The robot sank in by more than the sole's thickness of 4 mm for a twentieth of the time, or by 6 mm once."
     floated = "The robot touched nothing for more than half of the time."
     unsolved = "The constraint solver stopped short in more than one step of a thousand: the numbers are rough."
 
@@ -73,7 +76,7 @@ def endings(table: Mapping[str, np.ndarray], unsolved: np.ndarray) -> np.ndarray
     flags = {
         Ending.diverged: table["diverged"] > 0,
         Ending.fell: table["fell"] > 0,
-        Ending.sank: table["penetration"] > SUNK,
+        Ending.sank: (table["penetration"] > DEEPEST) | (table["sunk_time"] > SUNK_TIME),
         Ending.floated: table["airborne_time"] > FLOATED,
         Ending.unsolved: unsolved,
     }
@@ -102,7 +105,8 @@ class MetricState:
         path: how the path was followed.
         eyes: motion of the eyes.
         drawn: what the servos draw.
-        clamped, airborne: time with a servo asked for more than its range, and time without any contact [s].
+        clamped, airborne, sunk: time with a servo asked for more than its range, without any contact, and with one that
+            is deeper than the sole is thick [s].
         penetration: depth of the deepest contact since the start [m].
         own: accumulators of custom metrics; None without any.
         on_path: whether the pilot has a path.
@@ -137,6 +141,7 @@ class MetricState:
     drawn: electrical.Drawn
     clamped: Scalar
     airborne: Scalar
+    sunk: Scalar
     penetration: Scalar
     own: reduction.OwnState | None
     on_path: Truth
@@ -160,7 +165,7 @@ def init(sensors: Sensors, own: tuple[OwnMetric, ...] = ()) -> MetricState:
         origin=position, end=position, heading=jnp.stack([angles[2], angles[2]]), loaded=four, slid=four,
         swing=four, swing_loaded=four, load=jnp.append(four, zero), tail_loaded=zero, path=path_metrics.init(position),
         eyes=eye_metrics.init(sensors), drawn=electrical.Drawn(zero, zero, zero), clamped=zero, airborne=zero,
-        penetration=zero,
+        sunk=zero, penetration=zero,
         own=reduction.init(own, sensors) if own else None, on_path=no,
         lost=no, failure_time=zero, fell=no, diverged=no, begun=no, finished=no,
     )  # fmt: skip
@@ -269,9 +274,12 @@ def update(
             state.path, (last.position - origin)[:2], error, part.weight, part.rest, part.cycle_ends
         ),
         eyes=eye_metrics.update(state.eyes, sensors, part.weight, share),
-        drawn=electrical.update(state.drawn, torque, sensors.servo_velocity, servo or ModelParameters().servo, part.weight),
+        drawn=electrical.update(
+            state.drawn, torque, sensors.servo_velocity, servo or ModelParameters().servo, part.weight
+        ),
         clamped=state.clamped + part.weight * clamped,
         airborne=state.airborne + part.weight * jnp.mean(sensors.contact_distance >= 0.0),
+        sunk=state.sunk + part.weight * jnp.mean(sensors.contact_distance < -SUNK),
         penetration=jnp.where(
             judged & ~lost, jnp.maximum(state.penetration, -sensors.contact_distance.min()), state.penetration
         ),
@@ -367,6 +375,7 @@ def result(
         "servo_clamped": state.clamped / time,
         "airborne_time": state.airborne / time,
         "penetration": state.penetration,
+        "sunk_time": state.sunk / time,
     }
     for i, limb in enumerate(LIMBS):
         metrics |= {

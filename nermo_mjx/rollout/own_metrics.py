@@ -84,6 +84,7 @@ METRICS: Final[dict[str, Metric]] = {
     "servo_clamped": Metric("1", "share of time with a servo asked for an angle beyond its range", "low"),
     "airborne_time": Metric("1", "share of time without any contact"),
     "penetration": Metric("m", "depth of the deepest contact since the start", "low"),
+    "sunk_time": Metric("1", "share of time with a contact deeper than the sole is thick", "low"),
     "fell": Metric("1", "1 if the torso tilted past 60 degrees or came to the ground", "low"),
     "diverged": Metric("1", "1 if the simulation lost its numbers", "low"),
     "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
