@@ -187,7 +187,7 @@ def test_modes_of_the_vertical_servo_need_its_joints():
 @pytest.mark.parametrize(("mode", "least", "most"), [("none", 0.0, 0.05), ("sagittal_extension", 0.08, 0.13)])
 def test_a_bound_walks_forward_with_and_without_the_vertical_spine(simulator, mode, least, most):
     """It neither falls nor stands. At 0.4 rad of servo the vertical joints bend by about 0.1 rad; held, they give way
-    to the feet's impacts by less than half of that (0.042 rad; a third with the damped body's nine times the damping)."""
+    to the feet's impacts by less than half of that (0.042 rad; the damped body by a third)."""
     sim = simulator(**BOUND, spine=mode)
     result = sim.run({}, Run(cycles=5, warmup_cycles=2), record=True)
     assert result.metrics["fell"][0] == 0.0
