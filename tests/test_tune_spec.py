@@ -49,7 +49,7 @@ WRONG = {
     "unknown field": ("gait: trt", "gate: trt", 2, ["'gate' is not a field", "did you mean 'gait'?"]),
     "parameter as field": ("set:", "duty: 0.5\nset:", 6, ["'duty' is a parameter", "'tune' or 'set'"]),
     "sweep's field": ("mode: forward", "vary: {duty: [0.5]}", 22, ["'vary' is a field of a sweep", "'tune'"]),
-    "unknown gait": ("gait: trt", "gait: trot", 2, ["'gait' is 'trot'", "did you mean 'trt'?"]),
+    "unknown gait": ("gait: trt", "gait: trtt", 2, ["'gait' is 'trtt'", "did you mean 'trt'?"]),
     "unknown parameter": (
         "spine.amplitude",
         "spine.amplitud",
