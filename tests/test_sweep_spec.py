@@ -70,7 +70,7 @@ WRONG = {
     "uniform on a grid": (FREQUENCY, "{uniform: [0.4, 1.2]}", 9, ["a grid cannot list", "sobol"]),
     "nothing varied": (GOOD[GOOD.index("vary:") :], "vary: {}\n", 8, ["nothing to sweep"]),
     "too many": ("1.2, 9]", "1.2, 900000]", 8, ["105,300,000 runs", "a sampler"]),
-    "unknown gait": ("gait: trt", "gait: trot", 3, ["'gait' is 'trot'", "did you mean 'trt'?", "lat"]),
+    "unknown gait": ("gait: trt", "gait: trtt", 3, ["'gait' is 'trtt'", "did you mean 'trt'?", "lat"]),
     "unknown scene": ("scene: flat", "scene: flatt", 2, ["'scene' is 'flatt'", "did you mean 'flat'?"]),
     "unknown robot": ("nermo_lite", "nermo_light", 1, ["'robot' is 'nermo_light'", "did you mean 'nermo_lite'?"]),
     "unknown spine": ("spine: stride_extension", "spine: stride", 4, ["'spine' is 'stride'", "stride_extension"]),

@@ -37,7 +37,7 @@ class Servo:
     model, already brake by as much as 0.39 V s/rad would.
     """
 
-    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=400.0, doc="proportional gain; see servo_limits")
+    kp: Any = quantity(19.11, unit="N m/rad", low=0.1, high=350.0, doc="proportional gain; see servo_limits")
     kv: Any = quantity(0.01561, unit="N m s/rad", low=0.0, high=0.55, doc="velocity damping of the servo loop")
     torque_limit: Any = quantity(0.157, unit="N m", low=0.01, high=2.0, doc="stall torque")
     spine_torque: Any = quantity(
