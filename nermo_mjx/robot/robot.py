@@ -6,7 +6,6 @@ import copy
 import dataclasses
 import functools
 import hashlib
-import warnings
 from typing import Any
 
 import jax
@@ -238,11 +237,6 @@ class Robot:
 
 @functools.lru_cache(maxsize=8)
 def _compile(config: RobotConfig) -> _Compiled:
-    if config.routing == "type1" and mujoco.__version__ >= "4":
-        warnings.warn(
-            "routing is type1: MuJoCo 4 leads its tendon off the pulley in 7 % of the leg's poses, by up to 27 mm; "
-            "MuJoCo 3.17 does not.", stacklevel=3,
-        )  # fmt: skip
     try:
         spec = assemble(config)
         model = spec.compile()
