@@ -31,9 +31,8 @@ Contacts = tuple[Float[Array, "*n"], Float[Array, "*n 3"], Float[Array, "*n 3 3"
 ROUNDS: Final = 20
 #: Distance of what is no contact [m], as MJX has it.
 FAR: Final = 1.0
-_X: Final = np.array([1.0, 0.0, 0.0])
-#: Signs of a box's corners.
-_CORNERS: Final = np.array([[1.0 if i >> k & 1 else -1.0 for k in range(3)] for i in range(8)])
+#: Signs of a box's corners; no array, which JAX mixes up in programs of 32 and of 64 bits.
+_CORNERS: Final = tuple(tuple(1 if i >> k & 1 else -1 for k in range(3)) for i in range(8))
 
 
 def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]], Any]:
@@ -51,10 +50,11 @@ def _collider(count: int) -> Callable[[Callable[[GeomInfo, GeomInfo], Contacts]]
     return wrap
 
 
-def _unit(vector: Vector, otherwise: Array | np.ndarray = _X) -> Vector:
-    """Direction of a vector; another one, without a derivative by it, where it is zero."""
+def _unit(vector: Vector, otherwise: Vector | None = None) -> Vector:
+    """Direction of a vector; another one, by default x, without a derivative by it, where it is zero."""
     length = spatial.length(vector)
     none = length < mjMINVAL
+    otherwise = jnp.eye(3, dtype=vector.dtype)[0] if otherwise is None else otherwise
     return jnp.where(none, otherwise, vector / jnp.where(none, 1.0, length))
 
 
@@ -175,7 +175,7 @@ def plane_cylinder(one: GeomInfo, other: GeomInfo) -> Contacts:
 def plane_box(one: GeomInfo, other: GeomInfo) -> Contacts:
     """At the four lowest corners, where these are not above the centre."""
     normal = one.mat[:, 2]
-    corners = (_CORNERS * other.size) @ other.mat.T
+    corners = (np.array(_CORNERS) * other.size) @ other.mat.T
     lowest = jnp.argsort(jax.lax.stop_gradient(corners @ normal))[:4]
     corners, below = corners[lowest], (corners @ normal)[lowest]
     dist = jnp.where(below <= 0.0, (other.pos - one.pos) @ normal + below, FAR)
