@@ -19,6 +19,7 @@ from nermo_mjx.cli.progress import Progress
 from nermo_mjx.cli.view import check_video, load_recording, save_run
 
 if TYPE_CHECKING:
+    from nermo_mjx.control.schedule import Switch
     from nermo_mjx.hardware.live import Sent
     from nermo_mjx.hardware.table import ServoTable
     from nermo_mjx.rollout import Run, RunResult, Setup
@@ -71,6 +72,7 @@ def plan(
     *,
     pilot: str | None,
     assignments: tuple[str, ...],
+    switches: tuple[str, ...],
     seed: int | None,
     cycles: float | None,
     duration: float | None,
@@ -82,7 +84,8 @@ def plan(
     from nermo_mjx.rollout import Setup, all_parameters
 
     pilot = pilot or ("straight" if options["turn_rate"] is None else "open_loop")
-    setup = Setup(pilot=pilot, **{name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None})
+    chosen = {name: options[name] for name in SETUP_OPTIONS if options.get(name) is not None}
+    setup = Setup(pilot=pilot, schedule=tuple(map(_switch, switches)), **chosen)
     known = all_parameters(setup)
     values: dict[str, float] = {} if seed is None else _shifted_start(seed)
     for option, (name, needs) in PARAMETER_OPTIONS.items():
@@ -101,6 +104,23 @@ def plan(
         known[name].check(name, value)
     parameters = {name: float(value) for name, value in values_of(setup.world(values))}
     return Plan(setup, _length(cycles, duration, warmup), values, parameters)
+
+
+def _switch(text: str) -> Switch:
+    """The switch of AT,NAME=X[,NAME=X]..."""
+    from nermo_mjx.control.schedule import Switch
+    from nermo_mjx.robot.quantity import ParameterError
+
+    at, *parts = text.split(",")
+    pairs = dict(part.partition("=")[::2] for part in parts)
+    words = {name: pairs.pop(name) for name in ("gait", "steering", "spine", "head", "tail_motion") if name in pairs}
+    try:
+        return Switch(
+            float(at), float(pairs.pop("blend", 1.0)), **words, values={k: float(v) for k, v in pairs.items()}
+        )
+    except ValueError as error:
+        about = f" {error}" if isinstance(error, ParameterError) else ""
+        raise WrongUse(f"--switch {text}: expected AT,NAME=X such as 2.5,gait=lat,frequency=0.8.{about}") from None
 
 
 def _length(cycles: float | None, duration: float | None, warmup: float | None) -> Run:
@@ -187,6 +207,7 @@ Examples:
   nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
   nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
   nermo-mjx walk --set contact.friction=0.6 --json
+  nermo-mjx walk --duration 8 --switch 2,gait=lat --switch 5,spine=stride_extension
   nermo-mjx walk --controller bound.py:Bound --set reach=0.04
   nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
   nermo-mjx walk --metrics my_metrics.py
@@ -206,6 +227,9 @@ Examples:
 @options.choice("--tail", TAILS)
 @options.physics
 @options.set_option("Any parameter that `sweep --list-parameters` prints; repeatable.")
+@click.option("--switch", "switches", multiple=True, metavar="AT,NAME=X...",
+              help="From AT seconds on another gait, spine, steering, head, tail_motion or parameter; blend=X cycles; "
+                   "repeatable.")  # fmt: skip
 @options.number("--seed", "Shift the start slightly, like the repeats of a sweep.", click.IntRange(0))
 @options.engine
 @options.file("--record", ".npz", "Save the whole run.")

@@ -290,6 +290,28 @@ def counter_roll(tail: Tail, pace: Pace, sensors: Sensors | None = None) -> Scal
     return tail_held(tail, pace) if sensors is None else tail.angle + tail.roll_gain * attitude(sensors.orientation)[0]
 
 
+@dataclasses.dataclass(frozen=True)
+class SeveralTails(TailLike):
+    """The sum of motions about `tail.angle`, of which a schedule switches some on and some off."""
+
+    parts: tuple[TailLike, ...]
+
+    def start(self, params: Any, pace: Pace) -> tuple[Any, Scalars]:
+        return self._sum(params, pace, [part.start(params, pace) for part in self.parts])
+
+    def init(self, params: Any, memory: Any, sensors: Sensors) -> Any:
+        return tuple(part.init(params, own, sensors) for part, own in zip(self.parts, memory, strict=True))
+
+    def update(self, params: Any, memory: Any, sensors: Sensors, pace: Pace, dt: float) -> tuple[Any, Scalars]:
+        each = zip(self.parts, memory, strict=True)
+        return self._sum(params, pace, [part.update(params, own, sensors, pace, dt) for part, own in each])
+
+    @staticmethod
+    def _sum(params: Any, pace: Pace, found: list[tuple[Any, Scalars]]) -> tuple[Any, Scalars]:
+        still = tail_held(params.tail, pace)
+        return tuple(memory for memory, _ in found), sum((angle - still for _, angle in found), still)
+
+
 _TAILS: Final[dict[str, TailLike]] = {
     "none": Memoryless("tail", tail_held),
     SWING: Memoryless("tail", swing),
@@ -300,5 +322,6 @@ TAIL_MOTIONS: Final = tuple(_TAILS)
 
 
 def named_tail(name: str = "none") -> TailLike:
-    """The tail control of this name in `TAIL_MOTIONS`."""
-    return _TAILS[choice("tail_motion", name, TAIL_MOTIONS)]
+    """The tail control of this name in `TAIL_MOTIONS`, or of several joined by "+"."""
+    parts = tuple(_TAILS[choice("tail_motion", part, TAIL_MOTIONS)] for part in name.split("+"))
+    return parts[0] if len(parts) == 1 else SeveralTails(parts)

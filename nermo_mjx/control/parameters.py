@@ -123,6 +123,7 @@ class Spine:
     offset_at_feet: Any = quantity(
         0.0, "1", 0.0, 1.0, "what rises: 0 the hips, as in (5.31), 1 the rear feet, as in the author's code"
     )
+    balance_share: Any = quantity(1.0, "1", 0.0, 1.0, "share of the angle of the mode 'balance'")
     balance_lift: Any = quantity(0.009, "m", 0.0, 0.03, "d_lift, wanted distance of the COM inside the triangle")
     sagittal_amplitude: Any = quantity(
         0.3, "rad", 0.0, 0.6, "vertical servo's amplitude, spine mode 'sagittal_extension'"

@@ -99,7 +99,7 @@ class SpineModes(SpineLike):
             if self.robot is not None and getattr(params, "geometry", None) is not None:
                 masses = mass_model_of(self.robot, geometry)
             masses = jax.tree.map(jnp.asarray, masses, is_leaf=lambda leaf: isinstance(leaf, tuple))
-            auxiliary += balance(params.spine, masses, feet, stance, geometry)
+            auxiliary += params.spine.balance_share * balance(params.spine, masses, feet, stance, geometry)
         if "harmonics" in self.modes:
             auxiliary += harmonics(params.spine, phase)
         return fuse(params.spine, turning.spine_share(params.turning, turn_rate), auxiliary)

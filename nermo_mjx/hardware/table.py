@@ -146,6 +146,10 @@ def servo_table(
     setup = setup or Setup()
     if setup.controller is not None:
         raise ParameterError(f"controller is {setup.controller!r}: a servo table is of the published controller.")
+    if setup.schedule:
+        raise ParameterError(
+            "schedule is given: a servo table is of a steady gait; record the walk and take `recorded_table`."
+        )
     modes = mode_names(setup.spine)
     for name, choice in (
         ("head", setup.head),

@@ -141,7 +141,8 @@ class Rollout:
         loop, ticks = self._loop_parameters(params, self.seconds(values, policy), values)
         if qpos is None:
             geometry = params.model.geometry if names_geometry(values) else None
-            qpos = self.start.qpos(params.control, params.start, loop.terrain, geometry)
+            control = self.engine.loop.control_at(loop, 0.0)
+            qpos = self.start.qpos(control, params.start, loop.terrain, geometry)
         first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)
         carry = self.engine.start(loop, first, still, self.robot.sensordata_at_rest(first))

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from nermo_mjx.control.controller import Controller, canonical, with_dtypes_of
 from nermo_mjx.control.loading import named_place, told
 from nermo_mjx.control.protocol import ControllerLike, FollowsPath, PlansContact
+from nermo_mjx.control.schedule import Schedule, scheduled
 from nermo_mjx.robot import ParameterError, Robot, Sensors, ServoAngles
 from nermo_mjx.robot.model_parameters import Servo
 from nermo_mjx.robot.terrains import TerrainShape
@@ -38,6 +39,7 @@ class LoopParameters:
         servo: parameters of the servos.
         terrain: shape of the ground, in a scene that has one; None for the compiled ground.
         servo_brake: of the servos by their back-EMF [N m s/rad]; None unless it is named.
+        schedule: what changes of `control` while the robot walks; None for nothing.
     """
 
     control: Any
@@ -46,6 +48,7 @@ class LoopParameters:
     servo: Servo
     terrain: TerrainShape | None = None
     servo_brake: Any = None
+    schedule: Schedule | None = None
 
 
 def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named: Container[str]) -> LoopParameters:
@@ -59,7 +62,8 @@ def loop_parameters(robot: Robot, world: WorldParameters, window: Window, named:
     """
     servo = world.model.servo
     brake = servo.brake if "servo.back_emf" in named else None
-    return LoopParameters(world.control, world.start, window, servo, terrain_of(robot, world), brake)
+    terrain = terrain_of(robot, world)
+    return LoopParameters(world.control, world.start, window, servo, terrain, brake, world.schedule)
 
 
 def terrain_of(robot: Robot, world: WorldParameters) -> TerrainShape | None:
@@ -104,8 +108,9 @@ class ClosedLoop:
     def init(self, params: LoopParameters, sensordata: Float[Array, " n"]) -> LoopState:
         """See `Loop.init`."""
         sensors = self.robot.sensors(sensordata)
-        control = canonical(self.controller.init(params.control, sensors, params.start.phase))
-        servo = self.controller.initial_servo(params.control, params.start.phase).vector(self.robot.servos)
+        own = self.control_at(params, 0.0)
+        control = canonical(self.controller.init(own, sensors, params.start.phase))
+        servo = self.controller.initial_servo(own, params.start.phase).vector(self.robot.servos)
         servo = self._within_range(servo)
         first, now = jnp.zeros((), jnp.int32), jnp.zeros(())
         return LoopState(first, now, control, metrics.init(sensors, self.own), servo.astype(now.dtype), now)
@@ -115,7 +120,7 @@ class ClosedLoop:
     ) -> tuple[LoopState, Float[Array, " n_servos"]]:
         """See `Loop.step`. Metrics get the tick that has just ended, the controller its last reading."""
         measured = self.measure(params, state, sensordata)
-        controller, own = self.controller, params.control
+        controller, own = self.controller, self.control_at(params, state.time)
         control, servo = controller.update(own, state.control, self.last_reading(measured, sensordata))
         reach = params.servo.top_speed * controller.dt
         asked = servo.vector(self.robot.servos)
@@ -126,6 +131,11 @@ class ClosedLoop:
         after = LoopState(tick, tick * controller.dt, with_dtypes_of(state.control, control), measured, ctrl, clamped)
         return with_dtypes_of(state, after), ctrl
 
+    def control_at(self, params: LoopParameters, time: Scalar | float) -> Any:
+        """The controller's parameters at a time [s]."""
+        rate = self.controller.cycle_rate(params.control) if params.schedule is not None else None
+        return scheduled(params.control, params.schedule, time, rate)
+
     def _within_range(self, angles: Float[Array, " n_servos"]) -> Float[Array, " n_servos"]:
         return jnp.clip(angles, *jnp.asarray(self.robot.model.actuator_ctrlrange.T, angles.dtype))
 
@@ -134,7 +144,7 @@ class ClosedLoop:
     ) -> metrics.MetricState:
         """The metrics updated with the tick that has just ended."""
         sensors = self.robot.sensors(sensordata)
-        controller, own = self.controller, params.control
+        controller, own = self.controller, self.control_at(params, state.time)
         path, stance = None, None
         position = jnp.where(jnp.isfinite(sensors.position[-1]), sensors.position[-1], 0.0)
         if isinstance(controller, FollowsPath):

@@ -24,6 +24,7 @@ from nermo_mjx.control.parameters import (
 )
 from nermo_mjx.control.pilot import Command
 from nermo_mjx.control.protocol import ActsUpon, ChecksParameters, CompletesValues, ControllerLike
+from nermo_mjx.control.schedule import MODES, MOST, Schedule, Switch, check_schedule, schedule_of
 from nermo_mjx.control.spine_modes import SAGITTAL_MODES, SpineModes, mode_names
 from nermo_mjx.robot import GAIT_NAMES, ParameterError, Robot, RobotConfig, load_robot
 from nermo_mjx.robot.equipment import check_servo, highest_kp, highest_kv
@@ -77,6 +78,7 @@ class WorldParameters:
     control: Any = flat(ControlParameters)
     model: ModelParameters = flat(ModelParameters)
     start: Start = group(Start)
+    schedule: Schedule | None = None
 
 
 def check_ranges(world: WorldParameters, timestep: float) -> None:
@@ -222,6 +224,7 @@ class Setup:
             `FILE.npz`, a policy. The choices above from `gait` on belong to the published controller and cannot be
             combined with another; with a `Controller` of other parts, gait, steering and profile can. A policy has its
             own pilot, which a choice other than `straight` replaces.
+        schedule: what changes while the robot walks, see `control.schedule`.
         metrics: custom metrics in addition to `METRICS`: created by `metric`, or named as `FILE.py`, `FILE.py:NAME`,
             `MODULE` or `MODULE:NAME`; one, or several in a list.
 
@@ -249,6 +252,7 @@ class Setup:
     tail_motion: str = "none"
     controller: ControllerLike | str | None = None
     metrics: tuple[OwnMetric | str, ...] = ()
+    schedule: tuple[Switch, ...] = ()
 
     def __post_init__(self) -> None:
         config = RobotConfig(
@@ -261,9 +265,13 @@ class Setup:
         published_values(self.gait, steering=self.steering, profile=self.profile)
         if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
-        check_spine(self.spine, self.robot)
-        if choice("tail_motion", self.tail_motion, TAIL_MOTIONS) != Setup.tail_motion and self.tail == "rigid":
-            raise ParameterError(f"tail_motion is {self.tail_motion!r} and tail 'rigid': take the tail 'articulated'.")
+        object.__setattr__(self, "schedule", tuple(self.schedule))
+        for each in (self, *self.schedule):
+            check_spine(each.spine or "none", self.robot)
+        choice("tail_motion", self.tail_motion, TAIL_MOTIONS)
+        if self.modes["tail_motion"] and self.tail == "rigid":
+            motion = self.modes["tail_motion"][0]
+            raise ParameterError(f"tail_motion is {motion!r} and tail 'rigid': take the tail 'articulated'.")
         given: Any = self.metrics
         object.__setattr__(self, "metrics", (given,) if isinstance(given, (str, OwnMetric)) else tuple(given))
         check_kinds(self.metrics)
@@ -288,11 +296,20 @@ class Setup:
                  if self._applies(field.name)}  # fmt: skip
         named = tuple(each if isinstance(each, str) else each.name for each in given.pop("metrics"))
         given |= {"metrics": named} if named else {}
+        switches = [switch.written() for switch in given.pop("schedule")]
         given |= (
             {"steering": str(self.steering)} if "steering" in given else {}
         )  # without the type that YAML cannot write
-        return {name: value if value is None or isinstance(value, (str, int, float, tuple)) else type(value).__name__
-                for name, value in given.items()}  # fmt: skip
+        written = {name: value if value is None or isinstance(value, (str, int, float, tuple)) else type(value).__name__
+                   for name, value in given.items()}  # fmt: skip
+        return written | ({"schedule": switches} if switches else {})
+
+    @functools.cached_property
+    def modes(self) -> dict[str, tuple[str, ...]]:
+        """Modes of the spine, the head and the tail that act at any time of the run, by the choice that makes them."""
+        each = [Switch(0.0, spine=self.spine, head=self.head, tail_motion=self.tail_motion), *self.schedule]
+        return {field: tuple(dict.fromkeys(name for one in each for name in one.modes.get(field, ())))
+                for field in MODES}  # fmt: skip
 
     @functools.cached_property
     def own_metrics(self) -> tuple[OwnMetric, ...]:
@@ -308,7 +325,7 @@ class Setup:
 
     def make_controller(self) -> ControllerLike:
         """The controller with these choices."""
-        if self.controller is not None or "balance" not in mode_names(self.spine):
+        if self.controller is not None or "balance" not in self.modes["spine"]:
             return self._unbalanced
         own = self._unbalanced
         assert isinstance(own, Controller)
@@ -327,9 +344,10 @@ class Setup:
             if isinstance(own, ActsUpon) and self.pilot not in (Setup.pilot, "external"):
                 return own.upon(pilot=self.pilot, waypoints=self.waypoints)
             return own
+        spine, head, tail = self.modes.values()
         return published_controller(
-            tuple(set(mode_names(self.spine)) - {"balance"}), self.pilot, waypoints=self.waypoints,
-            command=self.command, trajectory=self.trajectory, head=self.head, tail_motion=self.tail_motion,
+            tuple(set(spine) - {"balance"}), self.pilot, waypoints=self.waypoints, command=self.command,
+            trajectory=self.trajectory, head="+".join(head) or "none", tail_motion="+".join(tail) or "none",
             routing=self.routing,
         )  # fmt: skip
 
@@ -352,6 +370,10 @@ class Setup:
         world = WorldParameters(control=controller.parameters)
         world = replace_quantities(world, mass_values(self.robot) | terrain_values(str(self.scene)))
         world = replace_quantities(world, gravity_values(np.asarray(load_scene(str(self.scene)).option.gravity)))
+        if self.schedule:
+            start = Switch(0.0, spine=self.spine, head=self.head, tail_motion=self.tail_motion).modes
+            known = dict(quantities(controller.parameters))
+            world = dataclasses.replace(world, schedule=schedule_of(self.schedule, start, known))
         if not isinstance(controller, Controller):
             return world
         values = published_values(self.gait, steering=self.steering, profile=self.profile)
@@ -369,6 +391,9 @@ class Setup:
         own = {name: dataclasses.replace(known[name], default=value) for name, value in defaults.items()
                if repr(known[name].default) != repr(value)}  # fmt: skip
         known |= own
+        for number in range(len(self.schedule) + 1, MOST + 1):
+            for name in ("at", "blend"):
+                known.pop(f"schedule.{name}.{number}", None)
         return known | bounded_by_step(known, self.timestep)
 
     def world(self, values: Mapping[str, Any], policy: Any = None) -> WorldParameters:
@@ -413,6 +438,8 @@ class Setup:
         """
         check_ranges(world, self.timestep)
         controller = self._unbalanced
+        if jointly and world.schedule is not None:
+            check_schedule(world.control, world.schedule, len(self.schedule), controller.cycle_rate(world.control))
         if jointly and isinstance(controller, ChecksParameters):
             controller.check(world.control)
         if jointly and not isinstance(controller, Controller):

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from nermo_mjx.control.protocol import ControllerLike
+from nermo_mjx.control.schedule import scheduled
 from nermo_mjx.physics import Trace, Variation, make_engine
 from nermo_mjx.recording import Recording, recording_of
 from nermo_mjx.robot import Sensors
@@ -251,9 +252,10 @@ class Simulator:
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         terrain = terrain_of(self.robot, params)
         geometry = params.model.geometry if names_geometry(values) else None
+        control = scheduled(params.control, params.schedule, 0.0, self.controller.cycle_rate(params.control))
         return Batch(
             params=_single(loop_parameters(self.robot, params, window, values)),
-            qpos=self.start.batch(params.control, params.start, terrain, geometry),
+            qpos=self.start.batch(control, params.start, terrain, geometry),
             fields=self.variation.batch(params.model, worlds, values),
             ticks=int(np.ceil(window.end.max() / self.controller.dt - 1e-6)) + 1,
             may_end_early=run is not None and run.distance is not None,

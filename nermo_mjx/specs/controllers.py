@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from nermo_mjx.control.loading import FORM as CONTROLLER_FORM
 from nermo_mjx.control.loading import controller_digest, is_data
+from nermo_mjx.control.schedule import MOST, Schedule
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
 from nermo_mjx.rollout.own_metrics import FORM, metrics_digest, parts_of
@@ -61,7 +62,9 @@ def _beside(doc: Document, source: str) -> Path:
 def known_names(doc: Document) -> Iterator[None]:
     """While it is read, a document may name the parameters of its controller, and no others, and its own metrics."""
     where, measured = named_controller(doc), named_metrics(doc)
-    if where is None and not measured:
+    given = doc.data.get("schedule")
+    switches = range(1, min(len(given), MOST) + 1) if isinstance(given, list) else ()
+    if where is None and not measured and not switches:
         yield
         return
     try:
@@ -69,7 +72,9 @@ def known_names(doc: Document) -> Iterator[None]:
     except ParameterError as error:
         field, _, message = str(error).partition(" ")
         doc.fail((field,), message)
-    names = NAMES.set(dict(quantities(own.world({}))) if where is not None else NAMES.get())
+    known = dict(quantities(own.world({}))) if where is not None else NAMES.get()
+    times = {f"schedule.{name}": about for name, about in quantities(Schedule) if int(name.split(".")[1]) in switches}
+    names = NAMES.set({**known, **times})
     metrics = MEASURED.set(all_metrics(own))
     try:
         yield

@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field
 
 from nermo_mjx.control.head_and_tail import COUNTER_ROLL, COUNTER_YAW, GAZE, HEADS, SWING, TAIL_MOTIONS
 from nermo_mjx.control.parameters import PROFILES, STEERING, ProfileSteering
+from nermo_mjx.control.schedule import Switch
 from nermo_mjx.control.spine_modes import SPINES
 from nermo_mjx.control.stepping import FREE
 from nermo_mjx.control.trajectory import FORMS
@@ -32,7 +33,16 @@ from nermo_mjx.rollout.loop import check_code
 from nermo_mjx.specs.controllers import named_controller, named_metrics, written_controller, written_metrics
 from nermo_mjx.specs.fields import Fields, OneOf, Refused, chosen, optional
 from nermo_mjx.specs.reading import Document, FieldPath, describe
-from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, Whole, check_value, number_of
+from nermo_mjx.specs.values import (
+    NAMES,
+    PARAMETERS,
+    ByParameter,
+    Finite,
+    Positive,
+    Whole,
+    check_value,
+    number_of,
+)
 
 # ---
 # Which parameters a setup reads: some have an effect only with one of its choices, or in one scene.
@@ -42,7 +52,7 @@ from nermo_mjx.specs.values import NAMES, PARAMETERS, ByParameter, Whole, check_
 _NEEDS: Final = {
     "spine.amplitude": ("spine", "stride_extension"),
     "spine.phase": ("spine", "stride_extension"),
-    "spine.balance_lift": ("spine", "balance"),
+    **{f"spine.{name}": ("spine", "balance") for name in ("balance_share", "balance_lift")},
     "pilot.turn_rate": ("pilot", "open_loop"),
     "pilot.radius": ("pilot", "arc"),
     "pilot.direction": ("pilot", "arc"),
@@ -69,7 +79,8 @@ def unread(setup: Setup, name: str) -> tuple[str, str] | None:
         return "scene", scenes_reading(name)[0]
     groups = [name.rsplit(".", up)[0] for up in range(name.count(".") + 1)] if setup.controller is None else []
     choice, wanted = next((_NEEDS[each] for each in groups if each in _NEEDS), ("", ""))
-    return (choice, wanted) if choice and wanted not in getattr(setup, choice).split("+") else None
+    acting = setup.modes.get(choice) or getattr(setup, choice, "").split("+")
+    return (choice, wanted) if choice and wanted not in acting else None
 
 
 def is_terrain(name: str) -> bool:
@@ -190,6 +201,19 @@ class RunFields(Fields):
     warmup: float = optional("of these not measured, by default 0", minimum=0)
 
 
+class SwitchFields(Fields):
+    what: ClassVar = "a field of a switch"
+    example: ClassVar = "{at: 2.0, gait: lateral_walk}"
+    at: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(description="when it begins [s]")
+    blend: Positive = Field(1.0, description="how long it takes, in gait cycles")
+    gait: str = optional("the next gait", enum=[*GAITS, *GAIT_NAMES.values()])
+    steering: str = optional("what turns the robot from then on", enum=[*STEERING])
+    spine: str = optional("modes of the spine from then on", enum=[*SPINES])
+    head: str = optional("what the head does from then on", enum=[*HEADS])
+    tail_motion: str = optional("what the tail does from then on", enum=[*TAIL_MOTIONS])
+    set: dict[str, Finite] = Field({}, description="parameters of the controller from then on")
+
+
 class WalkFields(SetupFields):
     """Fields of a file that describes a walk."""
 
@@ -197,6 +221,7 @@ class WalkFields(SetupFields):
     pilot: Pilot = Field(Pilot(straight=None), description="what steers the robot")
     run: RunFields = optional("how long a run lasts")
     set: Annotated[dict[str, float], ByParameter(numbers=True)] = Field({}, description="one value for all runs")
+    schedule: list[SwitchFields] = Field([], description="what changes while the robot walks")
     metrics: str | list[str] = optional("custom metrics: FILE.py, from this file's folder, FILE.py:NAME, MODULE "
                                         "or MODULE:NAME, or a list of such")  # fmt: skip
 
@@ -274,6 +299,7 @@ class WalkSpec:
         names = ("duration", "warmup") if self.run.duration is not None else ("cycles", "warmup_cycles")
         data["run"] = {name: float(getattr(self.run, name)) for name in names}
         data["set"] = dict(self.fixed)
+        data |= {"schedule": given["schedule"]} if self.setup.schedule else {}
         return data | ({"metrics": written_metrics(self.setup, folder)} if self.setup.metrics else {})
 
 
@@ -334,6 +360,7 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     if fields.controller is not None:
         choices["controller"] = named_controller(doc)
     choices["metrics"] = named_metrics(doc)
+    choices["schedule"] = read_schedule(doc, fields.schedule)
     try:
         setup = Setup(**choices)
         check_code(setup)
@@ -344,6 +371,18 @@ def read_walk(doc: Document, fields: WalkFields) -> dict[str, Any]:
     for name, value in fields.set.items():
         check_value(doc, ("set", name), name, parameters[name], value)
     return {"setup": setup, "run": _read_run(doc, fields.run, values), "fixed": fields.set, "pilot": values}
+
+
+def read_schedule(doc: Document, given: list[SwitchFields]) -> tuple[Switch, ...]:
+    """The switches of a file."""
+    found = []
+    for number, each in enumerate(given):
+        try:
+            found.append(Switch(values=each.set, **each.model_dump(exclude={"set"})))
+        except ParameterError as error:
+            field, _, message = str(error).partition(" ")
+            doc.fail(("schedule", number) if field == "switch" else ("schedule", number, field), message)
+    return tuple(found)
 
 
 def scene_beside(doc: Document, scene: str) -> str:
@@ -361,6 +400,8 @@ def pilot_options(given: Any, pilot: str, options: Any) -> dict[str, Any]:
 def _refuse_setup(doc: Document, choices: Mapping[str, Any], message: str) -> NoReturn:
     """Report a setup's errors for the field that they name."""
     field, _, rest = message.partition(" ")
+    if field.startswith("schedule"):
+        doc.fail(("schedule", *(int(part) - 1 for part in field.split(".")[1:])), rest)
     if field not in choices:
         doc.fail(("pilot", "waypoints", "points"), f"is refused: {message}")
     allowed = re.findall(r"'([^']+)'", rest.partition("allowed")[2])
