@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import jax
@@ -9,41 +10,204 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from nermo_mjx.control.schedule import MOST, Switch, scheduled
+from nermo_mjx.control.schedule import Switch, scheduled
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.parameters import FRONT_LEG, REAR_LEG
 from nermo_mjx.rollout import Run, Setup, Simulator
-from nermo_mjx.robot.parameters import Sensors
+from nermo_mjx.rollout.differentiable import Rollout
 from nermo_mjx.runtime import compiler_options
+from nermo_mjx.specs.reading import SpecError
+from nermo_mjx.sweep import Sweep
+
+pytestmark = pytest.mark.compiles
 
 FREQUENCY, AT = 0.8, 2.0
-GAITS = ("trt", "trt1", "lat")
-PAIRS = list(itertools.permutations(GAITS, 2))
-SPINES = ("none", "stride_extension", "balance")
-#: Parts of a gait cycle by which a switch is later.
+PAIRS = list(itertools.permutations(("trt", "trt1", "lat"), 2))
+SPINES = list(itertools.permutations(("none", "stride_extension", "balance"), 2))
+#: By how many gait cycles a switch is later.
 PHASES = np.arange(20) / 20
 
 
-def feet(setup: Setup, phases: np.ndarray, rate: float, seconds: float) -> tuple[np.ndarray, ...]:
-    """Commanded feet (phases, ticks, 4, 2), planned contact, and servo angles, at a control rate [Hz], of a robot at
-    rest."""
-    import dataclasses
+def stacked(trees):
+    return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf, float) for leaf in leaves]), *trees)
 
-    made, robot = setup.make_controller(), setup.load()
+
+def commanded(setups: list[Setup], rate: float, seconds: float):
+    """Feet (setups, phases, ticks, 4, 2), planned contact and servo angles at a control rate [Hz], of a robot at rest.
+
+    The setups have the same modes; a function of the schedule's times, and the arguments of `jax.vmap` for it.
+    """
+    made, robot = setups[0].make_controller(), setups[0].load()
     controller = dataclasses.replace(made, control_rate=rate, pilot_rate=rate)
-    world = setup.world({"frequency": FREQUENCY})
+    sensors = robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0)))
+
+    def walk(control, schedule):
+        def tick(state, _):
+            state, servos = controller.update(scheduled(control, schedule, state.time, FREQUENCY), state, sensors)
+            return state, (state.foot, state.stance, servos.vector(robot.servos))
+
+        first = controller.init(scheduled(control, schedule, 0.0, FREQUENCY), sensors)
+        return jax.lax.scan(tick, first, None, length=round(rate * seconds))[1]
+
+    worlds = [setup.world({"frequency": FREQUENCY}) for setup in setups]
+    control, schedule = stacked([world.control for world in worlds]), stacked([world.schedule for world in worlds])
+
+    def at_phases(control, schedule):
+        def later(phase):
+            return walk(control, dataclasses.replace(schedule, at=schedule.at.at[0].add(phase / FREQUENCY)))
+
+        return jax.vmap(later)(jnp.asarray(PHASES))
+
+    return walk, at_phases, (control, schedule)
+
+
+@pytest.mark.parametrize("switches", ["gaits", "spine"])
+def test_feet_and_servos_are_continuous(switches):
+    """In a tick of 1 ms a foot moves by 0.1 mm more than in a steady walk at most, and no servo faster than it can."""
+    gaits = [Setup(gait=a, pilot="open_loop", schedule=(Switch(AT, gait=b),)) for a, b in PAIRS]
+    last = Switch(9.0, spine="stride_extension+balance")
+    modes = [Setup(spine=a, pilot="open_loop", schedule=(Switch(AT, spine=b), last)) for a, b in SPINES]
     with jax.enable_x64(True):
-        control, schedule = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), (world.control, world.schedule))
-        sensors = jax.tree.map(jnp.asarray, robot.sensors(robot.sensordata_at_rest(jnp.asarray(robot.model.qpos0))))
+        _, at_phases, worlds = commanded(gaits if switches == "gaits" else modes, 1000.0, 5.0)
+        every = jax.jit(jax.vmap(at_phases), compiler_options=compiler_options())
+        feet, stance, servos = map(np.asarray, every(*worlds))
+    before = round(1000 * AT) - 1
+    moved = np.linalg.norm(np.diff(feet, axis=2), axis=-1)
+    steady = max(moved[:, :, :before].max(), moved[:, :, -1250:].max())
+    assert moved.max() < steady + 1e-4
+    top = np.asarray(Setup().world({}).model.servo.top_speed)
+    assert np.abs(np.diff(servos, axis=2)).max() < top * 1e-3
+    # In swing a foot is above its height in stance.
+    neutral = np.repeat([FRONT_LEG.neutral_foot[1], REAR_LEG.neutral_foot[1]], 2)
+    assert np.where(stance, np.inf, feet[..., 1] - neutral).min() > -1e-9
+    changed = np.abs(servos[:, :, -1250:] - servos[:, :, 1250 - 1250 : 1250]).max((1, 2, 3))
+    assert (changed > 0.05).all()  # each switch did switch
 
-        def walk(phase):
-            moved = dataclasses.replace(schedule, at=schedule.at.at[0].add(phase / FREQUENCY))
 
-            def tick(state, _):
-                own = scheduled(control, moved, state.time, FREQUENCY)
-                state, servos = controller.update(own, state, sensors)
-                return state, (state.foot, state.stance, servos.vector(robot.servos))
+def test_derivatives_through_a_switch_are_those_of_differences():
+    setup = Setup(pilot="open_loop", schedule=(Switch(AT, gait="lat", values={"stride": 0.8}),))
+    with jax.enable_x64(True):
+        walk, _, (control, schedule) = commanded([setup], 100.0, 4.0)
+        control, schedule = jax.tree.map(lambda leaf: leaf[0], (control, schedule))
 
-            first = controller.init(scheduled(control, moved, 0.0, FREQUENCY), sensors)
-            return jax.lax.scan(tick, first, None, length=round(rate * seconds))[1]
+        def value(point):
+            at, blend = schedule.at.at[0].add(point[0]), schedule.blend.at[0].add(point[1])
+            servos = walk(control, dataclasses.replace(schedule, at=at, blend=blend))[2]
+            return jnp.sum(servos[200:330] * jnp.cos(jnp.arange(servos.shape[1])))
 
-        return tuple(map(np.asarray, jax.jit(jax.vmap(walk), compiler_options=compiler_options())(phases)))
+        slope = np.asarray(jax.jit(jax.grad(value))(jnp.zeros(2)))
+        value, step = jax.jit(value), 1e-6
+        differences = [(value(step * each) - value(-step * each)) / (2 * step) for each in np.eye(2)]
+    assert np.abs(slope).min() > 1e-2
+    np.testing.assert_allclose(slope, differences, rtol=1e-5)
+
+
+def test_a_walk_is_that_without_a_schedule_until_its_first_switch():
+    switched = Setup(pilot="open_loop", schedule=(Switch(1.5, gait="lat", spine="stride_extension"),))
+    lateral = Setup(pilot="open_loop", gait="lat", spine="stride_extension")
+
+    def walked(setup):
+        return Simulator(setup, "c").run({"frequency": 0.8}, Run(duration=4.0), record=True).trace
+
+    ours, theirs, after = map(walked, (switched, Setup(pilot="open_loop"), lateral))
+    for name in ("qpos", "qvel", "ctrl"):
+        np.testing.assert_array_equal(getattr(ours, name)[:, :150], getattr(theirs, name)[:, :150])
+    assert np.abs(ours.ctrl[:, 200:] - theirs.ctrl[:, 200:]).max() > 0.1
+    # A cycle after the switch has ended the commanded servos are those of the other gait.
+    np.testing.assert_allclose(ours.ctrl[:, 390:], after.ctrl[:, 390:], atol=1e-5)
+
+
+def falls(setup: Setup, phases: np.ndarray) -> list[str]:
+    values = {"frequency": FREQUENCY, "schedule.at.1": AT + phases / FREQUENCY}
+    status = Simulator(setup, "c").run(values, Run(duration=8.0, warmup=2.0)).status
+    return [str(each) for each in status if each != "ok"]
+
+
+def test_no_walk_falls_where_trot_becomes_a_lateral_walk_with_the_spine():
+    assert falls(Setup(schedule=(Switch(AT, gait="lat", spine="stride_extension"),)), PHASES[::4]) == []
+
+
+@pytest.mark.long
+def test_no_walk_falls_at_any_switch():
+    setups = [Setup(gait=a, schedule=(Switch(AT, gait=b),)) for a, b in PAIRS]
+    setups += [Setup(spine=a, schedule=(Switch(AT, spine=b),)) for a, b in SPINES]
+    assert [setup.schedule for setup in setups if falls(setup, PHASES)] == []
+
+
+@pytest.mark.long
+def test_engines_agree_and_the_gradient_through_a_switch_is_that_of_differences():
+    setup, run = Setup(schedule=(Switch(0.5, gait="lat", blend=0.5),)), Run(duration=1.5, warmup=0.2)
+    values = {"frequency": np.array([0.8, 1.0])}
+    c, mjx = (Simulator(setup, engine).run(values, run).metrics for engine in ("c", "mjx"))
+    np.testing.assert_allclose(mjx["speed"], c["speed"], rtol=0.02)
+    with jax.enable_x64(True):
+        rollout = Rollout(setup, run)
+
+        def speed(at):
+            return rollout({"frequency": 0.8, "schedule.at.1": at})["speed"]
+
+        both = jax.jit(jax.value_and_grad(speed), compiler_options=compiler_options())
+        (_, slope), h = both(0.5), 1e-6
+        difference = (both(0.5 + h)[0] - both(0.5 - h)[0]) / (2 * h)
+    assert np.isfinite(slope)
+    np.testing.assert_allclose(slope, difference, rtol=1e-3)
+
+
+@pytest.mark.parametrize(("switches", "sentence"), [
+    ([{"gait": "tro"}], "gait is 'tro': did you mean 'trt'?"),
+    ([{}], "switch changes nothing"),
+    ([{"values": {"freq": 1.0}}], "schedule.1 is refused: parameter is 'freq': did you mean 'frequency'?"),
+    ([{"values": {"mass.front": 0.2}}], "schedule.1 is refused: parameter is 'mass.front'"),
+    ([{"values": {"frequency": 9.0}}], "schedule.1 is refused: frequency is 9: allowed is (0, 5] Hz"),
+    ([{"gait": "lat", "blend": 0.1}], "schedule.blend.1 is 0.1: allowed is more than 0.32 cycles"),
+    ([{"gait": "lat"}, {"at": 2.1, "gait": "trt"}], "schedule.at.2 is 2.1: allowed is at least 3.49"),
+    ([{"gait": "lat"}] * 9, "schedule has 9 switches: allowed are 8"),
+    ([{"spine": "pitch_balance"}], "it goes with robot 'nermo_41'"),
+    ([{"tail_motion": "swing"}], "tail_motion is 'swing' and tail 'rigid'"),
+])  # fmt: skip
+def test_what_cannot_be_switched_is_refused(switches, sentence):
+    def setup():
+        made = Setup(schedule=tuple(Switch(**{"at": AT, **switch}) for switch in switches))
+        made.check(made.world({}))
+
+    with pytest.raises(ParameterError) as error:
+        setup()
+    assert sentence in str(error.value)
+
+
+FILE = """run: {duration: 8.0}
+schedule:
+  - {at: 1.5, gait: lateral_walk, spine: stride_extension}
+  - {at: 4.0, blend: 2.0, set: {stride: 0.8}}
+vary:
+  schedule.at.1: [1.2, 1.6]
+  spine.amplitude: [0.2, 0.4]
+"""
+
+
+def test_a_sweep_varies_when_a_switch_begins(tmp_path):
+    path = tmp_path / "switch.yaml"
+    path.write_text(FILE)
+    sweep = Sweep.from_file(path)
+    assert set(sweep.varied) == {"schedule.at.1", "spine.amplitude"}
+    written = sweep.resolved()["schedule"]
+    assert written == [
+        {"at": 1.5, "blend": 1.0, "gait": "lat", "spine": "stride_extension"},
+        {"at": 4.0, "blend": 2.0, "set": {"stride": 0.8}},
+    ]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), [
+    ("gait: lateral_walk", "gait: laterl_walk", ":3: field 'schedule.0.gait' is 'laterl_walk'"),
+    ("{stride: 0.8}", "{strid: 0.8}", ":4: field 'schedule.1' is refused: parameter is 'strid'"),
+    ("at: 4.0", "at: soon", ":4: field 'schedule.1.at' is the text 'soon': expected a number"),
+    ("at: 1.5, ", "", ":3: field 'schedule.0' has no 'at'"),
+    ("[1.2, 1.6]", "[1.2, 3.9]", ":6: field 'schedule.at.1'"),
+    ("schedule.at.1", "schedule.at.3", ":6: "),
+])  # fmt: skip
+def test_a_wrong_switch_of_a_file_is_refused_with_its_line(tmp_path, old, new, sentence):
+    path = tmp_path / "switch.yaml"
+    path.write_text(FILE.replace(old, new))
+    with pytest.raises(SpecError) as error:
+        Sweep.from_file(path)
+    assert sentence in str(error.value)

@@ -283,6 +283,8 @@ class Setup:
                     "published controller; leave it out."
                 )
         check_names(self._unbalanced, self.own_metrics)
+        if self.schedule:
+            self.defaults()  # which reads it
         if is_mjcf(str(self.scene)):  # a custom scene, which has not been checked with the robot yet
             self.load()
 
