@@ -207,7 +207,7 @@ Examples:
   nermo-mjx walk --frequency 0.8 --spine stride_extension --video w.mp4
   nermo-mjx walk --turn-rate 0.5 --steering mix --record turn.npz
   nermo-mjx walk --set contact.friction=0.6 --json
-  nermo-mjx walk --duration 8 --switch 2,gait=lat --switch 5,spine=stride_extension
+  nermo-mjx walk --switch 2,gait=lat --switch 6,spine=stride_extension
   nermo-mjx walk --controller bound.py:Bound --set reach=0.04
   nermo-mjx walk --controller policy.npz --duration 5 --record walk.npz
   nermo-mjx walk --metrics my_metrics.py

@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
+from nermo_mjx.control.schedule import scheduled
 from nermo_mjx.control.protocol import ControllerLike
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
@@ -141,7 +142,7 @@ class Rollout:
         loop, ticks = self._loop_parameters(params, self.seconds(values, policy), values)
         if qpos is None:
             geometry = params.model.geometry if names_geometry(values) else None
-            control = self.engine.loop.control_at(loop, 0.0)
+            control = scheduled(loop.control, loop.schedule, 0.0, self.controller.cycle_rate(loop.control))
             qpos = self.start.qpos(control, params.start, loop.terrain, geometry)
         first = jnp.asarray(qpos, float)
         still = jnp.zeros((self.robot.model.nv,)) if qvel is None else jnp.asarray(qvel, float)

@@ -266,8 +266,8 @@ class Setup:
         if isinstance(self.steering, ProfileSteering) and self._applies("steering"):
             object.__setattr__(self, "steering", steering_of(self.profile))
         object.__setattr__(self, "schedule", tuple(self.schedule))
-        for each in (self, *self.schedule):
-            check_spine(each.spine or "none", self.robot)
+        for spine in (self.spine, *(switch.spine for switch in self.schedule)):
+            check_spine(spine or "none", self.robot)
         choice("tail_motion", self.tail_motion, TAIL_MOTIONS)
         if self.modes["tail_motion"] and self.tail == "rigid":
             motion = self.modes["tail_motion"][0]
