@@ -13,8 +13,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from nermo_mjx.control.controller import Controller
-from nermo_mjx.control.schedule import scheduled
 from nermo_mjx.control.protocol import ControllerLike
+from nermo_mjx.control.schedule import scheduled
 from nermo_mjx.dynamics.checkpointing import checkpointed_scan
 from nermo_mjx.dynamics.precision import full_precision
 from nermo_mjx.physics.mjx_engine import Carry, MjxEngine
