@@ -300,7 +300,7 @@ LEAST, MOST = -0.5, 2.5
 _NEAR: Final = "#e6f1f8"
 _TONES: Final = {"as_published": LINE, "exact": "#b9cbd8", "as_built": "#8a6fb0", "author": "#444444"}
 #: Right ends of the columns of numbers, in widths of the table.
-_COLUMNS: Final = {"published": 0.2, "author": 0.4, "as_published": 0.62, "exact": 0.8, "as_built": 1.0}
+_COLUMNS: Final = {"published": 0.16, "author": 0.35, "as_published": 0.635, "exact": 0.81, "as_built": 1.0}
 
 
 def _number(value: Any) -> float | None:
