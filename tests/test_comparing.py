@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -263,7 +264,7 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     rows = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "speed"]
     assert filled == sum(row["beyond_noise"] for row in rows) > 0
     texts = " ".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
-    assert "gait lat" in texts
+    assert "gait lateral walk" in texts
     assert "3 of the other fell" in texts
     assert "frequency [Hz]" in texts
 
