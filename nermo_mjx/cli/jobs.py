@@ -790,10 +790,11 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
         for who, called in (("policy", "policy"), ("alone", "controller alone")):
             numbers = about[who]
             rows.append([scene, called, f"{100 * numbers['success']:.0f}", f"{1e3 * numbers['speed']:.1f}",
-                         f"{numbers['cost_of_transport']:.3g}"])  # fmt: skip
+                         f"{numbers['cost_of_transport']:.3g}",
+                         f"{numbers['electrical_cost_of_transport']:.3g}"])  # fmt: skip
     if rows:
         columns = [("scene", "left"), ("walks", "left"), ("success [%]", "right"), ("speed [mm/s]", "right"),
-                   ("cost of transport", "right")]  # fmt: skip
+                   ("cost of transport, mechanical", "right"), ("electrical", "right")]  # fmt: skip
         print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", columns, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "
