@@ -20,6 +20,7 @@ from nermo_mjx.plotting.files import lay_out
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot.scene import scene_name
 from nermo_mjx.runs.files import content_of, parquet_table
+from nermo_mjx.runtime import start_jax
 from nermo_mjx.view.page import Page, show, text
 
 _HEADINGS: Final = ("", "", "success [%]", "speed [mm/s]", "distance [m]", "cost, mechanical", "cost, electrical")
@@ -39,6 +40,7 @@ def trained(path: Path, *, engine: str = "c") -> Page:
         SpecError: its training.yaml cannot be read.
         DirectoryError: no section of it is finished, or it cannot be read.
     """
+    start_jax()
     training, drawn = Training.from_file(path / SPEC), figures(path)
     name, parts, samples = path.resolve().name, list[str](), 0
     if (path / POLICY_FILE).exists():
