@@ -72,7 +72,8 @@ def test_a_sweep_begins_with_the_gain_that_its_file_asks_for(swept: Path, tmp_pa
     ok = runs.columns["status"].values == "ok"
     np.testing.assert_allclose(gain, np.where(ok & (amplitude > 0), 50 * amplitude * np.cos(phase), np.nan), rtol=1e-5)
     spec = {
-        "run": SPEC["run"], "plots": False, "vary": {"spine": ["stride_extension", "none"], "frequency": [0.5, 0.9], "stride": [0.8, 1.0]},
+        "run": SPEC["run"], "plots": False,
+        "vary": {"spine": ["stride_extension", "none"], "frequency": [0.5, 0.9], "stride": [0.8, 1.0]},
         "randomize": {"repeats": 2}, "compare": {"by": "spine", "for": ["frequency"]},
     }  # fmt: skip
     run_sweep(spec, tmp_path, simulator=FakeSimulator())
