@@ -12,6 +12,7 @@ from sphinx.application import Sphinx
 import nermo_mjx
 from nermo_mjx import METRICS, all_parameters
 from nermo_mjx.robot.quantity import gathered
+from nermo_mjx.rollout.own_metrics import HEADINGS
 
 sys.path.insert(0, str(pathlib.Path(__file__).parent))
 import address
@@ -70,8 +71,11 @@ def parameter_table() -> str:
 
 def metric_table() -> str:
     """Every metric of a run, as Markdown."""
-    rows = ["| name | unit | better | meaning |", "|---|---|---|---|"]
-    rows += [f"| `{name}` | {metric.unit} | {metric.better or ''} | {metric.doc} |" for name, metric in METRICS.items()]
+    rows = []
+    for name, metric in METRICS.items():
+        if name in HEADINGS:
+            rows += ["", f"## {HEADINGS[name]}", "", "| name | unit | better | meaning |", "|---|---|---|---|"]
+        rows.append(f"| `{name}` | {metric.unit} | {metric.better or ''} | {metric.doc} |")
     return "\n".join(rows) + "\n"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -248,6 +249,9 @@ def test_the_command_prints_and_writes(tmp_path: Path) -> None:
     shown = CliRunner().invoke(main, [*asked, "--out", str(tmp_path / "gain.csv")])
     assert "0.4 minus 0" in shown.stdout
     assert "24 ok" in shown.stdout
+    assert re.search(r"^speed +mm/s +6\d\.", shown.stdout, re.MULTILINE)
+    assert re.search(r"^roll_std +deg ", shown.stdout, re.MULTILINE)
+    assert "speed [mm/s]: 0.4 minus 0" in shown.stdout
     kept = pq.read_table(tmp_path / "gain" / "comparison.parquet")
     assert pa.csv.read_csv(tmp_path / "gain.csv").num_rows == kept.num_rows
 
@@ -263,9 +267,29 @@ def test_figures_mark_what_is_beyond_noise(drawing) -> None:
     rows = [row for row in found.rows("stride_extension", grouped=True) if row["metric"] == "speed"]
     assert filled == sum(row["beyond_noise"] for row in rows) > 0
     texts = " ".join(text.get_text() for text in figure.findobj(lambda artist: hasattr(artist, "get_text")))
-    assert "gait lat" in texts
+    assert "gait lateral walk" in texts
     assert "3 of the other fell" in texts
     assert "frequency [Hz]" in texts
+
+
+def test_a_gain_in_speed_stands_beside_both_costs(drawing) -> None:
+    """In one figure, and first among the differences; what has a better direction stands before what has none."""
+    data = table()
+    for name, share in (("cost_of_transport", 0.9), ("electrical_cost_of_transport", 1.1), ("yaw_min", 1.5)):
+        cost = np.where(np.array(data.column("spine").to_pylist()) == "none", 1.0, share)
+        field = pa.field(name, pa.float64(), metadata={"role": "metric", "unit": "1", "description": name})
+        data = data.append_column(field, pa.array(cost * (1 + 0.001 * np.arange(len(cost)) / len(cost))))
+    found = compare(data, by="spine", groups=["gait", "frequency"])
+    figures = dict(figures_of(found.table))
+    assert list(figures) == ["differences", "gains-by-gait-and-frequency"]
+    titles = [ax.get_title() for ax in figures["gains-by-gait-and-frequency"].axes]
+    assert titles == ["Speed", "Mechanical cost of transport", "Electrical cost of transport"]
+    for ax, sign in zip(figures["gains-by-gait-and-frequency"].axes, (0, -1, 1), strict=True):
+        drawn = np.concatenate([line.get_ydata() for line in ax.get_lines() if len(line.get_xdata()) == 3])
+        assert not sign or (np.sign(drawn) == sign).all()
+    listed = [label.get_text() for label in figures["differences"].axes[0].get_yticklabels()]
+    assert listed[:3] == titles
+    assert listed[-1] == "Yaw, minimum"
 
 
 @pytest.mark.parametrize(

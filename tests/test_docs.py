@@ -72,6 +72,16 @@ def test_the_site_has_every_name_that_a_user_may_write(site: Path) -> None:
         assert f'id="nermo-mjx-{name}"' in commands, name
 
 
+def test_each_page_is_in_the_site(site: Path) -> None:
+    """Under its own name and with its own title: Sphinx writes pages such as search.html itself."""
+    for page in PAGES:
+        title = re.search(r"^# (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert title is not None, page
+        made = (site / page.relative_to(ROOT / "docs")).with_suffix(".html").read_text(encoding="utf-8")
+        (heading,) = re.findall(r"<h1>(.*?)<a class=\"headerlink\"", made)
+        assert re.sub(r"<[^>]+>", "", heading) == re.sub(r"[`*]", "", title[1]), page
+
+
 def test_a_displayed_formula_has_room(site: Path, browser: chromium.Browser) -> None:
     """Else Chromium scrolls it up and down, with arrows beside it."""
     with browser.tab() as tab:

@@ -16,14 +16,16 @@ import pytest
 from click.testing import CliRunner, Result
 from explore_data import MEASURES, atlas, falling, many, sweep
 from scipy.spatial.transform import Rotation
+from sweep_fake import SPEC, FakeSimulator
 
 from nermo_mjx import Recording, Run, load_robot, show
 from nermo_mjx.cli import main
 from nermo_mjx.cli.walk import plan
 from nermo_mjx.cli.walk import walk_command as walk
 from nermo_mjx.runs import DirectoryError
+from nermo_mjx.sweep import Sweep, run_sweep
 from nermo_mjx.view.clip import COMPACT, FULL, Frames, Models, Packer, clip_of
-from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of
+from nermo_mjx.view.explore import commands_of, explore, runs_of, start_of, with_gain
 from nermo_mjx.view.recorded import motion_of
 
 
@@ -49,16 +51,47 @@ def test_columns_bring_their_meaning_with_them(tmp_path: Path) -> None:
     assert runs.kind == "atlas"
     assert runs.columns["price"].better == "low", "the objective is minimized"
     assert list(runs.columns) == ["frequency", "speed", "shake", "price", "cell"]
-    assert start_of(runs) == {"x": "speed", "y": "shake", "colour": "price", "cells": True}
+    assert start_of(runs) == {"x": "speed", "y": "shake", "colour": "price", "cells": True, "of": "best"}
     assert runs.atlas is not None
     assert runs.atlas["measures"] == list(MEASURES)
 
 
 def test_a_grid_begins_with_cells_and_a_sample_with_points(swept: Path, tmp_path: Path) -> None:
-    grid = {"x": "frequency", "y": "spine.amplitude", "colour": "speed", "cells": True}
+    grid = {"x": "frequency", "y": "spine.amplitude", "colour": "speed", "cells": True, "of": "best"}
     assert start_of(runs_of(swept)) == grid
     start = start_of(runs_of(many(tmp_path / "many", 50)))
-    assert start == {"x": "frequency", "y": "speed", "colour": "speed", "cells": False}
+    assert start == {"x": "frequency", "y": "speed", "colour": "speed", "cells": False, "of": "best"}
+
+
+def test_a_sweep_begins_with_the_gain_that_its_file_asks_for(swept: Path, tmp_path: Path) -> None:
+    """Over the stiff spine where a grid has one, else over the base of the comparison; of repeats, their mean."""
+    runs = with_gain(swept, runs_of(swept))
+    start = {"x": "spine.amplitude", "y": "spine.phase", "colour": "speed_gain", "cells": True, "of": "mean"}
+    assert start_of(runs) == start
+    gain, amplitude, phase = (runs.columns[name].values for name in ("speed_gain", "spine.amplitude", "spine.phase"))
+    ok = runs.columns["status"].values == "ok"
+    np.testing.assert_allclose(gain, np.where(ok & (amplitude > 0), 50 * amplitude * np.cos(phase), np.nan), rtol=1e-5)
+    spec = {
+        "run": SPEC["run"], "plots": False,
+        "vary": {"spine": ["stride_extension", "none"], "frequency": [0.5, 0.9], "stride": [0.8, 1.0]},
+        "randomize": {"repeats": 2}, "compare": {"by": "spine", "for": ["frequency"]},
+    }  # fmt: skip
+    run_sweep(spec, tmp_path, simulator=FakeSimulator())
+    runs = with_gain(tmp_path, runs_of(tmp_path))
+    assert runs.columns["speed_gain"].description == "speed relative to the mean of none, all else equal"
+    none = runs.columns["spine"].values == "none"
+    assert np.isnan(runs.columns["speed_gain"].values[none]).all()
+    assert np.isfinite(runs.columns["speed_gain"].values[~none]).all()
+    assert (start_of(runs)["x"], start_of(runs)["colour"]) == ("frequency", "speed_gain")
+
+
+def test_the_picture_in_the_readme_is_what_its_command_gives() -> None:
+    """Its runs to be played are recorded, and its page opens on the gain over amplitude and phase."""
+    quick = Sweep.from_file(Path(__file__).parents[1] / "sweeps" / "quickstart.yaml")
+    assert quick.keep is not None
+    assert quick.keep.best == 3
+    assert {"spine.amplitude", "spine.phase"} <= {axis.name for axis in quick.axes}
+    assert 0.0 in next(axis for axis in quick.axes if axis.name == "spine.amplitude").values()
 
 
 def test_a_grids_values_are_steps_and_a_samples_are_not(swept: Path, tmp_path: Path) -> None:

@@ -71,8 +71,11 @@ def tab(window: Any) -> Iterator[Any]:
 
 
 def opened(tab: Any, path: Path, width: int = 1000, height: int = 640, dark: bool = False) -> Any:
+    """The page; one that opens on a gain then shows the best speed over frequency and amplitude."""
     tab.open(path, width, height, dark)
     tab.wait(READY)
+    if tab.evaluate("Boolean(explorer.table.field('speed_gain'))"):
+        choose(tab, x="frequency", y="spine.amplitude", colour="speed", of="best")
     return tab
 
 
@@ -109,6 +112,29 @@ def picture(tab: Any) -> np.ndarray:
 
 
 # --- what is drawn
+
+
+def test_a_gain_is_white_at_none_and_red_where_it_is_a_loss(tab: Any, page: Path) -> None:
+    tab.open(page, 1000, 640)
+    tab.wait(READY)
+    text = tab.evaluate("document.getElementById('scale').textContent")
+    assert text.startswith("speed gain [%]")
+    low, high = tab.evaluate("[explorer.chart.colouring.low, explorer.chart.colouring.high]")
+    assert low == -high < 0
+    colour = "explorer.chart.colouring.css(explorer.chart.colouring.level({}))"
+    none, loss, gain = (
+        [int(tab.evaluate(colour.format(value))[i : i + 2], 16) for i in (1, 3, 5)] for value in (0, low, high)
+    )
+    assert min(none) > 235
+    assert loss[0] > loss[2]
+    assert gain[2] > gain[0]
+    groups = tab.evaluate("[...document.querySelectorAll('#colour optgroup')].map((each) => each.label)")
+    assert {"Parameters", "Walk"} <= set(groups)
+    choose(tab, colour="spine.phase")
+    first, last = (
+        [int(tab.evaluate(colour.format(value))[i : i + 2], 16) for i in (1, 3, 5)] for value in ("-3.14", "3.14")
+    )
+    assert sum(abs(a - b) for a, b in zip(first, last, strict=True)) < 30, "both ends of a turn"
 
 
 def test_points_are_where_their_numbers_say_in_colours_of_viridis(tab: Any, page: Path, rows: dict[str, Any]) -> None:

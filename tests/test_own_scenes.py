@@ -54,6 +54,22 @@ def standing(simulator: Simulator, **start: float) -> mujoco.MjData:
 # --- what a scene may be
 
 
+def test_a_scene_without_sky_lights_and_colours_has_those_of_the_bundled_ones():
+    """And one with its own keeps them; what the robot touches, and the text, are the same."""
+    bare = load_robot(scene=scene()).model
+    assert [bare.tex_type[i] for i in range(bare.ntex)].count(mujoco.mjtTexture.mjTEXTURE_SKYBOX) == 1
+    assert bare.nlight == load_robot().model.nlight
+    assert bare.geom_matid[bare.geom("floor").id] >= 0
+    own = """<mujoco><asset><texture name="sky" type="skybox" builtin="flat" rgb1="0 0 0" width="8" height="8"/></asset>
+      <worldbody><light name="lamp" pos="0 0 2"/><geom name="floor" type="plane" size="0 0 0.1" rgba="1 0 0 1"/>
+      </worldbody></mujoco>"""
+    dressed = load_robot(scene=own).model
+    assert dressed.nlight == 1
+    assert [dressed.tex_type[i] for i in range(dressed.ntex)].count(mujoco.mjtTexture.mjTEXTURE_SKYBOX) == 1
+    np.testing.assert_allclose(dressed.geom_rgba[dressed.geom("floor").id], [1, 0, 0, 1])
+    assert "nermo_sky" not in resolve_scene(scene())
+
+
 def test_a_file_a_text_and_a_specification_are_one_scene(tmp_path, monkeypatch):
     """Setups are equal, have one hash, and survive a pickle; the file is found from where one stands."""
     (tmp_path / "yard.xml").write_text(YARD)

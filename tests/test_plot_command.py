@@ -82,7 +82,7 @@ def test_a_sweeps_figures_are_remade_to_the_last_byte(sweep: Path, swept: Path) 
     assert result.exit_code == 0, result.stderr
     assert content(sweep / "plots") == content(swept / "plots")
     assert len(result.stdout.splitlines()) == len(content(swept / "plots"))
-    assert "speed-parallel.svg" in content(sweep / "plots")
+    assert "speed-over-frequency-and-spine.phase.svg" in content(sweep / "plots")
 
 
 def test_json_lists_the_files_and_nothing_else(sweep: Path, tmp_path: Path) -> None:

@@ -53,9 +53,9 @@ def test_the_sweep_of_the_first_command_and_the_example_are_valid() -> None:
 
 
 def test_commands_of_the_readme_are_valid() -> None:
-    named = re.findall(r"nermo-mjx ([^`\n]+)", README)
-    assert {line.split()[0] for line in named} == set(main.commands)
-    for line in named:
+    table = (ROOT / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    assert {line.split()[0] for line in re.findall(r"nermo-mjx ([^`\n]+)", table)} == set(main.commands)
+    for line in re.findall(r"nermo-mjx ([^`\n]+)", README + table):
         name, *words = [
             word.replace("FILE.npz", __file__)
             .replace("FILE.csv", __file__)
@@ -65,7 +65,7 @@ def test_commands_of_the_readme_are_valid() -> None:
         ]
         words = ["maze" if (name, word) == ("experiment", "NAME") else word for word in words]
         assert main.commands[name].make_context(name, words) is not None
-    for option in re.findall(r"`(--[a-z-]+)", README):
+    for option in re.findall(r"`(--[a-z-]+)", README + table):
         helps = [CliRunner().invoke(main, [name, "--help"]).stdout for name in main.commands]
         assert any(option in text for text in helps), option
 
@@ -79,6 +79,10 @@ def test_the_python_example_works() -> None:
     names: dict[str, Any] = {}
     exec(short, names)
     assert names["best"] in names["phases"]
+
+
+def test_it_is_short() -> None:
+    assert len(README.split()) <= 1300
 
 
 def test_links_inside_the_repository_lead_somewhere() -> None:

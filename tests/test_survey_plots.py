@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection, PathCollection, PolyCollectio
 
 from nermo_mjx.plotting.cloud import CROWD
 from nermo_mjx.plotting.files import write_figures
-from nermo_mjx.plotting.shown import ShownValues
+from nermo_mjx.plotting.shown import ShownValues, spoken
 from nermo_mjx.plotting.style import STYLE
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.sweep import Results
@@ -105,14 +105,17 @@ def test_the_front_names_its_best_points_with_their_parameters() -> None:
     well = np.array(data.column("status").to_pylist()) == "ok"
     speed, roll = (data.column(name).to_numpy() for name in ("speed", "roll_std"))
     (ax,) = [ax for ax in figure.axes if ax.get_xlabel()]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed [mm/s]", "roll_std [deg]")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("speed [mm/s]", "roll, standard deviation [deg]")
     points, best = [c for c in ax.collections if isinstance(c, PathCollection)]
     np.testing.assert_allclose(np.sort(points.get_offsets()[:, 0]), np.sort(1e3 * speed[well]))
     lost = beaten(-speed[well], roll[well])
     np.testing.assert_allclose(np.sort(best.get_offsets()[:, 0]), np.sort(1e3 * speed[well][~lost]))
     fastest = int(np.argmax(np.where(well, speed, -1)))
     text = texts(figure)
-    assert f"A   speed {1e3 * speed[fastest]:.4g} mm/s, roll_std {np.degrees(roll[fastest]):.4g} deg" in text
+    assert (
+        f"A   speed {1e3 * speed[fastest]:.4g} mm/s, roll, standard deviation {np.degrees(roll[fastest]):.4g} deg"
+        in text
+    )
     assert f"frequency {data.column('frequency')[fastest].as_py():.4g} Hz" in text
     assert f"{well.sum()} runs" in text
 
@@ -147,7 +150,7 @@ def test_each_line_goes_through_its_variants_values() -> None:
     thick = np.array([path.vertices[:, 1] for path in best.get_paths()])
     np.testing.assert_allclose(thick, shares[order][-BEST_LINES:], atol=1e-9)
     labels = [label.get_text().replace("\n", " ") for label in ax.get_xticklabels()]
-    assert labels == ["frequency [Hz]", "spine. phase [deg]", "contact. friction [1]", "speed [mm/s]"]
+    assert labels == ["frequency [Hz]", "spine phase [deg]", "contact friction [1]", "speed [mm/s]"]
 
 
 def test_too_many_lines_are_chosen_evenly_and_nothing_is_dropped_silently() -> None:
@@ -206,7 +209,7 @@ def test_columns_of_choice_give_their_figure(chosen: dict, name: str, tmp_path: 
     assert [file.name for file in files] == [f"{name}.png", f"{name}.svg"]
     svg = files[1].read_text()
     for column in chosen.values():
-        assert f"{column} [" in svg
+        assert f"{spoken(column)} [" in svg
 
 
 def test_two_parameters_of_a_grid_give_a_heat_map_whose_star_is_the_best(tmp_path: Path) -> None:

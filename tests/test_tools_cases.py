@@ -124,11 +124,12 @@ def test_a_wrong_controller_is_refused_with_file_and_line(tmp_path: Path, case: 
 
 
 @pytest.mark.compiles
-def test_angles_that_become_nan_are_a_divergence(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["c", pytest.param("mjx", marks=pytest.mark.long)])
+def test_angles_that_become_nan_are_a_divergence(tmp_path: Path, engine: str) -> None:
     """Whether servos, and not only the body, lose their numbers."""
     late = UPDATE.replace("self.servos(params, phase)", "self.servos(params, jnp.sqrt(params.lag - phase) ** 2)")
     (tmp_path / "own.py").write_text(BOUND.replace(UPDATE, late))
-    simulator = Simulator(Setup(controller=f"{tmp_path / 'own.py'}:Bound"), engine="c")
+    simulator = Simulator(Setup(controller=f"{tmp_path / 'own.py'}:Bound", physics="fast"), engine=engine)
     result = simulator.run({"lag": [0.0001, 1.0]}, Run(duration=0.2))
     assert result.status.tolist() == ["diverged", "ok"]
 
@@ -343,6 +344,20 @@ def test_an_address_that_is_none_is_refused(url: str) -> None:
     from nermo_mjx.hardware import connected
 
     refused(connected(url).__enter__, "with a port from 1 to 65535, and USER:PASSWORD@ before HOST")
+
+
+@pytest.mark.parametrize("scheme", ["mqtt", "ws"])
+@pytest.mark.parametrize("address", ["u:s3cret@h:99999", "u:s3cret/x@h", "u:s3#cret@h", ":s3cret@h", "u:x@s3cret@h:0",
+                                     "u:s3cret@[::1", "u:s3cret@127.0.0.1:9", "s3cret@127.0.0.1:9"])  # fmt: skip
+def test_no_password_is_repeated(scheme: str, address: str) -> None:
+    pytest.importorskip("paho.mqtt.client")
+    pytest.importorskip("websockets.sync.client")
+    from nermo_mjx.hardware import connected
+
+    with pytest.raises(ParameterError) as error:
+        connected(f"{scheme}://{address}").__enter__()
+    assert "s3" not in str(error.value)
+    assert "cret" not in str(error.value)
 
 
 # --- disks and names

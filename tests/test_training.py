@@ -18,9 +18,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
+from explore_data import falling
 from learn_toy import PointMass
 
-from nermo_mjx import ParameterError, Run, Setup, Simulator
+from nermo_mjx import ParameterError, Run, Setup, Simulator, show
 from nermo_mjx.cli import main
 from nermo_mjx.learn import PPO, Environment, Policy, Residual, Task, Training, load_policy, run_training
 from nermo_mjx.learn.evaluation import Evaluator, summary_of
@@ -72,6 +73,34 @@ def policy():
     weights = 0.3 * jax.random.normal(jax.random.key(1), weights.shape)
     actor = dataclasses.replace(learned.actor, layers=(*hidden, (weights, bias)))
     return Policy.of(environment, dataclasses.replace(learned, actor=actor)), environment
+
+
+def test_its_page_has_curves_evaluation_and_the_policy_in_3d(tmp_path, done, monkeypatch):
+    """Of an unfinished training what there is; the directory is only read."""
+    out = tmp_path / "walker"
+    shutil.copytree(done.out, out)
+    page = show(out).html
+    assert [f'alt="{name}"' in page for name in ("curves", "rewards", "evaluation")] == [True, True, False]
+    assert "<iframe" not in page
+    numbers = {"success": 0.98, "speed": 0.1234, "distance": 1.1, "cost_of_transport": 5.43}
+    numbers["electrical_cost_of_transport"] = 91.23
+    (out / "policy.npz").touch()
+    (out / "evaluation.parquet").touch()
+    before = sorted(each.name for each in out.rglob("*"))
+    for name, found in {
+        "load_policy": None, "recorded": [("flat", falling())], "parquet_table": None,
+        "summary_of": {"flat": {"policy": numbers, "alone": numbers | {"success": 0.5}}},
+    }.items():  # fmt: skip
+        monkeypatch.setattr(f"nermo_mjx.view.trained.{name}", lambda *_, found=found: found)
+    monkeypatch.setattr("nermo_mjx.view.trained.figures", lambda _: [])
+    page = show(out)
+    assert "The policy on flat</h2><iframe" in page.html
+    row = "".join(f"<td>{each}</td>" for each in ("flat", "policy", "98", "123.4", "1.10", "5.43", "91.2"))
+    assert row in page.html
+    assert page.samples == 50
+    assert sorted(each.name for each in out.rglob("*")) == before
+    run = CliRunner().invoke(main, ["view", str(out), "--out", str(tmp_path / "page.html"), "--no-open", "--json"])
+    assert json.loads(run.stdout)["samples"] == 50
 
 
 def test_a_killed_training_ends_with_the_same_numbers(tmp_path, done):

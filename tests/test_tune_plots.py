@@ -156,7 +156,14 @@ def test_objective_and_metrics_of_each_start_are_drawn():
     iteration, start = traces.best
     assert stars(figure)[0] == pytest.approx((iteration, value[iteration, start]))
     text = texts(figure)
-    for word in ("speed [mm/s]", "roll_std [deg]", "start 0 (given)", "start 1", "more is better", "less is better"):
+    for word in (
+        "speed [mm/s]",
+        "roll, standard deviation [deg]",
+        "start 0 (given)",
+        "start 1",
+        "more is better",
+        "less is better",
+    ):
         assert word in text
     assert f"star: best, {value.min():.4g} in iteration 6 of start {start}" in text
 
@@ -205,7 +212,7 @@ def test_parameters_are_in_shown_units_with_their_bounds():
     assert np.abs(np.diff(walked)).max() < 90
     shown = np.degrees(traces.column("spine.phase")[:, 0])
     np.testing.assert_allclose(np.cos(np.radians(walked)), np.cos(np.radians(shown)), atol=1e-5)
-    assert "spine.phase\n[deg]" in texts(figure)
+    assert "spine phase\n[deg]" in texts(figure)
     assert "-180 to 180, periodic" in texts(figure)
 
 

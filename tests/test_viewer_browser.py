@@ -62,8 +62,10 @@ def tab(browser: chromium.Browser) -> Iterator[chromium.Tab]:
 
 
 def opened(tab: chromium.Tab, path: Path, width: int = 560, height: int = 420, dark: bool = False) -> chromium.Tab:
+    """The page, held at its beginning."""
     tab.open(path, width, height, dark)
     tab.wait(READY)
+    tab.evaluate("viewer.player.toggle(false), viewer.player.seek(viewer.player.begin)")
     return tab
 
 
@@ -135,6 +137,23 @@ def test_tensions_and_forces_arrive_as_they_were(
 
 
 # --- time
+
+
+def test_the_page_opens_in_motion(tab: chromium.Tab, one: Path) -> None:
+    tab.open(one)
+    tab.wait(READY)
+    tab.wait("viewer.player.time > viewer.player.begin")
+    assert tab.evaluate("viewer.player.playing")
+
+
+def test_a_phone_cuts_no_number_and_names_both_recordings(tab: chromium.Tab, two: Path) -> None:
+    opened(tab, two, 390, 844)
+    spans = "[...document.querySelectorAll('.figures span')]"
+    assert tab.evaluate(f"{spans}.length") > 6
+    assert tab.evaluate(f"{spans}.every((each) => each.getBoundingClientRect().right <= innerWidth - 100)")
+    heads = tab.evaluate("[...document.querySelectorAll('.run h1')].map((each) => each.textContent)")
+    names = tab.evaluate("viewer.clips.map((clip) => clip.name)")
+    assert all(f"{name}: " in head for name, head in zip(names, heads, strict=True))
 
 
 def test_playing_goes_on_scrubbing_jumps_and_keys_step(tab: chromium.Tab, one: Path) -> None:

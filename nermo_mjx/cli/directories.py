@@ -304,17 +304,18 @@ def _split(text: str) -> tuple[str, str]:
 
 def _print_comparison(found: Comparison) -> None:
     """Tables for people: every metric over all variants, and the chosen ones by groups."""
-    columns = [(found.base, "right"), ("", "right"), ("difference [SI]", "right"), ("95 % interval", "left"),
+    columns = [(found.base, "right"), ("", "right"), ("difference", "right"), ("95 % interval", "left"),
                ("relative", "right"), ("variants", "right"), ("", "left")]  # fmt: skip
     for other in found.others:
         columns[1] = (other, "right")
-        rows = [[row["metric"], *_cells(row)] for row in found.rows(other)]
-        print_table(f"{other} minus {found.base}", [("metric", "left"), *columns], rows)
+        rows = [[row["metric"], _unit(row), *_cells(row)] for row in found.rows(other)]
+        print_table(f"{other} minus {found.base}", [("metric", "left"), ("unit", "left"), *columns], rows)
         for metric in found.drawn if found.groups else ():
             lines = [row for row in found.rows(other, grouped=True) if row["metric"] == metric]
             cells = [[*(_text(row[name]) for name in found.groups), *_cells(row), _failed(row)] for row in lines]
             heads = [(name, "right") for name in found.groups]
-            print_table(f"{metric}: {other} minus {found.base}", [*heads, *columns, ("", "left")], cells)
+            title = f"{metric} [{_unit(lines[0])}]: {other} minus {found.base}" if lines else metric
+            print_table(title, [*heads, *columns, ("", "left")], cells)
     for side, counts in found.status.items():
         click.echo(f"{side}: {', '.join(f'{count:,} {status}' for status, count in counts.items())}")
     for note in found.notes:
@@ -322,14 +323,27 @@ def _print_comparison(found: Comparison) -> None:
     click.echo("* beyond noise; at most 5 % of all marked differences are expected to be false")
 
 
+#: Numbers of a row that have its metric's unit.
+_SHOWN = ("base_mean", "other_mean", "difference", "low", "high")
+
+
 def _cells(row: Mapping[str, Any]) -> list[str]:
     if not row["variants"]:
         return ["", "", "no run has it", "", "", "0", ""]
-    low, high = row["low"], row["high"]
+    from nermo_mjx.plotting.shown import shown
+
+    numbers = shown(row["metric"], row["metric_unit"], [row[name] for name in _SHOWN]).values
+    base, other, difference, low, high = numbers.tolist()
     interval = f"[{low:.3g}, {high:.3g}]" if math.isfinite(low) else ""
     relative = f"{row['relative']:+.1%}".replace("%", " %") if math.isfinite(row["relative"]) else ""
-    return [f"{row['base_mean']:.4g}", f"{row['other_mean']:.4g}", f"{row['difference']:+.3g}", interval, relative,
-            str(row["variants"]), "*" if row["beyond_noise"] else ""]  # fmt: skip
+    return [f"{base:.4g}", f"{other:.4g}", f"{difference:+.3g}", interval, relative, str(row["variants"]),
+            "*" if row["beyond_noise"] else ""]  # fmt: skip
+
+
+def _unit(row: Mapping[str, Any]) -> str:
+    from nermo_mjx.plotting.shown import shown
+
+    return shown(row["metric"], row["metric_unit"], []).unit or "1"
 
 
 def _failed(row: Mapping[str, Any]) -> str:

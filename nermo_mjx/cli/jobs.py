@@ -221,15 +221,26 @@ def print_sweep(result: SweepResult) -> None:
     counts = ", ".join(f"{count:,} {status}" for status, count in summary["status"].items())
     effort = f"{summary['steps_per_second']:,.0f} steps/s on the engine {summary['engine']}"
     click.echo(f"{summary['rows']:,} runs ({counts}) in {duration(summary['wall_seconds'])}, {effort}")
-    rows = []
+    from nermo_mjx.plotting.shown import shown
+    from nermo_mjx.sweep.results import Results, result_files
+    from nermo_mjx.sweep.table import meta
+
+    schema, rows = Results(result_files(result.out)).schema, []
+
+    def value(name: str, number: float | str) -> str:
+        if isinstance(number, str):
+            return f"{name} {number}"
+        each = shown(name, meta(schema.field(name))["unit"], number)
+        return f"{name} {each.shown(float(each.values))}"
+
     for name, best in summary["best"].items():
         if best is not None:
-            parameters = best["parameters"].items()
-            at = ", ".join(f"{name} {each if isinstance(each, str) else f'{each:.4g}'}" for name, each in parameters)
-            spread = f" ± {best['std']:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
-            rows.append([name, best["side"], f"{best['mean']:.4g}{spread}", at])
+            at = ", ".join(value(*each) for each in best["parameters"].items())
+            found = shown(name, meta(schema.field(name))["unit"], [best["mean"], best["std"]])
+            spread = f" ± {found.values[1]:.2g}" if best["runs"] > 1 and math.isfinite(best["std"]) else ""
+            rows.append([name, best["side"], f"{found.values[0]:.4g}{spread}", found.unit, at])
     if rows:
-        columns = [("metric", "left"), ("best is", "left"), ("value [SI]", "right"), ("at", "left")]
+        columns = [("metric", "left"), ("best is", "left"), ("value", "right"), ("", "left"), ("at", "left")]
         print_table("Best variants", columns, rows)
     click.echo(f"table   {result.out / 'results'}\nsummary {result.out / 'summary.json'}")
     for name in ("comparison", "sensitivity"):
@@ -779,10 +790,11 @@ def _print_training(result: TrainingResult, exported: Path | None) -> None:
         for who, called in (("policy", "policy"), ("alone", "controller alone")):
             numbers = about[who]
             rows.append([scene, called, f"{100 * numbers['success']:.0f}", f"{1e3 * numbers['speed']:.1f}",
-                         f"{numbers['cost_of_transport']:.3g}"])  # fmt: skip
+                         f"{numbers['cost_of_transport']:.3g}",
+                         f"{numbers['electrical_cost_of_transport']:.3g}"])  # fmt: skip
     if rows:
         columns = [("scene", "left"), ("walks", "left"), ("success [%]", "right"), ("speed [mm/s]", "right"),
-                   ("cost of transport", "right")]  # fmt: skip
+                   ("cost of transport, mechanical", "right"), ("electrical", "right")]  # fmt: skip
         print_table(f"On {result.training.evaluation.bodies:,} unseen bodies and starts", columns, rows)
     cpu = summary["environment_cpu"] + summary["learner_cpu"]
     click.echo(f"{summary['steps']:,} control steps, {duration(summary['simulated_seconds'])} simulated, in "

@@ -123,8 +123,6 @@ class _Lossy:
             raise
         except OSError as error:
             self.lost = self.lost or error
-            # What is buffered would fail again, at the latest when Python ends.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 @contextmanager

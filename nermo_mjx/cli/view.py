@@ -187,7 +187,7 @@ Examples:
 def view_command(
     path: Path, other: Path | None, out: Path | None, recordings: int | None, no_open: bool, as_json: bool, quiet: bool
 ) -> None:
-    """View a recording, or all runs of a directory, in the browser.
+    """View a recording, a sweep, a search or a training in the browser.
 
     The page is self-contained and needs no network. For a recording FILE.npz:
     an interactive 3D view with a time line, tendons coloured by tension,
@@ -195,6 +195,8 @@ def view_command(
     in time. For the directory of a sweep or a search: every run as a point or
     a cell, to filter and brush; clicking a run shows its numbers and the
     command that repeats it, and plays its recording if DIR/recordings has it.
+    For the directory of a training: curves, evaluation, and a walk of its
+    policy on each scene, which is simulated for the page.
     """
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise WrongUse(f"{out}: a page ends in .html, not in {out.suffix or 'nothing'!r}.")
@@ -235,10 +237,15 @@ def _directory(path: Path, other: Path | None, recordings: int | None, notes: li
 
     if other is not None:
         raise WrongUse(f"{path} is a directory: it has its own page; show {other} with a separate command.")
+    if kind_of(path) == "training":
+        from nermo_mjx.view.trained import trained
+
+        page = trained(path)
+        return page, {"samples": page.samples}
     if kind_of(path) not in KINDS:
         raise WrongUse(
             f"{path} is the directory of {kind_of_directory(path).called}: the page of a directory shows the runs of a "
-            "sweep or a search, and nermo-mjx plot draws the others."
+            "sweep or a search, or a training, and nermo-mjx plot draws the others."
         )
     page = explore(path, recordings=MOST_RECORDINGS if recordings is None else recordings, notify=notes.append)
     return page, {"rows": page.rows, "recordings": page.recordings}

@@ -12,6 +12,7 @@ import dataclasses
 import importlib
 import json
 import math
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -132,17 +133,19 @@ def connected(url: str, topic: str = TOPIC) -> Iterator[Sender]:
     """
     try:
         parts = urlsplit(url)
-        # A port out of range raises; MQTT has no path (the topic is none), and no password without a user.
+        # A port out of range raises; MQTT has no path (the topic is none), and takes a user without a password.
         right = all((
             parts.scheme in _PORTS and parts.hostname, parts.port != 0, not parts.fragment,
-            parts.username or parts.password is None,
+            parts.username or parts.password is None, parts.scheme == "mqtt" or not parts.username or parts.password,
             parts.scheme != "mqtt" or not (parts.path.strip("/") or parts.query),
         ))  # fmt: skip
     except ValueError:
         right = False
     if not right:
+        # Up to the last @, as a # or / that was not quoted may stand in the password.
+        masked = re.sub("//.*@", "//...@", url, flags=re.DOTALL)
         raise ParameterError(
-            f"send is {url!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, and "
+            f"send is {masked!r}: allowed is mqtt://HOST[:PORT] or ws://HOST[:PORT], with a port from 1 to 65535, and "
             "USER:PASSWORD@ before HOST, special characters as %XX."
         )
     if not topic or (parts.scheme == "mqtt" and any(mark in topic for mark in "+#\0")):

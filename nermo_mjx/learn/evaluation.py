@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ import pyarrow as pa
 from nermo_mjx.learn.policy import Policy
 from nermo_mjx.learn.spec import Training
 from nermo_mjx.learn.task import GIVEN, Task, task_parameters
+from nermo_mjx.recording import Recording
 from nermo_mjx.robot import identified
 from nermo_mjx.robot.quantity import quantities
 from nermo_mjx.robot.scene import scene_name
@@ -114,6 +115,15 @@ def bodies(training: Training, task: Task, draws: Draws) -> dict[str, np.ndarray
         chosen = random.choice(len(ensemble), count, p=weights / weights.sum())
         drawn |= {name: np.asarray(column, float)[chosen] for name, column in ensemble.values.items()}
     return drawn
+
+
+def recorded(training: Training, policy: Policy, engine: str = "c") -> Iterator[tuple[str, Recording]]:
+    """Each scene of a training's evaluation, and the policy's walk on its first unseen body from its first start."""
+    for setup, task in training.evaluated():
+        there = _setup(setup, policy)
+        simulator = Simulator(there, engine=engine)
+        values = _known(simulator.setup, {**task.set, **bodies(training, task, Draws(1, UNSEEN))})
+        yield scene_name(str(setup.scene)), simulator.run(values, training.run, record=True).recording()
 
 
 def summary_of(table: pa.Table) -> dict[str, Any]:

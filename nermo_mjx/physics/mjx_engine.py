@@ -364,7 +364,7 @@ def obstacle() -> str | None:
             "install nermo-mjx[cuda,warp] on a machine that has one."
         )
     if importlib.util.find_spec("warp") is None:
-        return "the package warp-lang is not installed; add it with pip install 'nermo-mjx[warp]'."
+        return "the package warp-lang is not installed; install the package with its extra warp."
     if jax.config.jax_enable_x64:  # type: ignore[attr-defined]
         return "it computes in single precision; switch jax_enable_x64 off, or take the engine mjx."
     return None

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from nermo_mjx.robot.parameters import GAIT_NAMES
 
 _SHOWN_UNITS = {
     "rad": ("deg", 180 / math.pi),
@@ -14,6 +17,33 @@ _SHOWN_UNITS = {
     "m": ("mm", 1e3),
     "rad/s": ("deg/s", 180 / math.pi),
 }
+_STATISTICS = {
+    "std": "standard deviation", "mean": "mean", "min": "minimum", "max": "maximum", "rms": "root mean square",
+}  # fmt: skip
+
+
+def spoken(name: str) -> str:
+    """The name of a column, or of a choice in it, in words, as titles and axes have it.
+
+    >>> spoken("roll_std"), spoken("spine.phase"), spoken("cost_of_transport"), spoken("lat")
+    ('roll, standard deviation', 'spine phase', 'mechanical cost of transport', 'lateral walk')
+    """
+    name = GAIT_NAMES.get(name, name)
+    if name == "cost_of_transport":
+        return "mechanical cost of transport"
+    stem, _, last = name.rpartition("_")
+    words = f"{stem}, {_STATISTICS[last]}" if stem and last in _STATISTICS else name
+    return re.sub(r"(?<=[a-z0-9])[._](?=[a-z])", " ", words)
+
+
+def titled(name: str) -> str:
+    """The same as a title begins with it.
+
+    >>> titled("electrical_cost_of_transport")
+    'Electrical cost of transport'
+    """
+    words = spoken(name)
+    return words[:1].upper() + words[1:]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,12 +68,17 @@ class ShownValues:
     @property
     def label(self) -> str:
         """Name and unit for an axis; a pure number has the unit 1, a choice none."""
-        return self.name if self.names else f"{self.name} [{self.unit or 1}]"
+        return self.spoken if self.names else f"{self.spoken} [{self.unit or 1}]"
+
+    @property
+    def spoken(self) -> str:
+        """The name in words."""
+        return spoken(self.name)
 
     def shown(self, value: float) -> str:
         """One value with its unit, or its name, for a title; a value that is not known is a dash."""
         if self.names or math.isnan(value):
-            return self.names[int(value)] if self.names else "–"
+            return spoken(self.names[int(value)]) if self.names else "–"
         return f"{value + 0.0:.4g} {self.unit}".rstrip()
 
 

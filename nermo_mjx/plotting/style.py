@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, to_hex, to_rgb
 from matplotlib.ticker import FormatStrFormatter, LogLocator, MaxNLocator, NullLocator
 
-from nermo_mjx.plotting.shown import ShownValues
+from nermo_mjx.plotting.shown import ShownValues, spoken
 
 #: Okabe, M. and Ito, K., "Color universal design", 2008.
 OKABE_ITO: Final = {
@@ -104,7 +104,7 @@ def set_scales(ax: Axes, x: ShownValues, y: ShownValues | None = None) -> None:
         if quantity is None:
             continue
         if quantity.names:
-            axis.set_ticks(range(len(quantity.names)), quantity.names)
+            axis.set_ticks(range(len(quantity.names)), [*map(spoken, quantity.names)])
         elif quantity.log:
             scale("log")
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

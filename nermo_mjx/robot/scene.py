@@ -107,7 +107,34 @@ def load_scene(scene: str) -> mujoco.MjSpec:
         add_terrain(spec, scene)
         spec.modelname = scene
         return spec
-    return mujoco.MjSpec.from_string(scene) if is_mjcf(scene) else load_file(f"scenes/{scene}")
+    return _dressed(mujoco.MjSpec.from_string(scene)) if is_mjcf(scene) else load_file(f"scenes/{scene}")
+
+
+def _dressed(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """A custom scene with the sky, the lights and the mat of the bundled ones, where it has none of its own."""
+    usual = load_file("scenes/common/mat")
+    look = ("type", "builtin", "rgb1", "rgb2", "width", "height", "mark", "markrgb")
+    sky, mat = usual.textures
+    if not any(texture.type == sky.type for texture in spec.textures):
+        spec.add_texture(name="nermo_sky", **{name: getattr(sky, name) for name in look})
+        spec.visual.rgba.haze = usual.visual.rgba.haze
+    if not spec.lights:
+        for light in usual.lights:
+            kept = ("type", "pos", "dir", "diffuse", "specular", "castshadow")
+            spec.worldbody.add_light(**{name: getattr(light, name) for name in kept})
+        for name in ("ambient", "diffuse", "specular"):
+            setattr(spec.visual.headlight, name, getattr(usual.visual.headlight, name))
+    bare = [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE and not geom.material
+            and np.array_equal(geom.rgba, mujoco.MjSpec().default.geom.rgba)]  # fmt: skip
+    if bare:
+        spec.add_texture(name="nermo_mat", **{name: getattr(mat, name) for name in look})
+        own, wanted = spec.add_material(name="nermo_mat"), usual.materials[0]
+        own.textures = ["" if not name else "nermo_mat" for name in wanted.textures]
+        for name in ("texrepeat", "texuniform", "specular", "reflectance"):
+            setattr(own, name, getattr(wanted, name))
+        for geom in bare:
+            geom.material = "nermo_mat"
+    return spec
 
 
 @functools.lru_cache(maxsize=64)

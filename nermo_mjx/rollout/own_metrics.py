@@ -90,6 +90,24 @@ METRICS: Final[dict[str, Metric]] = {
     "failure_time": Metric("s", "end of the first control tick in which it fell or diverged; NaN if it did neither"),
 }  # fmt: skip
 
+#: The headings of lists of metrics, by the first metric below each.
+HEADINGS: Final = {
+    "speed": "Walk", "roll_mean": "Attitude", "head_pitch_mean": "Head and eyes", "cross_track_peak": "Path",
+    "slip": "Feet", "servo_work": "Energy", "servo_clamped": "Checks",
+}  # fmt: skip
+
+
+def headed() -> dict[str, str]:
+    """The heading of each built-in metric.
+
+    >>> headed()["roll_std"], headed()["electrical_cost_of_transport"]
+    ('Attitude', 'Energy')
+    """
+    found, heading = {}, ""
+    for name in METRICS:
+        found[name] = heading = HEADINGS.get(name, heading)
+    return found
+
 
 #: Reductions of a function's values, with their explanations for messages.
 REDUCTIONS: Final = ("mean", "rms", "std", "min", "max", "peak", "range", "last", "integral")

@@ -331,7 +331,7 @@ def check_library(method: str) -> None:
     """Raises `ParameterError` unless what a method needs is installed."""
     library = LIBRARIES.get(method)
     if library is not None and importlib.util.find_spec(library) is None:
-        raise ParameterError(f"method is {method}, which needs {library}: pip install 'nermo-mjx[search]'.")
+        raise ParameterError(f"method is {method}, which needs {library}: install the package with its extra search.")
 
 
 def made_by(method: str) -> str:

@@ -58,6 +58,10 @@ class Document:
         return self.source
 
 
+#: Brackets that may be open at once.
+_DEEPEST: Final = 200
+
+
 def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
     """Read a YAML file; raises a `SpecError` if it is not a YAML mapping. `what` names its kind."""
     source = os.fspath(path)
@@ -76,6 +80,11 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
     """Read YAML text; see `read_file`."""
     yaml = YAML(typ="safe", pure=True)
     try:
+        opened = 0
+        for line in text.splitlines():  # the parser takes minutes to find out
+            opened += sum(map(line.count, "[{")) - sum(map(line.count, "]}"))
+            if opened > _DEEPEST:
+                raise RecursionError
         root = yaml.compose(text)
         reader = _NodeReader(source, what, yaml)
         data = None if root is None else reader.value(root, ())

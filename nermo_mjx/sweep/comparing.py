@@ -20,12 +20,12 @@ from scipy import stats
 
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import Page
-from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import BEST, GRID, INK, LINE, MUTED, SERIES, horizontal_grid, set_scales
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
+from nermo_mjx.rollout.own_metrics import METRICS
 from nermo_mjx.runs.files import DirectoryError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.sweep.figures import titled
 from nermo_mjx.sweep.results import HELD, Results, SweepRecord, result_files
 from nermo_mjx.sweep.spec import OBJECTIVES
 from nermo_mjx.sweep.structures import label_of
@@ -553,6 +553,8 @@ def _apart(base: Arm, other: Arm) -> str:
 # Two sets of runs compared: the difference of every metric with its interval, over all variants and by groups.
 
 
+#: What a comparison is of, if not of metrics that are named: what is gained, and at what cost.
+GAINS: Final = (LEADING, "cost_of_transport", "electrical_cost_of_transport")
 #: Share of false findings among those labelled beyond noise.
 FALSE_SHARE: Final = 0.05
 #: Number of variants whose mean says little about others.
@@ -667,7 +669,7 @@ def compare(
         base: the baseline value; by default `none`, if present, else the first.
         groups: varied columns: an additional interval for each combination of their values.
         where: varied columns and the value to which the runs are restricted.
-        drawn: metrics of which figures and summaries have the groups; by default the speed.
+        drawn: metrics of which figures and summaries have the groups; by default the speed and both costs of transport.
 
     Raises:
         ParameterError: there is no such column or value, or no common variant.
@@ -690,7 +692,7 @@ def compare(
     for name in drawn:
         if name not in shared:
             raise ParameterError(f"metric is {name!r}, which no table has or one lacks{did_you_mean(name, shared)}")
-    drawn = drawn or ([LEADING] if LEADING in shared else shared[:1])
+    drawn = drawn or [name for name in GAINS if name in shared] or shared[:1]
     lines: list[dict[str, Any]] = []
     status: dict[str, dict[str, int]] = {}
     for other in arms[1:]:
@@ -721,7 +723,8 @@ def compare(
 def better(field: pa.Field) -> str:
     """Whether high or low is better of a metric, or what is nearer to 0; empty if neither is."""
     known = {"max": "high", "min": "low", "nearest zero": "zero"}
-    return meta(field).get("better") or known.get(OBJECTIVES.get(field.name, ""), "")
+    built_in = METRICS[field.name].better if field.name in METRICS else None
+    return meta(field).get("better") or known.get(OBJECTIVES.get(field.name, ""), built_in or "")
 
 
 def _lines(pairing: Pairing, metrics: Sequence[str], groups: Sequence[str]) -> list[dict[str, Any]]:
@@ -795,6 +798,7 @@ Row = Mapping[str, Any]
 #: Metrics of one figure, and panels.
 _MOST_METRICS: Final = 30
 _MOST_PANELS: Final = 12
+_COLUMNS: Final = 3
 #: Relative differences beyond this are cut off in the figure, if there are others [fraction].
 _FAR: Final = 1.0
 _MARKS: Final = "filled: beyond noise; hollow: within it; bars: 95 % intervals"
@@ -809,12 +813,16 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     for other in dict.fromkeys(line["other"] for line in lines):
         own = [line for line in lines if line["other"] == other]
         # Directories may have long names, and one figure is of two values of a column at most.
-        against = f"{about.get(b'by', b'').decode()} {_last(other)} against {_last(base)}".lstrip()
+        by = about.get(b"by", b"").decode()
+        against = (
+            f"{spoken(by)} {_text(other)} against {_text(base)}" if by else f"{_last(other)} against {_last(base)}"
+        )
         tail = "" if len({line["other"] for line in lines}) == 1 else f"-{_last(other)}"
         yield f"differences{tail}", _forest([line for line in own if line["group"] < 0], against)
-        for metric in metrics if groups else ():
-            rows = [line for line in own if line["group"] >= 0 and line["metric"] == metric]
-            yield f"{metric}-gain-by-{'-and-'.join(groups)}{tail}", _by_groups(rows, table.schema, groups, against)
+        if groups:
+            rows = [line for line in own if line["group"] >= 0 and line["metric"] in metrics]
+            what = f"{metrics[0]}-gain" if len(metrics) == 1 else "gains"
+            yield f"{what}-by-{'-and-'.join(groups)}{tail}", _by_groups(rows, metrics, table.schema, groups, against)
 
 
 def figures(out: Path) -> Figures:
@@ -830,7 +838,8 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
     """The relative difference of each metric with its interval, and in numbers beside it."""
     known = [row for row in rows if row["relative"] is not None and np.isfinite(row["relative"])]
     listed = [row for row in known if row["metric"] in OBJECTIVES or row["beyond_noise"]] or known
-    drawn = sorted(listed, key=lambda row: row["metric"] not in OBJECTIVES)[:_MOST_METRICS]
+    order = {name: place for place, name in enumerate(OBJECTIVES)}
+    drawn = sorted(listed, key=lambda row: (not row["better"], order.get(row["metric"], len(order))))[:_MOST_METRICS]
     page = Page(f"Relative differences: {against}", (7.6, 0.24 * len(drawn) + 1.5))
     ax = page.axes[0, 0]
     # An outlier would leave the others no room.
@@ -861,7 +870,7 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
             fontsize=8,
             color=INK if row["beyond_noise"] else MUTED,
         )
-    ax.set_yticks(range(len(drawn)), [row["metric"] for row in drawn])
+    ax.set_yticks(range(len(drawn)), [titled(row["metric"]) for row in drawn])
     ax.set(ylim=(len(drawn) - 0.4, -0.6), xlim=(-far, far), xlabel="difference relative to the base's mean [%]")
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: _percent(value)))
     ax.grid(axis="x", color=GRID, lw=0.8)
@@ -871,48 +880,61 @@ def _forest(rows: Sequence[Row], against: str) -> Figure:
     return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{more}")
 
 
-def _by_groups(rows: Sequence[Row], schema: pa.Schema, groups: Sequence[str], against: str) -> Figure:
-    """The gain of one metric over the groups: one of their columns across, one as lines, the others as panels."""
+def _by_groups(
+    rows: Sequence[Row], metrics: Sequence[str], schema: pa.Schema, groups: Sequence[str], against: str
+) -> Figure:
+    """The gain of each metric over the groups: one of their columns across, one as lines, the others as panels."""
     x, series, panels = _roles(rows, groups)
-    relative = all(row["relative"] is not None and np.isfinite(row["relative"]) for row in rows)
-    metric, unit = rows[0]["metric"], rows[0]["metric_unit"]
-    names = ("relative", "relative_low", "relative_high") if relative else ("difference", "low", "high")
-    numbers = shown(metric, unit, [[row[name] for name in names] for row in rows])
-    values = 100 * np.array([[row[name] for name in names] for row in rows], float) if relative else numbers.values
-    across = _column(schema, x, [row[x] for row in rows])
     parts = list(dict.fromkeys(tuple(row[name] for name in panels) for row in rows))[:_MOST_PANELS]
     each = list(dict.fromkeys(row[series] if series else None for row in rows))
-    columns = min(len(parts), 3)
+    # A row of panels has all metrics; of one metric, its panels follow one another.
+    drawn = [(part, metric) for part in parts for metric in metrics]
+    columns = min(len(metrics) if len(metrics) > 1 else len(parts), _COLUMNS)
+    lines = -(-len(drawn) // columns)
     page = Page(
-        f"{titled(metric)}: {against}",
-        (max(6.4, 3.3 * columns), 3.0 * -(-len(parts) // columns) + 1.0),
-        -(-len(parts) // columns),
+        f"{titled(metrics[0]) if len(metrics) == 1 else 'Speed and costs of transport'}: {against}",
+        (max(6.4, 3.3 * columns), 3.0 * lines + 1.0),
+        lines,
         columns,
-        sharey=True,
     )
-    for ax in page.axes.ravel()[len(parts) :]:
+    for ax in page.axes.ravel()[len(drawn) :]:
         ax.remove()
-    for ax, part in zip(page.axes.ravel(), parts, strict=False):
+    for at, (ax, (part, metric)) in enumerate(zip(page.axes.ravel(), drawn, strict=False)):
+        of_metric = [row for row in rows if row["metric"] == metric]
+        own = [row for row in of_metric if tuple(row[name] for name in panels) == part]
+        relative = all(row["relative"] is not None and np.isfinite(row["relative"]) for row in of_metric)
+        names = ("relative", "relative_low", "relative_high") if relative else ("difference", "low", "high")
+        numbers = shown(metric, own[0]["metric_unit"], [[row[name] for name in names] for row in own])
+        values = 100 * np.array([[row[name] for name in names] for row in own], float) if relative else numbers.values
+        across = _column(schema, x, [row[x] for row in own])
         for place, value in enumerate(each):
-            own = [
-                i
-                for i, row in enumerate(rows)
-                if tuple(row[name] for name in panels) == part and (series is None or row[series] == value)
-            ]
-            _line(ax, across, values, [rows[i]["beyond_noise"] for i in own], own, place, len(each))
-        ax.set_title(", ".join(f"{name} {_text(value)}" for name, value in zip(panels, part, strict=True)))
+            chosen = [i for i, row in enumerate(own) if series is None or row[series] == value]
+            _line(ax, across, values, [own[i]["beyond_noise"] for i in chosen], chosen, place, len(each))
+        words = [f"{spoken(name)} {_text(value)}" for name, value in zip(panels, part, strict=True)]
+        ax.set_title(", ".join([*([titled(metric)] if len(metrics) > 1 else []), *words]))
         if isinstance(across, ShownValues):
             set_scales(ax, across)
         else:
             ax.set_xticks(range(len(across[0])), across[0])
         ax.axhline(0, color=MUTED, lw=0.8, zorder=1)
         horizontal_grid(ax)
-    for ax in page.figure.axes:
-        if (spec := ax.get_subplotspec()) is not None and spec.is_first_col():
-            ax.set_ylabel(f"difference in {metric} [{'%' if relative else numbers.unit or 1}]")
-        ax.set_xlabel(across.label if isinstance(across, ShownValues) else x)
-    handles = [_mark(SERIES[i % len(SERIES)], f"{series} {_text(value)}") for i, value in enumerate(each) if series]
+        if len(metrics) > 1 or at % columns == 0:
+            ax.set_ylabel(f"difference [{'%' if relative else numbers.unit or 1}]")
+        ax.set_xlabel(across.label if isinstance(across, ShownValues) else spoken(x))
+    _alike(list(page.axes.ravel()[: len(drawn)]), [metric for _, metric in drawn])
+    handles = [
+        _mark(SERIES[i % len(SERIES)], f"{spoken(series)} {_text(value)}") for i, value in enumerate(each) if series
+    ]
     return page.finish(handles, f"{_MARKS}\n{_runs(rows)}{_failures(rows, groups)}")
+
+
+def _alike(panels: Sequence[Axes], metrics: Sequence[str]) -> None:
+    """The same scale for all panels of a metric."""
+    for metric in dict.fromkeys(metrics):
+        own = [ax for ax, name in zip(panels, metrics, strict=True) if name == metric]
+        ends = [ax.get_ylim() for ax in own]
+        for ax in own:
+            ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
 
 
 def _line(
@@ -998,7 +1020,7 @@ def _percent(share: float) -> str:
 
 
 def _text(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else spoken(str(value))
 
 
 def _last(name: str) -> str:

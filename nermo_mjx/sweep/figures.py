@@ -21,7 +21,7 @@ from matplotlib.ticker import FuncFormatter
 
 from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.page import around, blank
-from nermo_mjx.plotting.shown import ShownValues, shown
+from nermo_mjx.plotting.shown import ShownValues, shown, spoken, titled
 from nermo_mjx.plotting.style import (
     BAND,
     BEST,
@@ -364,11 +364,6 @@ def thinned(values: np.ndarray, most: int, kept: np.ndarray | Sequence[int] = ()
     return np.union1d(even, np.asarray(kept, values.dtype))
 
 
-def titled(metric: str) -> str:
-    """A metric's name as a title begins with it."""
-    return metric.replace("_", " ").capitalize()
-
-
 # ---
 # Figures that compare the structures of a sweep: a line, a panel or a dot for each combination of them.
 
@@ -392,11 +387,14 @@ class Groups:
         names: what each is called.
         of: which one each run has, (rows,) int.
         what: of which columns they are, in words.
+        looks: colour and dashes of each, as numbers: structures that differ in their last column alone, as in the spine
+            on and off, share a colour.
     """
 
     names: tuple[str, ...]
     of: np.ndarray
     what: str
+    looks: tuple[tuple[int, int], ...]
 
 
 def groups_of(results: Results, most: int = MOST_GROUPS) -> Groups | None:
@@ -409,8 +407,12 @@ def groups_of(results: Results, most: int = MOST_GROUPS) -> Groups | None:
         places = {key: place for place, key in enumerate(dict.fromkeys(each))}
         if len(places) <= most or len(chosen) == 1:
             left = [name for name in columns if name not in chosen]
-            what = ", ".join(chosen) + (f"; mean over {', '.join(left)}" if left else "")
-            return Groups(tuple(map(", ".join, places)), np.array([places[key] for key in each]), what)
+            what = ", ".join(map(spoken, chosen)) + (f"; mean over {', '.join(map(spoken, left))}" if left else "")
+            pairs = ((key[:-1], key[-1]) if len(chosen) > 1 else (key, "") for key in places)
+            heads, tails = dict[Any, int](), dict[Any, int]()
+            looks = tuple((heads.setdefault(a, len(heads)), tails.setdefault(b, len(tails))) for a, b in pairs)
+            names = tuple(", ".join(map(spoken, key)) for key in places)
+            return Groups(names, np.array([places[key] for key in each]), what, looks)
         chosen.pop()
     return None
 
@@ -420,10 +422,14 @@ def structure_figures(results: Results, groups: Groups, metric: str, remark: str
     z = metric_of(results, metric)
     numbers = [name for name in columns_of(results, "varied") if name not in labelled(results)]
     drawn = [x for x in quantities(results, numbers) if not alike(x.values)]
-    yield f"{metric}-over-structures", dots(groups, z, f"{titled(metric)} of each structure", remark)
+    title = f"{titled(metric)} of each structure"
+    yield f"{metric}-over-structures", dots(groups, z, title, remark, spread=not drawn)
     for x in drawn[:_MOST_ALONE]:
-        title = f"{titled(metric)} over {x.name}, by structure"
-        yield f"{metric}-over-{x.name}-by-structure", lines(x, z, groups, title, remark, even=not results.is_grid)
+        title = f"{titled(metric)} over {x.spoken}, by structure"
+        yield (
+            f"{metric}-over-{x.name}-by-structure",
+            lines(x, z, groups, title, remark, even=not results.is_grid, spread=results.is_grid and len(drawn) == 1),
+        )
     for x, y in itertools.combinations(drawn[:_MOST_PAIRED] if results.is_grid else [], 2):
         good = np.isfinite(x.values) & np.isfinite(y.values)
         across, up, value = (dataclasses.replace(each, values=each.values[good]) for each in (x, y, z))
@@ -431,50 +437,58 @@ def structure_figures(results: Results, groups: Groups, metric: str, remark: str
         here = np.unique(which)
         note = remark
         if len(drawn) > 2:
-            note += f"mean over {', '.join(each.name for each in drawn if each.name not in (x.name, y.name))}; "
+            note += f"mean over {', '.join(each.spoken for each in drawn if each.name not in (x.name, y.name))}; "
         if lacking := len(groups.names) - len(here):
             note += f"{lacking} structures without one of them; "
         if len(here) > MOST_GROUPS:
             note += f"{len(here) - MOST_GROUPS} more structures not shown; "
-        title = f"{titled(metric)} over {x.name} and {y.name}, by structure"
+        title = f"{titled(metric)} over {x.spoken} and {y.spoken}, by structure"
         panels = [(groups.names[place], which == place) for place in here[:MOST_GROUPS]]
         yield f"{metric}-over-{x.name}-and-{y.name}-by-structure", heat_maps(across, up, value, panels, title, note)
 
 
-def dots(groups: Groups, z: ShownValues, title: str, note: str) -> Figure:
-    """A dot for each structure at the mean of its runs, a bar of one standard deviation; the best one in orange."""
+def dots(groups: Groups, z: ShownValues, title: str, note: str, *, spread: bool) -> Figure:
+    """A dot for each structure at the mean of its runs, the best one in orange.
+
+    With `spread`, where runs of a structure are repeats, a bar of one standard deviation.
+    """
     count = len(groups.names)
-    mean, spread = np.full(count, np.nan), np.zeros(count)
+    mean, std = np.full(count, np.nan), np.zeros(count)
     for place in range(count):
         own = z.values[(groups.of == place) & np.isfinite(z.values)]
         if len(own):
-            mean[place], spread[place] = own.mean(), own.std()
+            mean[place], std[place] = own.mean(), own.std()
     best = int(np.nanargmin(cost(z.side, mean))) if np.isfinite(mean).any() else -1
     figure = blank(7.2, 1.3 + 0.3 * count)
     ax = figure.subplots()
     for place in range(count):
         colour = BEST if place == best else SERIES[0]
-        ax.errorbar(mean[place], place, xerr=spread[place], color=colour, elinewidth=2, alpha=0.5)
+        if spread:
+            ax.errorbar(mean[place], place, xerr=std[place], color=colour, elinewidth=2, alpha=0.5)
         ax.plot(mean[place], place, "o", color=colour, ms=7, mec="white")
     ax.set_yticks(range(count), groups.names, color=INK)
     ax.set(xlabel=z.label, ylim=(count - 0.5, -0.5))
     ax.grid(axis="x", color=GRID, lw=0.8)
     ax.set_axisbelow(True)
     told = f"; orange: {best_word(z)}, {z.shown(mean[best])}" if best >= 0 else ""
-    return around(figure, title, f"{note}{groups.what}: mean of all runs, and their standard deviation{told}")
+    what = "mean of its runs, bar: their standard deviation" if spread else "mean of all its runs"
+    return around(figure, title, f"{note}{groups.what}: {what}{told}")
 
 
-def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str, *, even: bool) -> Figure:
+def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str, *, even: bool, spread: bool) -> Figure:
     """A line for each structure: the mean at each value of x, or in bins with as many runs where x is `even`.
 
-    A structure that has no such parameter is a level line at its mean.
+    A structure that has no such parameter is a level line at its mean. With `spread`, where runs of a structure at one
+    x are repeats, a band of their standard deviation.
     """
+    spread = spread and len(groups.names) <= _MOST_BANDS
     figure, (ax,) = panelled(1, 4.6)
     handles, level = [], False
     for place, name in enumerate(groups.names):
         own = (groups.of == place) & np.isfinite(z.values)
-        colour, dashes = place % len(SERIES), place // len(SERIES) % len(_DASHES)
-        style: dict[str, Any] = {"color": SERIES[colour], "ls": _DASHES[dashes]}
+        colour, dashes = groups.looks[place]
+        dashes += colour // len(SERIES)
+        style: dict[str, Any] = {"color": SERIES[colour % len(SERIES)], "ls": _DASHES[dashes % len(_DASHES)]}
         handles.append(Line2D([], [], label=name, **style))
         there = own & np.isfinite(x.values)
         if not there.any():
@@ -484,13 +498,13 @@ def lines(x: ShownValues, z: ShownValues, groups: Groups, title: str, note: str,
             continue
         nodes = np.quantile(x.values[there], np.linspace(0, 1, _BINS)) if even else np.unique(x.values[there])
         xs, mean, std = binned(x.values[there], z.values[there], nodes)
-        if len(groups.names) <= _MOST_BANDS:
+        if spread:
             ax.fill_between(xs, mean - std, mean + std, color=style["color"], alpha=0.15, lw=0)
         ax.plot(xs, mean, marker="o", ms=3.5, mec="white", mew=0.5, **style)
     set_scales(ax, x)
     horizontal_grid(ax)
     ax.set(xlabel=x.label, ylabel=z.label)
     said = [f"{groups.what}: " + ("running mean" if even else "mean over everything else")]
-    said += ["band: standard deviation"] if len(groups.names) <= _MOST_BANDS else []
-    said += [f"level: without {x.name}"] if level else []
+    said += ["band: standard deviation of its runs"] if spread else []
+    said += [f"level: without {x.spoken}"] if level else []
     return around(figure, title, note + "; ".join(said), handles)

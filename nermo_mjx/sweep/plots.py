@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import string
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +27,7 @@ from scipy import stats
 from nermo_mjx.plotting.cloud import cloud, remark
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import around, blank, note_lines
-from nermo_mjx.plotting.shown import ShownValues
+from nermo_mjx.plotting.shown import ShownValues, spoken, titled
 from nermo_mjx.plotting.style import BEST, COLOURS, GRID, INK, MUTED, SMALL, colour_scale, set_scales
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.runs.files import DirectoryError
@@ -47,7 +48,6 @@ from nermo_mjx.sweep.figures import (
     scatters,
     structure_figures,
     thinned,
-    titled,
 )
 from nermo_mjx.sweep.results import Results, SweepRecord, result_files
 from nermo_mjx.sweep.spec import cost, sides_in
@@ -74,7 +74,7 @@ def figures_of(results: Results, metric: str = LEADING, remark: str = "") -> Ite
     elif not results.is_grid or not varied:
         yield from _scatter_figures(varied or quantities(results, columns_of(results, "randomized")), z, remark)
     elif len(varied) == 1:
-        title = f"{titled(metric)} over {varied[0].name}"
+        title = f"{titled(metric)} over {varied[0].spoken}"
         yield f"{metric}-over-{varied[0].name}", line(varied[0], z, title, remark + repeats_remark(results))
     else:
         for x, y in itertools.combinations(varied[:MOST_PAIRED], 2):
@@ -91,7 +91,7 @@ def heat_map(
     if not good.all():
         x, y, z, *varied = (dataclasses.replace(each, values=each.values[good]) for each in (x, y, z, *varied))
     panels, remark = _panels([other for other in varied if other.name not in (x.name, y.name)], len(z.values))
-    figure = heat_maps(x, y, z, panels, f"{titled(z.name)} over {x.name} and {y.name}", note + remark)
+    figure = heat_maps(x, y, z, panels, f"{titled(z.name)} over {x.spoken} and {y.spoken}", note + remark)
     return f"{z.name}-over-{x.name}-and-{y.name}", figure
 
 
@@ -108,7 +108,8 @@ def _gain_figures(results: Results, metric: str, start: str) -> Iterator[tuple[s
     if not np.isfinite(z.values[bends]).any() or len(np.unique(y.values)) < 2:
         return
     panels, remark = _panels([other for other in varied.values() if len(np.unique(other.values)) > 1], len(z.values))
-    title, note = f"Speed gain over {x.name} and {y.name}", f"{start}{remark}stiff: mean at {x.name} 0; "
+    title = f"Speed gained by the spine over {x.spoken} and {y.spoken}"
+    note = f"{start}{remark}stiff: mean at {x.spoken} 0; "
     yield f"{metric}-gain-over-{x.name}-and-{y.name}", heat_maps(x, y, z, panels, title, note, gain=bends)
 
 
@@ -144,8 +145,8 @@ def _panels(rest: list[ShownValues], count: int) -> tuple[list[tuple[str, np.nda
     """The panels of a heat map of `count` points for the parameters not on its axes, and a remark about them."""
     if len(rest) == 1:
         panels, left_out = _slices(rest[0])
-        return panels, f"{left_out} more values of {rest[0].name} not shown; " if left_out else ""
-    remark = f"mean over {', '.join(other.name for other in rest)}; " if rest else ""
+        return panels, f"{left_out} more values of {rest[0].spoken} not shown; " if left_out else ""
+    remark = f"mean over {', '.join(other.spoken for other in rest)}; " if rest else ""
     return [("", np.full(count, True))], remark
 
 
@@ -153,7 +154,7 @@ def _slices(third: ShownValues) -> tuple[list[tuple[str, np.ndarray]], int]:
     """A panel for each value of the third parameter, and how many values were left out."""
     values = np.unique(third.values[np.isfinite(third.values)])
     kept = thinned(values, MOST_PANELS)
-    panels = [(f"{third.name} = {third.shown(value)}", third.values == value) for value in kept]
+    panels = [(f"{third.spoken} = {third.shown(value)}", third.values == value) for value in kept]
     return panels, len(values) - len(kept)
 
 
@@ -257,8 +258,8 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
         across, up = (next(each for each in others if each.name == wanted) for wanted in (x, y))
         differing = [each for each in others if not alike(each.values)]
         return heat_map(across, up, differing, metric_of(results, color), remark + repeats_remark(results))
-    title = f"{color} over {x} and {y}" if color else f"{y} over {x}"
-    name = title.replace(" ", "-")
+    name = f"{color}-over-{x}-and-{y}" if color else f"{y}-over-{x}"
+    title = f"{titled(color)} over {spoken(x)} and {spoken(y)}" if color else f"{titled(y)} over {spoken(x)}"
     drawn = [quantities(results, [each])[0] for each in (x, y, color) if each]
     good = results.well & np.logical_and.reduce([np.isfinite(each.values) for each in drawn])
     places = np.flatnonzero(good)
@@ -268,7 +269,6 @@ def _figure(results: Results, x: str, y: str, color: str | None, remark: str) ->
         places, note = thinned(places, MOST_POINTS, [best]), f"{MOST_POINTS:,} of {note}"
     note = remark + note
     across, up, *by = (dataclasses.replace(each, values=each.values[places]) for each in drawn)
-    title = title[:1].upper() + title[1:]
     if by:
         return name, pair_scatters([(across, up)], by[0], title, f"{note}; ", star=color in metrics)
     return name, scatters([across], up, [""], title, f"{note}; line: running mean")
@@ -317,7 +317,7 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     if extend != "neither":
         end = scale.vmax if extend == "max" else scale.vmin
         assert end is not None
-        note += f"; {z.name} {'above' if extend == 'max' else 'below'} {z.shown(float(end))} is drawn there"
+        note += f"; {z.spoken} {'above' if extend == 'max' else 'below'} {z.shown(float(end))} is drawn there"
     axes = [*parameters, dataclasses.replace(z, values=np.clip(z.values, scale.vmin, scale.vmax))]
     figure = blank(1.5 + 1.35 * len(axes), 4.7)
     ax = figure.subplots()
@@ -339,7 +339,7 @@ def parallel(parameters: Sequence[ShownValues], z: ShownValues, title: str, note
     right = len(axes) - 1
     ax.imshow(strip, cmap=COLOURS, extent=(right - 0.022, right + 0.022, 0, 1), origin="lower", aspect="auto", zorder=5)
     ax.set(xlim=(-0.35, right + 0.55), ylim=(-0.04, 1.04))
-    ax.set_xticks(range(len(axes)), [each.label.replace(".", ".\n").replace(" [", "\n[") for each in axes])
+    ax.set_xticks(range(len(axes)), [textwrap.fill(each.label, 14) for each in axes])
     ax.tick_params(axis="x", length=0, labelcolor=INK)
     ax.yaxis.set_visible(False)
     for spine in ax.spines.values():
@@ -364,7 +364,7 @@ def _draw_axis(ax: Axes, place: int, axis: ShownValues) -> None:
         values = np.array([tick for tick in ticks if low - 1e-9 <= tick <= high + 1e-9 * abs(high)])
     for value, height in zip(values, _share(axis, values), strict=True):
         ax.plot([place, place + 0.03], [height, height], color=MUTED, lw=1.0, zorder=5)
-        text = axis.names[int(value)] if axis.names else f"{value + 0.0:.4g}".replace("-", "−")
+        text = axis.shown(value) if axis.names else f"{value + 0.0:.4g}".replace("-", "−")
         ax.annotate(
             text,
             (place, height),
@@ -436,7 +436,8 @@ def trade_off(
     letters = string.ascii_uppercase
     lines = [f"{letter}\t{text}" for letter, (_, text) in zip(letters, named, strict=False)]
     words = {"max": "more", "min": "less", "nearest zero": "nearer to zero"}
-    lines.append(f"{note}orange: nothing is better in both ({x.name}: {words[sides[0]]}, {y.name}: {words[sides[1]]})")
+    both = ", ".join(f"{each.spoken}: {words[side]}" for each, side in zip((x, y), sides, strict=True))
+    lines.append(f"{note}orange: nothing is better in both ({both})")
     text = "\n".join(lines) + remark(len(x.values))
     figure = blank(_WIDTH, 4.4 + 0.15 * len(note_lines(text, _WIDTH)))
     ax = figure.subplots()
@@ -490,7 +491,8 @@ def survey_figures(results: Results, metric: str, remark: str = "") -> Iterator[
     names = points.differing
     if len(names) < 2 or len(points.rows) < 4:
         return
-    yield f"{metric}-parallel", _parallel(points, names, metric, remark)
+    if not results.is_grid:  # whose lines would all cross
+        yield f"{metric}-parallel", _parallel(points, names, metric, remark)
     if weighed:
         yield f"{metric}-against-{weighed}", trade_off_figure(points, metric, weighed, names, remark)
 
@@ -504,8 +506,8 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     lines = [
         (
             int(place),
-            f"{first} {x.shown(x.values[place])}, {second} {y.shown(y.values[place])}:  "
-            + ", ".join(f"{each.name} {each.shown(each.values[i])}" for each in told),
+            f"{x.spoken} {x.shown(x.values[place])}, {y.spoken} {y.shown(y.values[place])}:  "
+            + ", ".join(f"{each.spoken} {each.shown(each.values[i])}" for each in told),
         )
         for i, place in enumerate(named)
     ]
@@ -520,7 +522,7 @@ def trade_off_figure(points: Points, first: str, second: str, names: tuple[str, 
     x, y = (dataclasses.replace(each, values=each.values[drawn]) for each in (x, y))
     best = np.array([place[int(row)] for row in best], int)
     lines = [(place[row], text) for row, text in lines]
-    return trade_off(x, y, best, (x.side, y.side), lines, f"{titled(first)} against {second}", note)
+    return trade_off(x, y, best, (x.side, y.side), lines, f"{titled(first)} over {y.spoken}", note)
 
 
 def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) -> Figure:
@@ -541,7 +543,7 @@ def _parallel(points: Points, names: tuple[str, ...], metric: str, remark: str) 
     )
     if left_out:
         note += f"; {left_out} parameters that matter less are not shown"
-    at = ", ".join(f"{each.name} {each.shown(each.values[-1])}" for each in parameters)
+    at = ", ".join(f"{each.spoken} {each.shown(each.values[-1])}" for each in parameters)
     word = "best" if values.side else "highest"
     note += f"; orange: the {min(BEST_LINES, known)} {word}, of which the first is {z.shown(z.values[-1])} at {at}"
     return parallel(parameters, z, f"{titled(metric)}: all parameters side by side", note)
@@ -575,7 +577,7 @@ def findings(
     try:
         if comparison is not None:
             by, base, groups = comparison["by"], comparison.get("base"), comparison.get("for", ())
-            found = compare(results, by=by, base=base, groups=groups, drawn=(metric,))
+            found = compare(results, by=by, base=base, groups=groups, drawn=() if metric == LEADING else (metric,))
             yield "comparison", found.table, found.about(only=found.drawn), comparing.figures_of(found.table)
     except ParameterError as error:
         notify(f"There is no comparison: {error}")

@@ -17,11 +17,11 @@ from matplotlib.patches import Patch
 
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import Page
+from nermo_mjx.plotting.shown import spoken
 from nermo_mjx.plotting.style import BAND, GRID, INK, LINE, MUTED, OKABE_ITO
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
 from nermo_mjx.sweep.axes import saltelli_size, unit_problem
 from nermo_mjx.sweep.comparing import Source, opened
-from nermo_mjx.sweep.figures import titled
 from nermo_mjx.sweep.results import Results
 from nermo_mjx.sweep.table import LEADING, Columns, columns_of, labelled, report_table
 
@@ -318,7 +318,7 @@ def figures_of(table: pa.Table) -> Iterator[tuple[str, Figure]]:
     columns = 2 if pairs else min(len(parts), 2)
     rows = len(parts) if pairs else -(-len(parts) // columns)
     size = (5.6 if columns == 1 else 9.6, rows * (0.34 * len(names) + 0.9) + 1.2)
-    page = Page(f"What {titled(metric).lower()} depends on", size, rows, columns)
+    page = Page(f"What {spoken(metric)} depends on", size, rows, columns)
     axes = page.axes.ravel()
     places = iter(axes)
     for part in parts:

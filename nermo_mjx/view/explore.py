@@ -21,10 +21,11 @@ from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Setup
+from nermo_mjx.rollout.own_metrics import headed
 from nermo_mjx.runs import DirectoryError, kind_of
 from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.sweep.figures import thinned
-from nermo_mjx.sweep.results import Results
+from nermo_mjx.sweep.results import Results, SweepRecord
 from nermo_mjx.sweep.spec import OBJECTIVES, sides_in
 from nermo_mjx.sweep.table import LEADING, meta
 from nermo_mjx.view.clip import COMPACT, Models, Packer, clip_of
@@ -88,6 +89,7 @@ class Runs:
         leading: the first requested metric.
         grid: whether the varied parameters form a grid.
         atlas: an atlas' objective and measures; None for other directories.
+        asked: over what a gain is asked for.
     """
 
     kind: str
@@ -97,6 +99,7 @@ class Runs:
     leading: str
     grid: bool = False
     atlas: Mapping[str, Any] | None = None
+    asked: tuple[str, ...] = ()
 
     def of(self, *roles: str) -> list[Column]:
         """Columns of these roles that differ between the runs."""
@@ -317,6 +320,7 @@ def explore(
     chosen = _chosen(runs, there, recordings)
     if len(chosen) < len(there):
         notes.append(f"{len(chosen)} of {len(there)} recordings, evenly from the best to the worst.")
+    runs = with_gain(path, runs)
     table, models = Packer("table"), Packer("models")
     clips, headers, parts = _clips({row: there[row] for row in chosen}, models, notes)
     if notify is not None:
@@ -344,8 +348,63 @@ def explore(
     return Page(html, height, rows=len(runs.rows), recordings=len(clips))
 
 
+def with_gain(path: Path, runs: Runs) -> Runs:
+    """The runs with the gain that their file asks for, in the first metric; without one, as they are.
+
+    It is over the base of the comparison, or over the stiff spine where a grid varies the amplitude of the spine from 0
+    and its phase: relative to the mean of those runs of the base that are like it but for what is compared. The runs of
+    the base have none.
+    """
+    sweep = SweepRecord.of_directory(path) if runs.kind == "sweep" else None
+    asked = dict(sweep.comparison or {}) if sweep is not None else {}
+    names = {each.name for each in runs.of("varied")}
+    if not asked and {"spine.amplitude", "spine.phase"} <= names and runs.grid:
+        asked = {"by": "spine.amplitude", "base": 0.0, "for": ["spine.amplitude", "spine.phase"]}
+    if asked.get("by") not in names:
+        return runs
+    by, leading, status = runs.columns[asked["by"]], runs.columns[runs.leading], runs.columns.get("status")
+    if (base := asked.get("base")) is None:
+        base = "none" if by.is_text and "none" in by.distinct else by.values[0]
+    well = np.isfinite(leading.values) & (True if status is None else status.values == "ok")
+    of_base = by.values == base if by.is_text else np.isclose(by.values, float(base), rtol=0.0, atol=1e-12)
+    if not (of_base & well).any() or (of_base | ~well).all():
+        return runs
+    # A stiff spine has no phase, whatever its column says.
+    left_out = {by.name, "spine.phase"} if by.name == "spine.amplitude" else {by.name}
+    keys = [runs.columns[name].values for name in sorted(names - left_out)]
+    known = [key for key in keys if key.dtype == object or np.isfinite(key[of_base]).all()]
+    alike = np.zeros(len(of_base), int)
+    for key in known:
+        alike = np.unique([alike, np.unique(key.astype(str), return_inverse=True)[1]], axis=1, return_inverse=True)[1]
+    count = np.bincount(alike[of_base & well], minlength=alike.max() + 1)
+    total = np.bincount(alike[of_base & well], leading.values[of_base & well], alike.max() + 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = 100.0 * (leading.values / np.abs(total / count)[alike] - np.sign(total)[alike])
+    values = np.where(well & ~of_base & np.isfinite(gain), gain, np.nan)
+    text = by.values[of_base][0] if by.is_text else f"{by.name} {float(base):g}"
+    about = f"{runs.leading.replace('_', ' ')} relative to the mean of {text}, all else equal"
+    found = Column(f"{runs.leading}_gain", "%", about, "metric", leading.better, False, values)
+    return dataclasses.replace(runs, columns={found.name: found, **runs.columns}, asked=tuple(asked.get("for") or ()))
+
+
 def start_of(runs: Runs) -> dict[str, Any]:
-    """Initial view of the page: columns for both axes and the colour, and cells or points."""
+    """Initial view of the page: columns for both axes and the colour, cells or points, and which run a cell shows.
+
+    Where a gain is asked for, it is the colour, over what it is asked for.
+    """
+    repeat = runs.columns.get("repeat")
+    runs_of_cell = "mean" if repeat is not None and len(repeat.distinct) > 1 else "best"
+    gain = f"{runs.leading}_gain"
+    if gain in runs.columns and runs.grid:
+        differ = [each for each in runs.of("varied") if len(each.distinct) <= MOST_CELLS]
+        wanted = [each for each in differ if each.name in runs.asked]
+        ordered = sorted([*wanted, *(each for each in differ if each not in wanted)][:2], key=lambda each: each.is_text)
+        if len(ordered) == 2:
+            return {"x": ordered[0].name, "y": ordered[1].name, "colour": gain, "cells": True, "of": "mean"}
+    return _start(runs) | {"of": runs_of_cell}
+
+
+def _start(runs: Runs) -> dict[str, Any]:
     varied, metrics = runs.of("varied"), runs.of("metric")
     numbers = [each for each in [*varied, *runs.of("randomized")] if not each.is_text]
     gridded = [each for each in varied if len(each.distinct) <= MOST_CELLS]
@@ -397,9 +456,12 @@ def _clips(files: dict[int, Path], shapes: Packer, notes: list[str]) -> tuple[di
 def _field(column: Column, grid: bool, packer: Packer) -> dict[str, Any]:
     """The header of a column, and its values packed."""
     unit = shown(column.name, column.unit, [1.0])
+    gain = column.unit == "%" and column.name.endswith("_gain")
+    cyclic = column.unit == "rad" and column.name.rpartition(".")[2] == "phase"
     about: dict[str, Any] = {
         "name": column.name, "role": column.role, "about": column.description, "unit": unit.unit,
-        "factor": float(unit.values[0]), "better": column.better, "log": column.log,
+        "factor": float(unit.values[0]), "better": column.better, "log": column.log, "group": headed().get(column.name),
+        "colours": "gain" if gain else "cyclic" if cyclic else "",
     }  # fmt: skip
     known = column.distinct
     about["stepped"] = len(known) <= (MOST_CELLS if column.is_text or (grid and column.role == "varied") else _FEW)
@@ -417,5 +479,6 @@ def _palette() -> dict[str, Any]:
     from matplotlib import colormaps  # importing it takes a second
     from matplotlib.colors import to_hex
 
-    scale = [to_hex(colour) for colour in colormaps[style.COLOURS](np.linspace(0, 1, _LEVELS))]
-    return {"scale": scale, "series": list(style.SERIES), "missing": style.MISSING}
+    names = {"scale": style.COLOURS, "gain": style.GAIN_COLOURS, "cyclic": "twilight"}
+    scales = {key: [to_hex(c) for c in colormaps[name](np.linspace(0, 1, _LEVELS))] for key, name in names.items()}
+    return {**scales, "series": list(style.SERIES), "missing": style.MISSING}

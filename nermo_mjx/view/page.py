@@ -121,7 +121,8 @@ def show(
 ) -> Page:
     """The page of a recording: an interactive view of the robot with a time slider, tendons, forces and plots.
 
-    For the directory of a sweep or a search, it is the page of all its runs, see `explore`.
+    For the directory of a sweep or a search, it is the page of all its runs, see `explore`; for that of a training its
+    curves, its evaluation, and a walk of its policy.
 
     In a notebook, a cell that ends in `show(recording)` shows it; `show(recording).save("walk.html")` writes one
     self-contained file.
@@ -137,15 +138,21 @@ def show(
         DirectoryError: a directory holds no runs that can be shown, or is given with another recording.
     """
     if not isinstance(recording, Recording) and Path(recording).is_dir():
-        from nermo_mjx.runs import DirectoryError
+        from nermo_mjx.runs import DirectoryError, kind_of
         from nermo_mjx.view.explore import explore
 
         if other is not None:
             raise DirectoryError(f"{recording} is a directory: it is shown alone, and compared row by row in its page.")
+        if kind_of(Path(recording)) == "training":
+            from nermo_mjx.view.trained import trained
+
+            return trained(Path(recording))
         return explore(recording, height=height or 680)
     given = [recording] if other is None else [recording, other]
     loaded = [each if isinstance(each, Recording) else Recording.load(each) for each in given]
-    names = [_name(each, letter) for each, letter in zip(given, "AB", strict=False)]
+    names = ["AB"[i] if isinstance(each, Recording) else Path(each).stem for i, each in enumerate(given)]
+    if len(set(names)) < len(names):  # files of one name tell runs apart by their folders
+        names = ["/".join(Path(str(each)).resolve().with_suffix("").parts[-2:]) for each in given]
     from nermo_mjx.view.clip import clips_of  # needs the robot, and thus JAX
 
     packer = Packer()
@@ -153,7 +160,3 @@ def show(
     samples = max(clip["time"]["shape"][0] for clip in header["clips"])
     title = " and ".join(dict.fromkeys(clip["title"] for clip in header["clips"]))
     return Page(document("page.html", f"Nermo: {title}", header, [packer]), height or 480, samples)
-
-
-def _name(given: Any, letter: str) -> str:
-    return letter if isinstance(given, Recording) else Path(given).stem

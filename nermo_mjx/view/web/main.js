@@ -48,6 +48,7 @@ async function start() {
   });
   player.seek(player.begin);
   stage?.look("three_quarter");
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) player.toggle(true);
   run(player, stage);
   // For scripts and tests.
   window.viewer = { player, stage, plots, clips };

@@ -14,8 +14,7 @@ export function fillHead(clips) {
     const title = element("h1", clip.title);
     if (clips.length > 1) {
       const mark = element("b", "AB"[i], `mark mark-${i}`);
-      title.prepend(mark);
-      title.title = clip.name;
+      title.prepend(mark, `${clip.name}: `);
     }
     const figures = element("p", "", "figures");
     for (const [name, value] of clip.headline) {

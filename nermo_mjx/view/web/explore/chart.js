@@ -158,7 +158,7 @@ export class Chart {
       paper.fillStyle = this.colouring.css(level);
       paper.fillRect(x, y, w - gap, h - gap);
       paper.fillStyle = this.colouring.ink(level);
-      if (w > ROOM[0] && h > ROOM[1]) paper.fillText(clipped(paper, field.shown(item.value, false), w - 4), item.x, item.y);
+      if (w > ROOM[0] && h > ROOM[1]) paper.fillText(clipped(paper, field.shown(item.value, false, 3), w - 4), item.x, item.y);
       if (item.places.some((place) => this.recorded.has(place)) && Math.min(w, h) > 7) {
         paper.strokeStyle = this.colouring.ink(level);
         paper.lineWidth = 1.2;

@@ -3,13 +3,23 @@
 import { element } from "viewer/dialogs.js";
 import { extent } from "viewer/explore/table.js";
 
+/** Losses up to this keep their colour [%]. */
+const GAIN = 25;
+
 export class Colouring {
   /** `log`: wanted; `places`: runs whose values take all of the colours, or null for those of all runs. */
   constructor(field, palette, log, places) {
     this.field = field;
     this.palette = palette;
-    this.levels = field.isText ? palette.series : palette.scale;
+    this.levels = field.isText ? palette.series : palette[field.colours || "scale"];
     [this.low, this.high] = field.isText ? [0, 1] : places ? extent(field.values, places) : field.span;
+    // No gain is the middle of its colours; large losses are cut off where they would leave the gains pale, as in figures.
+    if (field.colours === "gain") {
+      const far = Math.max(this.high, Math.min(-this.low, Math.max(3 * this.high, GAIN)), 1e-9);
+      [this.low, this.high] = [-far, far];
+    }
+    // Both ends of a turn are one colour.
+    if (field.colours === "cyclic") [this.low, this.high] = [-Math.PI, Math.PI];
     this.clips = !places;
     this.log = log && field.positive;
   }

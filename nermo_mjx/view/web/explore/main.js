@@ -33,7 +33,7 @@ async function start() {
   const packed = document.querySelector('[data-part="table"]').textContent;
   const table = new Table(header, { table: await unpack(packed) });
   const recorded = new Set(Object.keys(header.recordings).map((row) => table.placeOf.get(Number(row))));
-  const view = { ...header.start, of: "best", fit: false, logs: new Set(table.differing().filter((field) => field.wantsLog).map((field) => field.name)) };
+  const view = { ...header.start, fit: false, logs: new Set(table.differing().filter((field) => field.wantsLog).map((field) => field.name)) };
   const [title, ...figures] = [header.title, ...headOf(header, table)];
   find("title").textContent = title;
   find("figures").replaceChildren(...figures.map((text) => element("span", text)));
@@ -82,9 +82,10 @@ class Explorer {
     const fields = table.differing();
     for (const id of ["x", "y", "colour"]) {
       const select = find(id);
-      for (const heading of new Set(Object.values(ROLES))) {
+      const headed = (field) => field.group ?? ROLES[field.role];
+      for (const heading of new Set(["Parameters", "Metrics", ...fields.map(headed)])) {
         const group = Object.assign(element("optgroup"), { label: heading });
-        for (const field of fields) if (ROLES[field.role] === heading) group.append(new Option(field.title, field.name));
+        for (const field of fields) if (headed(field) === heading) group.append(new Option(field.title, field.name));
         if (group.children.length) select.append(group);
       }
       if (!fields.some((field) => field.name === view[id])) select.append(new Option(table.field(view[id]).title, view[id]));
