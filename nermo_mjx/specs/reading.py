@@ -15,6 +15,7 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.trust import FileError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
 FieldPath = tuple["str | int", ...]
@@ -26,7 +27,7 @@ _MERGE: Final = f"{_STANDARD}merge"
 _MOST_REPEATED: Final = 100_000
 
 
-class SpecError(ParameterError):
+class SpecError(ParameterError, FileError):
     """A file that cannot be run; the message is one sentence with file, line, field, value and what is allowed."""
 
 

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NotRequired
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from typing_extensions import TypedDict
 
+from nermo_mjx.files import FileError, read_as
 from nermo_mjx.runs.files import DirectoryError, content_of
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
@@ -33,6 +34,9 @@ RECORD: Final = "sweep.json"
 RECORDINGS: Final = "recordings"
 
 
+_Asked = TypedDict("_Asked", {"by": str, "base": NotRequired[str | float | None], "for": Sequence[str]})
+
+
 @dataclasses.dataclass(frozen=True)
 class SweepRecord:
     """A directory's sweep.json: what readers need of a sweep, so that none of them runs the code that it may name.
@@ -43,15 +47,13 @@ class SweepRecord:
         labelled: names of the varied structures.
         parameters: value of each parameter that is not varied, None where structures differ or do not read it.
         comparison: the section `compare`, if there is one.
-        metrics: digest of a file of metrics -> unit, doc, better and name of each.
     """
 
     rows: int
     fields: Mapping[str, Any]
     labelled: Sequence[str]
     parameters: Mapping[str, float | None]
-    comparison: Mapping[str, Any] | None
-    metrics: Mapping[str, Sequence[Mapping[str, Any]]]
+    comparison: _Asked | None
 
     @classmethod
     def of_directory(cls, out: Path) -> SweepRecord | None:
@@ -63,13 +65,10 @@ class SweepRecord:
         if (content := content_of(out / RECORD)) is None:
             return None
         try:
-            found = cls(**json.loads(content))
-            mappings = (found.fields, found.fields["set"], found.parameters, found.metrics)
-            about = [set(each) for several in found.metrics.values() for each in several]
-            whole = isinstance(found.rows, int) and all(isinstance(each, dict) for each in mappings)
-            if whole and all(each == {"name", "unit", "doc", "better"} for each in about):
+            found: SweepRecord = read_as(content, cls, out / RECORD)
+            if isinstance(found.fields.get("set"), dict):
                 return found
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        except FileError:
             pass
         raise DirectoryError(f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again.")
 

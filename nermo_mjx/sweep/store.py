@@ -21,13 +21,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.rollout.own_metrics import digest_of_file, load_metrics, parts_of
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, content_of, create_file
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.specs.controllers import code_identity, with_code_copied, written_metrics
+from nermo_mjx.specs.controllers import code_identity, with_code_copied
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.results import RECORD, RECORDINGS, SweepRecord
@@ -265,18 +264,12 @@ def _record(sweep: Sweep) -> SweepRecord:
         own = walk.setup.defaults() | walk.constants
         for name in sweep.parameters:
             values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
-    metrics = dict[str, list[dict[str, Any]]]()
-    for where in (each for each in written_metrics(sweep.setup) if parts_of(each)[0].endswith(".py")):
-        metrics.setdefault(digest_of_file(where), []).extend(
-            {name: getattr(each, name) for name in ("name", "unit", "doc", "better")} for each in load_metrics(where)
-        )
     return SweepRecord(
         rows=sweep.variants * sweep.repeats,
         fields=sweep.walk_fields() | code_identity(sweep.setup),
         labelled=sweep.labelled,
         parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
         comparison=None if sweep.comparison is None else sweep.comparison.written(),
-        metrics=metrics,
     )
 
 
