@@ -32,6 +32,7 @@ import pyarrow.parquet as pq
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_file, parquet_table, sync_folder
+from nermo_mjx.trust import one_line
 
 RESULTS, SERIES, FORMER = "results", "series", "former"
 #: Tables of parts that are held at once: the runs that are wanted next lie in a few of them.
@@ -345,7 +346,8 @@ def opened(path: Path) -> Iterator[pq.ParquetFile]:
         with parquet_file(path, pre_buffer=False) as file:
             yield file
     except (OSError, pa.ArrowException, ValueError, KeyError) as error:
-        raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
+        reason = one_line(str(error).strip())
+        raise DirectoryError(f"{path} cannot be read ({reason}): run the same command again.") from None
 
 
 def retire(held: RunDirectory, group: str) -> int:

@@ -26,6 +26,7 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import METRICS, Run, Simulator
+from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
 from nermo_mjx.runs.interruption import resumable
@@ -501,6 +502,8 @@ def run_sweep(
     size = chunk_with_series(
         sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
     )
+    if simulate and (wrong := too_many(min(size, sweep.variants * sweep.repeats))):
+        raise SpecError(f"chunk is {size:,}: {wrong}")
     with (
         RunDirectory(out, "sweep", shard) as held,
         resumable("sweep", held.out / "sweep.yaml", SweepInterrupted) as interruption,

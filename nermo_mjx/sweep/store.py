@@ -116,6 +116,8 @@ def _text(value: Any) -> str:
 
 
 _NAMED_BATCH = 4
+#: Simulated time of all runs of a sweep, at most [s].
+MOST_SECONDS: Final = 1e9
 
 
 def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
@@ -129,6 +131,11 @@ def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
         values |= known({name: column[here] for name, column in columns.items() if name in walk.setup.timing})
         _, end = walk.run.seconds(walk.setup.cycle_rate(values))
         seconds[here] = np.asarray(end, dtype=float)
+    if (total := seconds.sum()) > MOST_SECONDS:
+        raise SpecError(
+            f"the sweep simulates {total:.3g} s in {len(seconds):,} runs: allowed are {MOST_SECONDS:g} s; take shorter "
+            "runs, or fewer of them."
+        )
     return seconds
 
 
