@@ -40,7 +40,8 @@ def one_line(text: str) -> str:
 # Whose Python is run.
 
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 #: Whether the Python that files name may be run, and what is told before.
 RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
 TELL: ContextVar[Callable[[str], None]] = ContextVar("TELL", default=lambda sentence: None)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
+import os
 import random
+import re
 import resource
 import time
 import traceback
@@ -35,18 +38,21 @@ from nermo_mjx.experiments.run import EXPERIMENTS, Directory
 from nermo_mjx.files import FileError
 from nermo_mjx.hardware.channels import read_channels
 from nermo_mjx.learn.policy import load_policy
+from nermo_mjx.learn.spec import Training
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError
+from nermo_mjx.robot.scene import resolve_scene
 from nermo_mjx.rollout import own_metrics
 from nermo_mjx.runs.directory import codes_of, read_record
 from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.runs.status import last_command
-from nermo_mjx.search import run_search
-from nermo_mjx.specs.reading import read_file, read_mapping
+from nermo_mjx.search import Search, run_search
+from nermo_mjx.specs.reading import SpecError, read_file, read_mapping
 from nermo_mjx.sweep import Sweep, read_table, run_sweep
 from nermo_mjx.sweep.comparing import two_tables
 from nermo_mjx.sweep.results import Results, status
 from nermo_mjx.sweep.structures import read_row_table
+from nermo_mjx.tune import Tuning
 from nermo_mjx.view.explore import runs_of
 from nermo_mjx.view.recorded import robot_of
 
@@ -380,3 +386,169 @@ def hunted(kinds_of_files: Any, mutants: int, seed: int) -> list[str]:
 
 
 hunted_from = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+
+
+# ---
+# What is asked for is weighed before anything is made of it.
+
+
+def scene(inside: str) -> str:
+    floor = '<worldbody><geom name="floor" type="plane" size="1 1 1"/></worldbody>'
+    return f"<mujoco model='theirs'>{inside}{floor}</mujoco>"
+
+
+def nested(count: int, depth: int) -> str:
+    return f'<replicate count="{count}">' * depth + '<geom size="1"/>' + "</replicate>" * depth
+
+
+HUGE = {
+    "texture": scene('<asset><texture name="a" type="2d" builtin="flat" width="30000" height="30000"/></asset>'),
+    "cube": scene('<asset><texture name="a" type="cube" builtin="flat" width="9000" height="54000"/></asset>'),
+    "hfield": scene('<asset><hfield name="a" nrow="20000" ncol="20000" size="1 1 1 1"/></asset>'),
+    "user numbers": scene('<size nuser_geom="200000000"/>'), "keyframes": scene('<size nkey="2000000000"/>'),
+    "numeric": scene('<custom><numeric name="a" size="2000000000"/></custom>'),
+    "replicate": scene(f"<worldbody>{nested(100, 3)}</worldbody>"),
+    "deep replicate": scene(f"<worldbody>{nested(10, 30)}</worldbody>"),
+    "composite": scene('<worldbody><composite type="cable" count="999 1 1"/></worldbody>'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HUGE)
+def test_a_scene_that_asks_for_more_than_fits_is_refused(name: str, tmp_path: Path) -> None:
+    """As text, and as a file that another one includes."""
+    with pytest.raises(ParameterError, match=r"asks for [\d,]+ (bytes|elements): allowed are|only the robot may move"):
+        resolve_scene(HUGE[name])
+    _text(tmp_path / "inner.xml", HUGE[name].replace("<mujoco model='theirs'>", "<mujocoinclude>").replace(
+        "</mujoco>", "</mujocoinclude>"))  # fmt: skip
+    outer = _text(tmp_path / "outer.xml", '<mujoco><include file="inner.xml"/></mujoco>')
+    with pytest.raises(ParameterError, match=r"allowed are|only the robot may move"):
+        resolve_scene(str(outer))
+
+
+def test_a_picture_with_many_pixels_is_refused(tmp_path: Path) -> None:
+    size = (50_000).to_bytes(4, "big")
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + size + size + bytes(9))
+    given = scene('<asset><texture name="a" type="2d" file="a.png"/></asset>')
+    with pytest.raises(ParameterError, match=r"a\.png takes 10,000,000,000 bytes: allowed are 134,217,728"):
+        resolve_scene(str(_text(tmp_path / "a.xml", given)))
+
+
+@pytest.mark.parametrize(
+    ("read", "spec", "said"),
+    [
+        (Sweep.from_dict, {"vary": {"frequency": [0.8]}, "run": {"cycles": 1e300}}, "field 'run.cycles' is 1e+300"),
+        (Sweep.from_dict, {"vary": {"frequency": [0.8]}, "run": {"duration": 1e12}}, "field 'run.duration'"),
+        (Search.from_dict, SEARCH | {"batch": 100_000}, "field 'batch' is 100,000: 100,000 worlds at once take 5.0 GB"),
+        (Search.from_dict, SEARCH | {"batch": 700, "randomize": {"repeats": 100}}, "70,000 worlds at once take 3.5 GB"),
+        (Tuning.from_dict, TUNE | {"starts": 100_000}, "100,000 worlds at once take 5.0 GB"),
+        (Tuning.from_dict, TUNE | {"starts": 9, "estimator": {"smoothed": {"samples": 9000, "sigma": 0.1}}},
+         "81,000 worlds at once take 4"),
+        (Training.from_dict, {"worlds": 500_000, "steps": 1_000_000}, "500,000 worlds at once take 25.0 GB"),
+    ],
+)  # fmt: skip
+def test_a_batch_that_does_not_fit_and_a_run_without_end_are_refused(read: Any, spec: Any, said: str) -> None:
+    with pytest.raises(SpecError, match=re.escape(said)):
+        read(spec)
+
+
+def test_the_ticks_of_a_sweep_have_a_limit(tmp_path: Path) -> None:
+    spec = {"vary": {"frequency": {"linspace": [1e-3, 2e-3, 100]}}, "run": {"cycles": 100},
+            "randomize": {"repeats": 1000}, "plots": False}  # fmt: skip
+    with pytest.raises(SpecError, match=r"simulates .* s in 100,000 runs: allowed are 1e\+09 s"):
+        run_sweep(spec, tmp_path, chunk=1000, simulator=FakeSimulator())
+    with pytest.raises(SpecError, match=r"chunk is 100,000: 100,000 worlds at once take 5\.0 GB"):
+        run_sweep(spec | {"run": {"duration": 1.0}}, tmp_path, chunk=100_000, simulator=FakeSimulator())
+
+
+def test_yaml_has_a_limit_of_values_and_of_bytes(tmp_path: Path) -> None:
+    for text, said in (
+        ("vary: [" + "1," * 60_000 + "1]", "holds more than 50,000 values"),
+        ("a: {" + "".join(f"b{i}: 1, " for i in range(30_000)) + "}", "holds more than 50,000 values"),
+        ("# " + "x" * (1 << 23), "it has 8 MB: allowed are 8 MB"),
+    ):
+        with pytest.raises(SpecError, match=said):
+            read_file(_text(tmp_path / "a.yaml", text))
+
+
+def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:
+    """A pipe that nobody writes into, and a device that never ends."""
+    os.mkfifo(tmp_path / "run.json")
+    with pytest.raises(FileError, match="not a regular file"):
+        read_record(tmp_path)
+    for load in (Recording.load, load_policy, read_file):
+        with pytest.raises((FileError, ParameterError), match="not a regular file"):
+            load("/dev/zero")
+
+
+# ---
+# Whose code, and whose characters.
+
+
+@pytest.mark.parametrize("named", [{"controller": "own.py:stiff"}, {"metrics": "own.py"}, {"scene": "own.xml"}])
+def test_a_policy_names_no_code(named: dict[str, str], tmp_path: Path, canary: Path) -> None:
+    with np.load(POLICY) as file:
+        arrays = {name: file[name] for name in file.files}
+    for place in ("base", "top"):
+        about = json.loads(arrays["about"].tobytes())
+        (about if place == "top" else about["base"]).update(named)
+        np.savez(tmp_path / "a.npz", **arrays | {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)})
+        with pytest.raises(ParameterError, match="holds no policy of `nermo-mjx train`: "):
+            load_policy(tmp_path / "a.npz")
+    assert not canary.exists()
+
+
+@pytest.mark.draws
+def test_a_recording_names_no_code(tmp_path: Path, canary: Path) -> None:
+    recording = Recording.load(RECORDED)
+    setup = dict(recording.metadata["setup"] or {}) | {"controller": "own.py:stiff", "metrics": ["own.py"]}
+    theirs = dataclasses.replace(recording.between(1.0, 1.1), metadata={**recording.metadata, "setup": setup})
+    path = theirs.save(tmp_path / "walk.npz")
+    for words in (
+        ("view", path, "--no-open", "--out", tmp_path / "page.html"), ("play", path, "--xml", tmp_path / "walk.xml"),
+        ("plot", path, "--out", tmp_path / "plots", "--format", "png"),
+    ):  # fmt: skip
+        result = call(*words)
+        assert result.exit_code == 0, result.stderr
+    assert not canary.exists()
+
+
+def test_whose_code_is_run_is_said_before(tmp_path: Path, canary: Path) -> None:
+    said: list[tuple[str, bool]] = []
+    token = trust.TELL.set(lambda sentence: said.append((sentence, canary.exists())))
+    try:
+        own_metrics.load_metrics("own.py")
+        own_metrics.load_metrics("own.py")
+    finally:
+        trust.TELL.reset(token)
+    assert said == [(f"the Python code of {tmp_path / 'own.py'} is run.", False)]
+    assert canary.exists()
+
+
+def test_control_characters_of_a_stranger_are_escaped(tmp_path: Path) -> None:
+    evil = "\x1b]0;owned\x07\x1b[2J\x9b2J\u202egnp.exe\r\nfigures  rm -rf ~"
+    stamp = {"package": evil, "sources": evil, "model": evil, "engine": evil, "mujoco": evil, "mujoco_mjx": evil,
+             "jax": evil}  # fmt: skip
+    session = {"started": evil, "command": f"nermo-mjx {evil}", "machine": {"host": evil}, "versions": {"jax": evil}}
+    record = {"kind": "sweep", "codes": {evil: stamp}, "sessions": [session]}
+    for kind in KINDS:
+        (tmp_path / "run.json").write_text(json.dumps(record | {"kind": kind}))
+        for words in (("status",), ("status", "--json"), ("plot",), ("view", "--no-open")):
+            result = call(words[0], tmp_path, *words[1:])
+            for character in "\x1b\x07\x9b\u202e\r":
+                assert character not in result.stdout + result.stderr, words
+            assert not any(line.startswith("figures  rm") for line in result.stdout.splitlines())
+            if "--json" in words:
+                json.loads(result.stdout)
+    (tmp_path / "run.json").write_text(json.dumps({"kind": evil}))
+    assert "\\u001b[2J" in call("status", tmp_path).stderr
+
+
+@pytest.mark.parametrize("error", [MemoryError, RecursionError])
+def test_what_does_not_fit_ends_in_a_sentence(error: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: Any) -> None:
+        raise error
+
+    monkeypatch.setattr("nermo_mjx.runs.directory.read_record", failing)
+    result = call("status", tmp_path)
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1

@@ -636,14 +636,14 @@ class _Settings(BaseModel, extra="allow"):
 class _Drawn(BaseModel, extra="allow"):
     low: Annotated[FiniteFloat, Field(gt=0)]
     high: Annotated[FiniteFloat, Field(gt=0)]
-    quantiles: Annotated[list[FiniteFloat], Field(min_length=1)]
+    quantiles: Annotated[list[FiniteFloat], Field(min_length=1)] | None = None
 
 
 class _Ensemble(BaseModel, extra="allow"):
     size: int
     tolerance: FiniteFloat
     parameters: dict[str, _Drawn]
-    bodies: dict[str, list[FiniteFloat]]
+    bodies: dict[str, list[FiniteFloat]] = Field(default_factory=dict)
 
 
 class _Content(Session):
@@ -665,7 +665,14 @@ def _result(out: Path) -> dict[str, Any] | None:
     """
     content = content_of(out / RESULT)
     try:
-        return None if content is None else json_of(content, _Content, out / RESULT)
+        found: dict[str, Any] | None = None if content is None else json_of(content, _Content, out / RESULT)
+        if found and (drawn := found["ensemble"]) and drawn["size"]:
+            lengths = [
+                len(drawn.get("bodies", {}).get(name, ())) for name in (*drawn["parameters"], "objective", "weight")
+            ]
+            if {*lengths} != {drawn["size"]} or not all(each.get("quantiles") for each in drawn["parameters"].values()):
+                raise FileError(f"{out / RESULT}: its ensemble has not {drawn['size']} bodies")
+        return found
     except FileError as error:
         raise DirectoryError(f"{str(error).rstrip('.')}: move it away, and run the identification again.") from None
 

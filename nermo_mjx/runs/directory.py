@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import filecmp
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -89,6 +90,8 @@ class RunDirectory:
     def move_aside(self, path: str | Path, folder: str | None = None) -> Path | None:
         """Rename a file or folder of the directory to mark it as unused; returns its new path, None if it is absent.
 
+        A file that has been moved aside before is kept once.
+
         Args:
             folder: of the directory, for what readers of the folder it is in would take for one of theirs.
 
@@ -102,10 +105,12 @@ class RunDirectory:
         with clear_errors(self.out):
             into.mkdir(exist_ok=True)
             count = 1
-            while (target := into / f"{source.name}.aside-{count}").exists():
-                count += 1
             try:
-                source.rename(target)
+                while (target := into / f"{source.name}.aside-{count}").exists():
+                    if source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False):
+                        break  # it is kept already
+                    count += 1
+                source.replace(target)
             except FileNotFoundError:  # another process was faster
                 return None
             sync_folder(into)

@@ -276,7 +276,7 @@ def _record(sweep: Sweep) -> SweepRecord:
         fields=sweep.walk_fields() | code_identity(sweep.setup),
         labelled=sweep.labelled,
         parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
-        comparison=None if sweep.comparison is None else sweep.comparison.written(),
+        comparison=None if sweep.comparison is None else sweep.comparison.written(),  # type: ignore[arg-type]
     )
 
 
