@@ -9,7 +9,6 @@ import io
 import json
 import os
 import tempfile
-import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, Final
@@ -17,6 +16,9 @@ from typing import IO, Any, Final
 import mujoco
 import numpy as np
 from jaxtyping import Float
+from pydantic import BaseModel
+
+from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, json_of, read_bytes
 
 #: Version of the file's layout; a reader refuses any other.
 LAYOUT: Final = 1
@@ -24,7 +26,31 @@ _MARK: Final = "nermo_mjx recording"
 _REMEDY: Final = "nermo-mjx walk --record FILE.npz writes one"
 
 
-class RecordingError(ValueError):
+#: The arrays of a file, T samples each; with them a text `header`, and `sensor.NAME`.
+_ARRAYS: Final[dict[str, tuple[str, tuple[Any, ...]]]] = {
+    "time": ("fiu", ("T",)), "qpos": ("fiu", ("T", "nq")), "qvel": ("fiu", ("T", "nv")), "ctrl": ("fiu", ("T", "nu")),
+}  # fmt: skip
+
+
+class _Metadata(BaseModel, extra="allow"):
+    setup: dict[str, str | float | bool | list[Any] | None] | None = None
+    parameters: dict[str, float | None] | None = None
+    metrics: dict[str, float | bool | str | None] | None = None
+    labels: dict[str, float | bool | str | None] | None = None
+    run: dict[str, float | None] | None = None
+    units: dict[str, str] | None = None
+    versions: dict[str, str | None] | None = None
+    engine: str | None = None
+
+
+class _Header(BaseModel):
+    format: str
+    layout: int
+    model_hash: str
+    metadata: _Metadata
+
+
+class RecordingError(FileError, ValueError):
     """A file that is not a recording, or one that does not fit the model; the message is one sentence."""
 
 
@@ -103,28 +129,35 @@ class Recording:
             RecordingError: there is no such file, it is something else, or of another version.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
-                if not hasattr(file, "files") or "header" not in file.files:
-                    raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
-                header = json.loads(str(file["header"]))
-                if not isinstance(header, dict) or header.get("format") != _MARK:
-                    raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
-                if header.get("layout") != LAYOUT:
-                    raise RecordingError(
-                        f"{path}: a recording of layout {header.get('layout')}, but this version reads layout "
-                        f"{LAYOUT}; record the run again."
-                    )
-                arrays = {key: file[key] for key in file.files if key != "header"}
-                sensors = {key.removeprefix("sensor."): arrays.pop(key) for key in list(arrays) if key[:7] == "sensor."}
-                return cls(**arrays, sensors=sensors, model_hash=header["model_hash"], metadata=header["metadata"])
+            arrays = arrays_of(read_bytes(Path(path), MOST_ARRAYS), path)
+            if arrays.get("header", np.zeros(1)).dtype.kind != "U":
+                raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
+            header = json_of(str(arrays.pop("header")), _Header, path)
+            if header["format"] != _MARK:
+                raise RecordingError(f"{path}: not a recording of nermo_mjx; {_REMEDY}.")
+            if header["layout"] != LAYOUT:
+                raise RecordingError(
+                    f"{path}: a recording of layout {header['layout']}, but this version reads layout "
+                    f"{LAYOUT}; record the run again."
+                )
+            sensors = {key for key in arrays if key.startswith("sensor.")}
+            check_arrays(arrays, _ARRAYS | dict.fromkeys(sensors, ("fiub", ("T", ...))), path)
+            read = {key.removeprefix("sensor."): arrays[key] for key in sensors}
+            motion = {name: arrays[name] for name in _ARRAYS}
+            found = cls(**motion, sensors=read, model_hash=header["model_hash"], metadata=header["metadata"])
+            if not (np.isfinite(found.time).all() and (np.diff(found.time) > 0).all()):
+                raise RecordingError(f"{path}: its time does not increase from sample to sample.")
+            return found
         except FileNotFoundError:
             raise RecordingError(f"{path}: there is no such file.") from None
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read ({error.strerror or error}).") from None
-        except RecordingError:
-            raise
-        except (ValueError, KeyError, TypeError, EOFError, AttributeError, zipfile.BadZipFile):
-            raise RecordingError(f"{path}: not a recording of nermo_mjx, or a damaged one; {_REMEDY}.") from None
+        except RecordingError as error:
+            text = str(error)
+            raise RecordingError(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
+        except FileError as error:
+            reason = str(error).rstrip(".")
+            raise RecordingError(f"{reason}, so it is not a recording of nermo_mjx; {_REMEDY}.") from None
 
     def check_model(self, model: mujoco.MjModel) -> None:
         """Raise `RecordingError` unless the recording was made with a model of the same structure."""

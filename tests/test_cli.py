@@ -503,7 +503,7 @@ def test_identify_writes_its_result_and_a_report(identified: dict[str, Any], tmp
     text = (out / "identification.md").read_text()
     for link in re.findall(r"\]\(([^)]*)\)", text):
         assert (out / link).stat().st_size > 0
-    assert "holds an identification" in refused("identify", "--out", out)
+    assert "holds an identification with another seed" in refused("identify", "--out", out)
 
 
 @pytest.mark.compiles

@@ -82,12 +82,16 @@ def test_what_is_moved_aside_is_kept_under_a_new_name(tmp_path):
             assert aside == tmp_path / f"history.parquet.aside-{count}"
             assert aside.read_bytes() == content
         assert held.move_aside("history.parquet") is None
+        held.write("history.parquet", b"first")
+        assert held.move_aside("history.parquet") == tmp_path / "history.parquet.aside-1", "it is kept already"
+    assert len(list(tmp_path.glob("*.aside-*"))) == 2
+    assert not (tmp_path / "history.parquet").exists()
 
 
 def test_what_is_moved_aside_leaves_a_folder_that_others_read_whole(tmp_path):
     with RunDirectory(tmp_path, "sweep") as held:
         for count in (1, 2):
-            held.write("results/chunk.parquet", b"rows")
+            held.write("results/chunk.parquet", b"rows" * count)
             assert held.move_aside("results/chunk.parquet", "out") == tmp_path / "out" / f"chunk.parquet.aside-{count}"
     assert list((tmp_path / "results").iterdir()) == []
 
@@ -112,6 +116,6 @@ def test_a_file_appears_whole_and_its_name_is_synced(tmp_path, monkeypatch):
 
 def test_a_damaged_record_is_never_overwritten(tmp_path):
     (tmp_path / "run.json").write_text("{half")
-    with pytest.raises(DirectoryError, match=r"run\.json cannot be read"):
+    with pytest.raises(DirectoryError, match=r"run\.json: not valid JSON"):
         RunDirectory(tmp_path, "sweep").__enter__()
     assert (tmp_path / "run.json").read_text() == "{half"

@@ -222,4 +222,4 @@ def test_what_is_no_directory_of_results_is_refused_in_a_sentence(tmp_path: Path
     (tmp_path / "run.json").write_text('{"kind": ')
     result = status(tmp_path)
     assert result.exit_code == 1
-    assert "run.json cannot be read" in result.stderr
+    assert "run.json: not valid JSON" in result.stderr

@@ -11,8 +11,10 @@ from typing import Any, Final, NamedTuple
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from pydantic import BaseModel, ConfigDict
 
 from nermo_mjx.bench import CASES
+from nermo_mjx.files import FileError, json_of
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
 from nermo_mjx.plotting.style import BEST, INK, LINE, MUTED, horizontal_grid
@@ -136,6 +138,25 @@ class Measured:
         return f"{str(failure_of(self.failed)).rstrip('.')}. That was on {self.failed['made']}{figures}."
 
 
+class _Run(BaseModel, extra="allow"):
+    """A line of results.jsonl, as far as it is read."""
+
+    date: str
+    commit: str | None
+    hardware: dict[str, str | float | None] | None
+    cases: list[Any]
+
+
+class _Line(BaseModel):
+    """A measurement in it: figures, of a start also those of its stages."""
+
+    __pydantic_extra__: dict[str, str | float | bool | dict[str, float | None] | None]
+    model_config = ConfigDict(extra="allow")
+    case: str
+    engine: str = ""
+    error: str = ""
+
+
 @dataclasses.dataclass(frozen=True)
 class History:
     """The contents of results.jsonl.
@@ -171,12 +192,12 @@ def read(folder: Path) -> History:
     unreadable, remarks, commits, count = list[int](), list[str](), dict[str, None](), 0
     for number, text in enumerate((folder / RESULTS).read_bytes().splitlines(), 1):
         try:
-            run = json.loads(text)
+            run = json_of(text, _Run, RESULTS)
             about, day, lines = run["hardware"], run["date"][:10], list(run["cases"])
             machine = f"{about['device']}; {about['cores']} x {about['cpu']}" if about else UNKNOWN
             versions = [f"{name} {about[name]}" for name in ("mujoco", "jax", "python")] if about else []
             made = ", ".join([day, f"commit {run['commit']}", *versions])
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (FileError, KeyError):
             unreadable.append(number)
             continue
         commits[str(run["commit"])] = None
@@ -184,8 +205,8 @@ def read(folder: Path) -> History:
             name = str(line.get("case")) if isinstance(line, dict) else "None"
             try:
                 wrong = "" if name in CASES else "this version does not know"
-                wrong or list(_rows(line))
-            except (KeyError, TypeError, ValueError):
+                wrong or list(_rows(json_of(json.dumps(line), _Line, RESULTS)))
+            except (FileError, KeyError, TypeError):
                 wrong = "cannot be read"
             if wrong:
                 remarks.append(f"Line {number} of {RESULTS} has a case {name!r} that {wrong}; it is not shown.")

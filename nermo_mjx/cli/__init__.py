@@ -6,6 +6,7 @@ import click
 
 from nermo_mjx.cli import directories, jobs, tools, view, walk
 from nermo_mjx.cli.output import CommandGroup
+from nermo_mjx.trust import only_reads
 from nermo_mjx.version import __version__
 
 EPILOG = """\b
@@ -29,6 +30,12 @@ def main() -> None:
     """
 
 
+for command in (
+    jobs.merge_command, directories.compare_command, directories.sensitivity_command, directories.plot_command,
+    directories.status_command, view.view_command, view.render_command, view.play_command,
+):  # fmt: skip
+    assert command.callback is not None
+    command.callback = only_reads(command.callback)
 for command in (
     *(jobs.sweep_command, jobs.merge_command, walk.replay_command, directories.compare_command),
     *(directories.sensitivity_command, jobs.search_command, jobs.tune_command, jobs.train_command),

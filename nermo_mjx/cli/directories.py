@@ -17,6 +17,7 @@ from nermo_mjx.cli import options
 from nermo_mjx.cli.choices import FORMATS, METRICS
 from nermo_mjx.cli.options import FileKind, names
 from nermo_mjx.cli.output import Failure, WrongUse, print_json, print_table, stdout_reserved, tell_report
+from nermo_mjx.trust import one_line
 
 if TYPE_CHECKING:
     from nermo_mjx.runs import CodeStamp
@@ -127,7 +128,7 @@ def status_command(path: Path, as_json: bool, quiet: bool) -> None:
     elif not quiet:
         click.echo(f"{path}: {kind.called}, {_amount(status)}")
         for name, text in (*_made(status, codes), *_worked(sessions), *(("note", note) for note in status.notes)):
-            click.echo(f"{name:<8} {text}")
+            click.echo(f"{name:<8} {one_line(text)}")
         click.echo(f"{'figures' if status.complete and ' plot ' in status.command else 'resume':<8} {status.command}"
                    if status.command else "resume   with the command that started it, not recorded here")  # fmt: skip
 

@@ -939,7 +939,7 @@ Examples:
     options.number("--samples", "Candidates of the first, space-filling search.", click.IntRange(1), default=64),
     options.number("--generations", "Generations of the second search, from its best.", click.IntRange(1), default=25),
     options.number("--population", "Candidates per generation.", click.IntRange(4), default=12),
-    options.number("--bodies", "Bodies of the ensemble; 0 for none.", click.IntRange(0), default=256),
+    options.number("--bodies", "Bodies of the ensemble, 8 or more; 0 for none.", click.IntRange(0), default=256),
     options.number("--sweeps", "Sampling rounds of the ensemble, at most.", click.IntRange(1), default=5),
     options.number("--tolerance", "Largest objective of a body of the ensemble.", options.POSITIVE, default=0.5),
     options.number("--seed", "Seed of all searches.", click.IntRange(0), default=0),

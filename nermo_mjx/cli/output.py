@@ -17,6 +17,8 @@ from typing import IO, TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
 import click
 
+from nermo_mjx.trust import TELL, FileError, one_line, shown
+
 if TYPE_CHECKING:
     from nermo_mjx.plotting.files import Figures
 
@@ -32,7 +34,7 @@ class Failure(click.ClickException):
     exit_code = 1
 
     def show(self, file: IO[Any] | None = None) -> None:
-        click.echo(f"nermo-mjx: {self.format_message()}", file=file or sys.stderr)
+        click.echo(f"nermo-mjx: {one_line(self.format_message())}", file=file or sys.stderr)
 
 
 class WrongUse(Failure):
@@ -74,6 +76,7 @@ class CommandGroup(click.Group):
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
+        TELL.set(lambda sentence: click.echo(f"nermo-mjx: {sentence}", err=True))
         with _terminate_as_interrupt(), _seldom_collected():
             try:
                 return super().invoke(ctx)
@@ -82,6 +85,14 @@ class CommandGroup(click.Group):
                 raise Failure(str(error) or "stopped; nothing was kept, run the same command again.") from None
             except (click.ClickException, click.Abort, click.exceptions.Exit):
                 raise
+            except MemoryError:
+                raise Failure(
+                    "this does not fit into memory: ask for less at once; what is finished is kept."
+                ) from None
+            except RecursionError:
+                raise Failure(
+                    "lists or mappings of a file, or calls of code that it names, are nested too deep."
+                ) from None
             except Exception as error:
                 _translate(error)
 
@@ -98,19 +109,24 @@ class CommandGroup(click.Group):
 
 
 class _Lossy:
-    """A standard stream that loses what a full disk does not take, and remembers that it did.
+    """A standard stream that escapes control characters, and loses what a full disk does not take, but remembers that
+    it did.
 
     A reader that is gone ends the command, as everywhere.
     """
 
     def __init__(self, stream: Any) -> None:
-        self._stream = stream
+        self._stream = self.terminal = stream
         self.lost: OSError | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> Any:
+        return self.styled(shown(text))
+
+    def styled(self, text: str) -> Any:
+        """Write a text whose control characters are the command's own."""
         return self._kept(self._stream.write, text)
 
     def flush(self) -> None:
@@ -149,7 +165,7 @@ def _translate(error: Exception) -> NoReturn:
         raise WrongUse(str(error)) from None
     # The package's errors carry a sentence for the user; those of modules that were never imported cannot occur.
     ours = type(error).__module__.partition(".")[0] == "nermo_mjx"
-    if ours and isinstance(error, (ValueError, RuntimeError, OSError)):
+    if ours and isinstance(error, (ValueError, RuntimeError, OSError, FileError)):
         raise Failure(str(error)) from None
     if isinstance(error, OSError) and error.filename is not None:
         raise Failure(f"{error.filename}: {error.strerror}.") from None
@@ -240,12 +256,12 @@ def print_table(title: str, columns: list[tuple[str, str]], rows: list[list[str]
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, show_edge=False, show_header=any(heading for heading, _ in columns))
     for heading, side in columns:
-        table.add_column(Text(heading), justify="right" if side == "right" else "left")
+        table.add_column(Text(one_line(heading)), justify="right" if side == "right" else "left")
     for row in rows:
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*(Text(one_line(cell)) for cell in row))
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 200, highlight=False)
     with console.capture() as capture:
-        console.print(Text(title, style="bold"))
+        console.print(Text(one_line(title), style="bold"))
         console.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
-    sys.stdout.write("\n".join(lines) + "\n\n")
+    getattr(sys.stdout, "styled", sys.stdout.write)("\n".join(lines) + "\n\n")

@@ -185,8 +185,9 @@ def _bar(stream: IO[str]) -> Any:
 
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=24),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
     )
-    return RichProgress(*columns, console=Console(file=stream), transient=True)
+    # The bar moves the cursor, which the stream of a command escapes in texts.
+    return RichProgress(*columns, console=Console(file=getattr(stream, "terminal", stream)), transient=True)

@@ -31,6 +31,7 @@ def load_recording(path: Path) -> Recording:
     Raises:
         WrongUse: it is none, is not one of this version's robot, or has nothing to show; the sentence names the file.
     """
+    from nermo_mjx.robot import ParameterError
     from nermo_mjx.view import Recording, RecordingError, robot_of
     from nermo_mjx.view.recorded import finite_samples
 
@@ -38,7 +39,7 @@ def load_recording(path: Path) -> Recording:
         recording = Recording.load(path)
         robot_of(recording)
         finite_samples(recording)
-    except RecordingError as error:
+    except (RecordingError, ParameterError) as error:
         text = str(error)
         raise WrongUse(text if text.startswith(f"{path}:") else f"{path}: {text}") from None
     return recording

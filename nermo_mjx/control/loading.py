@@ -12,7 +12,6 @@ import inspect
 import sys
 import traceback
 from collections.abc import Iterator
-from contextvars import ContextVar
 from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Final
@@ -23,6 +22,7 @@ import numpy as np
 from nermo_mjx.control.protocol import REQUIRED
 from nermo_mjx.robot.parameters import Sensors
 from nermo_mjx.robot.quantity import ParameterError, did_you_mean
+from nermo_mjx.trust import RUNS_CODE, TELL, one_line
 
 # ---
 # The user's Python files and modules, whose objects spec files and commands can name.
@@ -46,8 +46,10 @@ def content_of_source(subject: str, source: str, form: str) -> tuple[str, bytes]
         raise ParameterError(f"{subject}: {path} cannot be read ({error.strerror}).") from None
 
 
-#: Whether files and modules that are named may be run: what only reads a directory runs none of its code.
-RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
+def check_may_run(subject: str) -> None:
+    """Raise a `ParameterError` where no Python that a file names may be run."""
+    if not RUNS_CODE.get():
+        raise ParameterError(f"{subject}: it is code, which a command that only reads does not run.")
 
 
 def module_of(subject: str, source: str, form: str) -> ModuleType:
@@ -57,8 +59,7 @@ def module_of(subject: str, source: str, form: str) -> ModuleType:
     Raises:
         ParameterError: see `content_of_source`; or it cannot be imported, or nothing may be run here.
     """
-    if not RUNS_CODE.get():
-        raise ParameterError(f"{subject}: it is code, which a command that only reads does not run.")
+    check_may_run(subject)
     path, content = content_of_source(subject, source, form)
     with told(f"{subject}: it cannot be imported"):
         return _imported(source, path, content)
@@ -107,6 +108,7 @@ def no_such_name(subject: str, source: str, name: str, names: list[str]) -> Para
 
 
 def _file_of(subject: str, module: str, form: str) -> Path:
+    check_may_run(subject)  # to find a module, Python runs the packages that it is in
     try:
         spec = importlib.util.find_spec(module)
     except (ImportError, ValueError):
@@ -118,6 +120,7 @@ def _file_of(subject: str, module: str, form: str) -> Path:
 
 @functools.lru_cache(maxsize=32)
 def _imported(source: str, path: str, content: bytes) -> ModuleType:
+    TELL.get()(f"the Python code of {one_line(path)} is run.")
     if not source.endswith(".py"):
         return importlib.import_module(source)
     name = f"nermo_mjx_own_{hashlib.sha256(path.encode() + content).hexdigest()[:16]}"

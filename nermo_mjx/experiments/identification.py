@@ -17,16 +17,18 @@ import shlex
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
+from pydantic import BaseModel, Field, FiniteFloat
 from scipy.stats import qmc
 
 from nermo_mjx.control.parameters import AS_PUBLISHED_BODY, body_values
 from nermo_mjx.experiments import ensemble
 from nermo_mjx.experiments.cases import AMPLITUDE, Case, Settings, texts, worlds
 from nermo_mjx.experiments.report import number, published_text
+from nermo_mjx.files import MOST_ARRAYS, FileError, json_of, read_bytes
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
@@ -37,10 +39,12 @@ from nermo_mjx.robot.quantity import choice, quantities
 from nermo_mjx.rollout import Run, Setup, Simulator
 from nermo_mjx.runs import RunDirectory, Written, codes_of, engine_of, session
 from nermo_mjx.runs.code import CodeStamp, stamp
-from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, content_of
+from nermo_mjx.runs.directory import Session
+from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, content_of, stored_json
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
+from nermo_mjx.specs.reading import changes
 from nermo_mjx.tune.generations import strategy
 
 #: Where the search starts, by profile: the values of an earlier prototype of this robot, or the author's.
@@ -179,12 +183,11 @@ class CandidateFile:
 def _rows_of(path: Path) -> list[dict[str, Any]]:
     """The lines of a file of candidates; a truncated one is empty."""
     rows = []
-    for line in path.read_text().splitlines() if path.exists() else []:
+    for line in read_bytes(path, MOST_ARRAYS).splitlines() if path.exists() else []:
         try:
-            row = json.loads(line)
-        except ValueError:
-            row = {}
-        rows.append(row if isinstance(row, dict) else {})
+            rows.append(json_of(line, dict[str, Any], path))
+        except FileError:
+            rows.append({})
     return rows
 
 
@@ -448,7 +451,7 @@ def run_identification(
         Content of identification.json.
 
     Raises:
-        ParameterError: wrong arguments, or a directory that holds a finished identification, or another search.
+        ParameterError: wrong arguments, or a directory that holds an identification or a search with other settings.
         OtherCode: other code made the candidates that the directory holds.
         DirectoryError: the directory holds something else, is in use, or cannot be written.
         WorkersLost: no worker is left; the same command resumes.
@@ -458,10 +461,11 @@ def run_identification(
     search = Search(**wanted)
     settings = dataclasses.asdict(search)
     with RunDirectory(folder, "identification") as held, Written(held) as written:
-        if found := content_of(folder / RESULT):
-            content = json.loads(found)
-            if "plots" in content or content["settings"] != settings:
-                raise ParameterError(f"{folder} holds an identification; choose another directory.")
+        if content := _result(folder):
+            if apart := changes(content["settings"], settings):
+                raise ParameterError(
+                    f"{folder} holds an identification with another {', '.join(apart)}; choose another directory."
+                )
             return _publish(written, content, notify)
         if engine == "auto":
             engine = engine_of(folder) or engine
@@ -581,10 +585,7 @@ def status(out: Path) -> Status:
     """Number of candidates that an identification has simulated."""
     # A batch that was padded contains some of its points twice.
     done = len({tuple(point) for row in _rows_of(out / FILE)[1:] for point in row.get("points", ())})
-    try:
-        content: dict[str, Any] = json.loads((out / RESULT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        content = {}
+    content = stored_json(out / RESULT, _Content) or {}
     complete = "plots" in content  # comes last
     command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
     sessions = [content] if content else []
@@ -611,10 +612,69 @@ def drawn(out: Path) -> Figures:
     Raises:
         DirectoryError: its result cannot be read.
     """
+    content = _result(out)
+    if content is None:
+        raise DirectoryError(f"{out / RESULT} is missing: run the identification again.")
+    return figures_of(content)
+
+
+class _Target(BaseModel, extra="allow"):
+    residual: float | None
+    start_residual: float | None
+
+
+class _Ends(BaseModel, extra="allow"):
+    start: FiniteFloat
+    end: FiniteFloat
+
+
+class _Settings(BaseModel, extra="allow"):
+    generations: int
+    population: int
+
+
+class _Drawn(BaseModel, extra="allow"):
+    low: Annotated[FiniteFloat, Field(gt=0)]
+    high: Annotated[FiniteFloat, Field(gt=0)]
+    quantiles: Annotated[list[FiniteFloat], Field(min_length=1)] | None = None
+
+
+class _Ensemble(BaseModel, extra="allow"):
+    size: int
+    tolerance: FiniteFloat
+    parameters: dict[str, _Drawn]
+    bodies: dict[str, list[FiniteFloat]] = Field(default_factory=dict)
+
+
+class _Content(Session):
+    """What identification.json says, as far as it is read."""
+
+    settings: _Settings
+    costs: list[float | None]
+    objective: _Ends
+    targets: dict[str, _Target]
+    ensemble: _Ensemble | None
+    plots: list[str] | None = None
+
+
+def _result(out: Path) -> dict[str, Any] | None:
+    """The content of identification.json; None if there is none.
+
+    Raises:
+        DirectoryError: it is damaged, or cannot be read now.
+    """
+    content = content_of(out / RESULT)
     try:
-        return figures_of(json.loads((out / RESULT).read_text(encoding="utf-8")))
-    except (OSError, ValueError):
-        raise DirectoryError(f"{out / RESULT} cannot be read: run the identification again.") from None
+        found: dict[str, Any] | None = None if content is None else json_of(content, _Content, out / RESULT)
+        if found and (drawn := found["ensemble"]) and drawn["size"]:
+            lengths = [
+                len(drawn.get("bodies", {}).get(name, ())) for name in (*drawn["parameters"], "objective", "weight")
+            ]
+            if {*lengths} != {drawn["size"]} or not all(each.get("quantiles") for each in drawn["parameters"].values()):
+                raise FileError(f"{out / RESULT}: its ensemble has not {drawn['size']} bodies")
+        return found
+    except FileError as error:
+        raise DirectoryError(f"{str(error).rstrip('.')}: move it away, and run the identification again.") from None
 
 
 def _search(content: Mapping[str, Any]) -> Figure:

@@ -29,19 +29,21 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from pydantic import BaseModel
 
 from nermo_mjx.experiments import balance, cases, stands, walks
 from nermo_mjx.experiments.cases import BODY, PROFILES, Outcome, ReplacementPolicy, Settings
 from nermo_mjx.experiments.published import Figure, Line, compare, figures
 from nermo_mjx.experiments.report import collect, differences, entry_of, outcome_of, page, table_of
+from nermo_mjx.files import FileError, json_of
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures
 from nermo_mjx.recording import Recording
 from nermo_mjx.robot import ParameterError, load_robot
 from nermo_mjx.robot.quantity import choice
 from nermo_mjx.runs import CodeStamp, DirectoryError, RunDirectory, Written, codes_of, engine_of, session, stamp
-from nermo_mjx.runs.directory import read_record, remove_leftovers
-from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file
+from nermo_mjx.runs.directory import Session, read_record, remove_leftovers
+from nermo_mjx.runs.files import clear_errors, parquet_bytes, parquet_table, replace_file, stored_json
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
@@ -145,6 +147,20 @@ class Stored:
     recordings: tuple[Path, ...]
 
 
+class _About(Session):
+    """What a table says of its run."""
+
+    started: str
+    engine: str
+    code: str = ""
+    recordings: dict[str, str]
+
+
+class _Entry(BaseModel, extra="allow"):
+    lines: list[dict[str, Any]]
+    finished: bool = False
+
+
 class _Recordings(collections.UserDict[str, Any]):
     """Recordings by name, each read from its file on first access."""
 
@@ -201,13 +217,14 @@ class Directory:
         if table is None:
             return None
         try:
-            about = json.loads(table.schema.metadata[b"about"])
-            files = {name: self.out / "recordings" / file for name, file in about["recordings"].items()}
-        except (KeyError, TypeError, ValueError):
+            about = json_of((table.schema.metadata or {})[b"about"], _About, path)
+            files = {name: self.out / "recordings" / Path(file).name for name, file in about["recordings"].items()}
+            outcome = outcome_of(table, _Recordings(files))
+        except (KeyError, FileError):
             return None
         if not all(file.exists() for file in files.values()):
             return None
-        return Stored(outcome_of(table, _Recordings(files)), about, path, tuple(files.values()))
+        return Stored(outcome, about, path, tuple(files.values()))
 
     def write_entry(self, experiment: str, entry: Mapping[str, Any]) -> None:
         """Store an experiment's lines, its settings, and whether all derived files exist (`finished`).
@@ -220,11 +237,8 @@ class Directory:
 
     def entry(self, experiment: str) -> dict[str, Any] | None:
         """The entry that `write_entry` stored for an experiment, or None."""
-        try:
-            entry = json.loads((self.out / "results" / f"{experiment}.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return None
-        return entry if isinstance(entry, dict) and "lines" in entry else None
+        entry: dict[str, Any] | None = stored_json(self.out / "results" / f"{experiment}.json", _Entry)
+        return entry or None
 
     def report(self, written: Written) -> dict[str, Any]:
         """Write the report of all experiments that the directory holds, and return the content of report.json."""

@@ -10,26 +10,35 @@ import dataclasses
 import functools
 import io
 import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import BaseModel, Field, FiniteFloat
 
 from nermo_mjx.control.controller import with_dtypes_of
 from nermo_mjx.control.path import PathPoint
 from nermo_mjx.control.protocol import ChecksParameters, CompletesValues
-from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionKind
+from nermo_mjx.files import MOST_ARRAYS, FileError, arrays_of, check_arrays, read_as, read_bytes
+from nermo_mjx.learn.acting import ACTIONS, Acted, ActedState, Acting, ActionField, ActionKind
 from nermo_mjx.learn.environment import Environment
 from nermo_mjx.learn.experience import Actor, Learned, Statistics
-from nermo_mjx.learn.observing import Observer, Told
+from nermo_mjx.learn.observing import LONGEST_DELAY, Observer, Told
 from nermo_mjx.learn.task import GIVEN, Given, commanded
 from nermo_mjx.robot import ParameterError, Sensors, ServoAngles
 from nermo_mjx.robot.geometry import geometry_of
-from nermo_mjx.robot.quantity import choice, flat, group, parameter_tree, quantities, replace_quantities
+from nermo_mjx.robot.quantity import (
+    check_quantities,
+    choice,
+    flat,
+    group,
+    parameter_tree,
+    quantities,
+    replace_quantities,
+)
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.runs.provenance import versions
 from nermo_mjx.shapes import Array, Count, Scalar
@@ -263,35 +272,67 @@ def load_policy(path: str | Path) -> Policy:
     """
     subject = f"controller is '{path}'"
     try:
-        content = Path(path).read_bytes()
+        return _policy(read_bytes(Path(path), MOST_ARRAYS))
     except OSError as error:
         raise ParameterError(f"{subject}: it cannot be read ({error.strerror}).") from None
-    try:
-        return _policy(content)
-    except (ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        reason = str(error) if isinstance(error, ParameterError) else "it is damaged, or another kind of file"
-        raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason.rstrip('.')}.") from None
+    except (FileError, ParameterError) as error:
+        reason = str(error).rstrip(".")
+        raise ParameterError(f"{subject}, which holds no policy of `nermo-mjx train`: {reason}.") from None
+
+
+class _Trained(BaseModel, extra="forbid"):
+    steps: int
+    training: str
+
+
+class _About(BaseModel, extra="forbid"):
+    """What a file says; there are no other keys, and none of them names code."""
+
+    kind: Literal["nermo-mjx policy"]
+    form: Annotated[int, Field(ge=1, le=FORM)]
+    layers: Annotated[int, Field(ge=1, le=100)]
+    action: ActionField
+    actions: tuple[str, ...]
+    observation: tuple[str, ...]
+    observer: Observer
+    decimation: Annotated[int, Field(ge=1, le=10_000)]
+    step_seconds: Annotated[FiniteFloat, Field(gt=0)]
+    base: dict[str, str | float | tuple[tuple[FiniteFloat, FiniteFloat], ...] | None]
+    fixed: dict[str, FiniteFloat]
+    versions: dict[str, str]
+    trained: _Trained | None = None
 
 
 @functools.lru_cache(maxsize=8)
 def _policy(content: bytes) -> Policy:
-    with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        arrays = {name: jnp.asarray(file[name]) for name in file.files if name != "about"}
-        about: dict[str, Any] = json.loads(file["about"].tobytes())
-    if about["kind"] != KIND or about["form"] > FORM:
-        raise ParameterError(f"it is a {about['kind']} of form {about['form']}, and this version reads up to {FORM}")
-    layers = tuple((arrays[f"weights.{i}"], arrays[f"bias.{i}"]) for i in range(about["layers"]))
-    (name, options), base = next(iter(about["action"].items())), dict(about["base"])
-    if base.get("waypoints") is not None:
-        base["waypoints"] = tuple(map(tuple, base["waypoints"]))
-    observer: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in about["observer"].items()
-    }
+    arrays = arrays_of(content, "it")
+    if arrays.get("about", np.zeros(1)).dtype != np.uint8:
+        raise FileError("it has no 'about'")
+    about: _About = read_as(arrays.pop("about").tobytes(), _About, "about")
+    for name in about.base:
+        choice("base", name, BASE)
+    if about.observer.delayed < 0 or about.observer.delayed * about.observer.dt > 2 * LONGEST_DELAY:
+        raise FileError(f"its readings are late by {about.observer.delayed} ticks")
+    shapes: dict[str, tuple[str, tuple[Any, ...]]] = {}
+    for i in range(about.layers):
+        below = len(about.observation) if i == 0 else f"hidden {i}"
+        above = len(about.action.names) if i == about.layers - 1 else f"hidden {i + 1}"
+        shapes |= {f"weights.{i}": ("f", (below, above)), f"bias.{i}": ("f", (above,))}
+    shapes |= {"log_std": ("f", (len(about.action.names),))}
+    shapes |= {name: ("f", (len(about.observation),)) for name in ("mean", "variance")}
+    check_arrays(arrays, shapes, "it")
+    for name in shapes:
+        if not np.isfinite(arrays[name]).all() or (name == "variance" and not (arrays[name] >= 0).all()):
+            raise FileError(f"{name!r} has numbers that are not finite, or a variance below 0")
+    numbers = {name: jnp.asarray(arrays[name]) for name in shapes}
     policy = Policy(
-        Actor(layers, arrays["log_std"]), Statistics(jnp.ones(()), arrays["mean"], arrays["variance"]),
-        ACTIONS[name](**options), Observer(**observer), about["decimation"], base, about["fixed"],
-        {key: about[key] for key in ("trained", "versions") if key in about},
+        Actor(tuple((numbers[f"weights.{i}"], numbers[f"bias.{i}"]) for i in range(about.layers)), numbers["log_std"]),
+        Statistics(jnp.ones(()), numbers["mean"], numbers["variance"]),
+        about.action, about.observer, about.decimation, about.base, about.fixed,
+        about.model_dump(include={"trained", "versions"}, exclude_none=True),
     )  # fmt: skip
-    if list(policy.observer.names) != about["observation"]:
+    if policy.observer.names != about.observation:
         raise ParameterError("this version observes other numbers under these names")
+    # What it acts on is made now, so that nothing is wrong with it later.
+    check_quantities(policy.parameters)
     return policy

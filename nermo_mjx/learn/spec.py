@@ -20,6 +20,7 @@ from nermo_mjx.learn.task import RANDOMIZED, Task, task_parameters
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.robot.terrains import terrain_values
 from nermo_mjx.rollout import Setup
+from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, Refused, optional, read
@@ -289,6 +290,8 @@ def changed(training: Training, **values: Any) -> Training:
 def _read(doc: Document) -> Training:
     with known_names(doc):
         file = read(doc, TrainingFile)
+    if wrong := too_many(file.worlds):
+        doc.fail(("worlds",), f"is {file.worlds:,}: {wrong}")
     walk = read_walk(doc, file)
     setup = walk["setup"]
     if setup.schedule:

@@ -12,7 +12,7 @@ import functools
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeAlias
 
@@ -91,6 +91,7 @@ def resolve_scene(scene: Scene) -> str:
             raise ParameterError(f"scene is {str(scene)!r}: allowed is {names} or the path of an MJCF file (.xml).")
         raise ParameterError(f"scene is {str(scene)!r}: there is no such file.")
     with _refusals(repr(str(scene))):
+        _check_sizes(_tree(path), path.parent, repr(str(scene)))
         spec = mujoco.MjSpec.from_file(str(path))
     return _text(spec, repr(str(scene)))
 
@@ -161,14 +162,80 @@ def _refusals(called: str) -> Iterator[None]:
     """Turn MuJoCo's message of several lines into one sentence about the scene."""
     try:
         yield
-    except ValueError as error:
+    except OSError as error:
+        raise ParameterError(f"scene is {called}: {error.filename} cannot be read ({error.strerror}).") from None
+    except (ValueError, ElementTree.ParseError) as error:
+        if isinstance(error, ParameterError):
+            raise
         said = "; ".join(line.strip() for line in str(error).splitlines() if line.strip())
         raise ParameterError(f"scene is {called}: MuJoCo refuses it: {said.rstrip('.')}.") from None
+
+
+#: What MuJoCo may make of a scene: elements, and bytes of its textures, height fields and numbers.
+_MOST_ELEMENTS: Final = 100_000
+_MOST_BYTES: Final = 1 << 27
+#: Elements of which MuJoCo makes many that only the robot may have.
+_MAKERS: Final = ("composite", "flexcomp")
+
+
+def _tree(path: Path) -> ElementTree.Element:
+    """The elements of an MJCF file; raises as `_refusals` tells."""
+    if path.stat().st_size > _MOST_BYTES // 8:
+        raise ValueError(f"{path.name} has {path.stat().st_size:,} bytes, and allowed are {_MOST_BYTES // 8:,}")
+    return ElementTree.fromstring(path.read_bytes())
+
+
+def _check_sizes(root: ElementTree.Element, home: Path, called: str) -> None:
+    """Refuse MJCF of which MuJoCo would make more than fits: it allocates whatever a few numbers ask for.
+
+    Raises:
+        ParameterError: names the element, what it asks for, and what is allowed.
+    """
+    elements = size = 0.0
+    waiting, files = [(root, 1.0)], set[Path]()
+    while waiting:
+        element, copies = waiting.pop()
+        given = element.attrib
+        if element.tag in _MAKERS:
+            raise ParameterError(f"scene is {called}: it has a {element.tag}: only the robot may move.")
+        if element.tag == "replicate":
+            copies *= max(_number(given, "count"), 1.0)
+        elif element.tag in ("include", "model") and "file" in given:
+            path = (home / given["file"]).resolve()
+            if path not in files:  # MuJoCo includes no file twice
+                files.add(path)
+                waiting.append((_tree(path), copies))
+        elif element.tag == "size":
+            size += 8 * _MOST_ELEMENTS * sum(_number(given, name) for name in given if name.startswith("nuser_"))
+            size += 8 * (_number(given, "nkey") + _number(given, "nuserdata"))
+        elif element.tag == "texture":
+            faces = 1 if given.get("type") == "2d" else 6
+            size += 3 * faces * _number(given, "width") * (_number(given, "height") or _number(given, "width"))
+        elif element.tag == "hfield":
+            size += 4 * _number(given, "nrow") * _number(given, "ncol")
+        elif element.tag == "numeric":
+            size += 8 * _number(given, "size")
+        elements += copies
+        for count, most, what in ((elements, _MOST_ELEMENTS, "elements"), (size, _MOST_BYTES, "bytes")):
+            if not count <= most:
+                raise ParameterError(
+                    f"scene is {called}: with its {element.tag} it asks for {count:,.0f} {what}: allowed are {most:,}."
+                )
+        waiting += [(child, copies) for child in element]
+
+
+def _number(given: Mapping[str, str], name: str) -> float:
+    """An attribute's number; 0 if there is none, or it is none, which MuJoCo refuses."""
+    try:
+        return max(float(given.get(name, "0").split()[0]), 0.0)
+    except (ValueError, IndexError):
+        return 0.0
 
 
 @functools.lru_cache(maxsize=64)
 def _from_text(text: str) -> str:
     with _refusals("MJCF"):
+        _check_sizes(ElementTree.fromstring(text), Path(), "MJCF")
         spec = mujoco.MjSpec.from_string(text)
     return _text(spec, "MJCF")
 
@@ -195,7 +262,9 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
     for body in spec.bodies[1:]:
         if body.mocap:
             refuse(f"has a body {body.name!r} that moves (mocap), and only the robot may")
+    _find_files(spec)
     with _refusals(called):
+        _check_files(spec, called)
         ground = _geoms(spec, GROUND)
     if not ground:
         refuse(f"has no ground: give what the robot stands on the default class {GROUND!r}, or the name {FLOOR!r}")
@@ -212,7 +281,6 @@ def _prepared(spec: mujoco.MjSpec, called: str) -> str:
         if geom.type not in GROUND_TYPES:
             kind = geom.type.name.removeprefix("mjGEOM_").lower()
             refuse(f"has the ground {geom.name!r}, a {kind}; allowed is a plane, a box, a capsule or an hfield")
-    _find_files(spec)
     # Static bodies are merged into the world, so that the only bodies are the robot's.
     spec.compiler.fusestatic = True
     with _refusals(called):
@@ -273,6 +341,19 @@ def _find_files(spec: mujoco.MjSpec) -> None:
         texture.file = found(spec.texturedir, texture.file)
         texture.cubefiles = [found(spec.texturedir, file) for file in texture.cubefiles]
     spec.meshdir = spec.texturedir = ""
+
+
+def _check_files(spec: mujoco.MjSpec, called: str) -> None:
+    """Refuse files of which MuJoCo would make more than fits: large ones, and PNG files with many pixels."""
+    named = (*(each.file for each in (*spec.meshes, *spec.hfields, *spec.textures)),
+             *(file for each in spec.textures for file in each.cubefiles))  # fmt: skip
+    for path in map(Path, filter(None, named)):
+        with open(path, "rb") as file:
+            size, head = path.stat().st_size, file.read(24)
+        if head.startswith(b"\x89PNG"):
+            size = 4 * int.from_bytes(head[16:20], "big") * int.from_bytes(head[20:24], "big")
+        if size > _MOST_BYTES:
+            raise ParameterError(f"scene is {called}: {path} takes {size:,} bytes: allowed are {_MOST_BYTES:,}.")
 
 
 # ---

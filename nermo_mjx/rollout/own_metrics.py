@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextvars import ContextVar
+import json
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from pydantic import BaseModel, Field
 
-from nermo_mjx.control.loading import RUNS_CODE, content_of_source, module_of, no_such_name, told
+from nermo_mjx.control.loading import content_of_source, module_of, no_such_name, told
+from nermo_mjx.files import MOST_JSON, json_of, read_bytes
 from nermo_mjx.robot import LIMBS, ParameterError, Robot, RobotConfig, Sensors, load_robot
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.runtime import start_jax
+from nermo_mjx.trust import RUNS_CODE
 
 # ---
 # The built-in metrics of every run: name, unit, meaning, and which direction is better.
@@ -191,10 +193,11 @@ def load_metrics(where: str) -> tuple[OwnMetric, ...]:
 
     Raises:
         ParameterError: the file, module or name does not exist, cannot be imported, or contains no metric.
+        FileError: nothing may be run here, and what says what is in the file is damaged.
     """
     source, name = parts_of(where)
-    if (known := _KNOWN.get()) is not None and source.endswith(".py") and (digest := digest_of_file(where)) in known:
-        return tuple(each for each in known[digest] if name in ("", each.name))
+    if not RUNS_CODE.get() and (known := _read_only(where, source, name)) is not None:
+        return known
     module = module_of(f"metrics has {where!r}", source, FORM)
     found = {key: each for key, each in vars(module).items() if isinstance(each, OwnMetric)}
     if name in vars(module) and name not in found:
@@ -206,27 +209,40 @@ def load_metrics(where: str) -> tuple[OwnMetric, ...]:
     return tuple(each for key, each in found.items() if name in ("", key))
 
 
-#: Metrics of files by the digest of their content, where these are not run.
-_KNOWN: ContextVar[Mapping[str, Sequence[OwnMetric]] | None] = ContextVar("_KNOWN", default=None)
+#: The file beside a directory's copies of metrics that says what is in them: whoever only reads does not run these.
+KEPT: Final = "metrics.json"
 
 
-@contextlib.contextmanager
-def without_code(known: Mapping[str, Sequence[Mapping[str, Any]]]) -> Iterator[None]:
-    """Inside of it, neither controllers nor metrics are loaded from Python; metrics are known by name, unit and side.
+class _Kept(BaseModel, extra="forbid"):
+    """A metric in `KEPT`."""
 
-    Args:
-        known: `digest_of_file` -> name, unit, doc and better of each metric in that file.
-    """
-    made = {
-        digest: [OwnMetric(**about, function=lambda sensors: sensors.gyro[0]) for about in several]
-        for digest, several in known.items()
-    }
-    tokens = _KNOWN.set(made), RUNS_CODE.set(False)
-    try:
-        yield
-    finally:
-        _KNOWN.reset(tokens[0])
-        RUNS_CODE.reset(tokens[1])
+    name: Annotated[str, Field(pattern=r"^[^\W\d]\w*$")]
+    unit: str
+    doc: str
+    better: Literal["high", "low"] | None
+
+
+def kept_metrics(named: Iterable[str]) -> bytes:
+    """The content of `KEPT`: digest of a file -> name, unit, meaning and side of each metric in it that is named."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for where in (each for each in named if parts_of(each)[0].endswith(".py")):
+        found.setdefault(digest_of_file(where), []).extend(
+            {field: getattr(each, field) for field in _Kept.model_fields} for each in load_metrics(where)
+        )
+    return (json.dumps(found, indent=2) + "\n").encode()
+
+
+def _read_only(where: str, source: str, name: str) -> tuple[OwnMetric, ...] | None:
+    """What is known of a file's metrics without running it; None if nothing is."""
+    path = Path(source).with_name(KEPT)
+    if not source.endswith(".py") or not path.exists():
+        return None
+    known = json_of(read_bytes(path, MOST_JSON), dict[str, list[_Kept]], path)
+    several = known.get(digest_of_file(where))
+    if several is None:
+        return None
+    found = [OwnMetric(**about, function=lambda sensors: sensors.gyro[0]) for about in several]
+    return tuple(each for each in found if name in ("", each.name))
 
 
 def digest_of_file(where: str) -> str:

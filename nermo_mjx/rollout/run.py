@@ -27,7 +27,22 @@ from nermo_mjx.shapes import Array
 
 Length = float | np.ndarray
 #: Largest number of seconds, cycles or metres of a run.
-LONGEST: Final = 1e6
+LONGEST: Final = 1e5
+#: Worlds of one batch, and what the engine c takes for one of them [bytes]; others take as much or more.
+MOST_WORLDS: Final = 65_536
+WORLD_BYTES: Final = 50_000
+
+
+def too_many(worlds: int) -> str:
+    """What is wrong with so many worlds in one batch, for a message before anything of its size is made; or nothing.
+
+    >>> too_many(100_000)
+    '100,000 worlds at once take 5.0 GB; allowed are 65,536, 3.3 GB.'
+    """
+    if worlds <= MOST_WORLDS:
+        return ""
+    takes, allowed = (f"{count * WORLD_BYTES / 1e9:,.1f} GB" for count in (worlds, MOST_WORLDS))
+    return f"{worlds:,} worlds at once take {takes}; allowed are {MOST_WORLDS:,}, {allowed}."
 
 
 @dataclasses.dataclass(frozen=True)

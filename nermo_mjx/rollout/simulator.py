@@ -25,7 +25,7 @@ from nermo_mjx.rollout import metrics as measures
 from nermo_mjx.rollout.electrical import Supply
 from nermo_mjx.rollout.loop import ClosedLoop, LoopParameters, check_controller, loop_parameters, terrain_of
 from nermo_mjx.rollout.own_metrics import OwnMetric, check_metrics
-from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose
+from nermo_mjx.rollout.run import LONGEST, Lanes, Run, StartPose, too_many
 from nermo_mjx.rollout.saving import Keeper, Saving, Series
 from nermo_mjx.rollout.setup import Setup, Window, WorldParameters, with_own, without_presettings
 from nermo_mjx.runs.provenance import versions
@@ -144,6 +144,9 @@ class RunResult:
 
 #: Ticks between progress reports.
 BLOCK = 25
+#: What a recording takes for a tick of a world, and at most [bytes].
+TICK_BYTES = 1_500
+MOST_RECORDED = 4e9
 #: Share of a world's steps in which the constraint solver may fail to converge before its status says so. Of 78,000
 #: steps of tumbling robots 2 do not converge on an accelerator, and none on a CPU.
 UNSOLVED = 1e-3
@@ -248,6 +251,8 @@ class Simulator:
         # Of the same structure: parameters have a geometry if one is named.
         single = self.setup.world({name: 0.0 for name in values if names_geometry([name])})
         params, worlds = _batched(self.parameters(values, policy), single, values)
+        if wrong := too_many(worlds):
+            raise ParameterError(f"the batch is too large: {wrong}")
         window = _window(run or Run(), params, self.controller, worlds)
         mass = np.asarray(params.model.mass.front + params.model.mass.rear, float)
         terrain = terrain_of(self.robot, params)
@@ -318,6 +323,11 @@ class Simulator:
         keeper: Keeper | None,
     ) -> RunResult:
         traced = record or keeper is not None
+        if (needed := TICK_BYTES * batch.ticks * len(batch.qpos)) > MOST_RECORDED and record:
+            raise ParameterError(
+                f"the recording of {batch.ticks:,} ticks of {len(batch.qpos):,} worlds takes {needed / 1e9:,.1f} GB: "
+                f"allowed are {MOST_RECORDED / 1e9:g} GB; take a shorter run, or fewer at once."
+            )
         program = (len(batch.qpos), tuple(batch.fields), traced)
         if notify and program not in self._compiled:
             notify(f"compiling the {self.engine.name} program, once per machine")
@@ -412,8 +422,8 @@ def _finished(state: measures.MetricState) -> np.ndarray:
     return np.logical_or.reduce([np.asarray(flag) for flag in (state.finished, state.fell, state.diverged)])
 
 
-def _blocks(ticks: int) -> list[tuple[int, int]]:
-    return [(start, min(BLOCK, ticks - start)) for start in range(0, ticks, BLOCK)]
+def _blocks(ticks: int) -> Iterator[tuple[int, int]]:
+    return ((start, min(BLOCK, ticks - start)) for start in range(0, ticks, BLOCK))
 
 
 def _batched(

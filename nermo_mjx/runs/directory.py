@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import filecmp
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic import BaseModel
+
+from nermo_mjx.files import MOST_JSON, FileError, json_of, read_bytes
 from nermo_mjx.runs.code import CodeStamp, known
 from nermo_mjx.runs.files import (
     TEMPORARY,
@@ -86,6 +90,8 @@ class RunDirectory:
     def move_aside(self, path: str | Path, folder: str | None = None) -> Path | None:
         """Rename a file or folder of the directory to mark it as unused; returns its new path, None if it is absent.
 
+        A file that has been moved aside before is kept once.
+
         Args:
             folder: of the directory, for what readers of the folder it is in would take for one of theirs.
 
@@ -99,10 +105,12 @@ class RunDirectory:
         with clear_errors(self.out):
             into.mkdir(exist_ok=True)
             count = 1
-            while (target := into / f"{source.name}.aside-{count}").exists():
-                count += 1
             try:
-                source.rename(target)
+                while (target := into / f"{source.name}.aside-{count}").exists():
+                    if source.is_file() and target.is_file() and filecmp.cmp(source, target, shallow=False):
+                        break  # it is kept already
+                    count += 1
+                source.replace(target)
             except FileNotFoundError:  # another process was faster
                 return None
             sync_folder(into)
@@ -182,18 +190,41 @@ def read_record(out: Path) -> dict[str, Any]:
         DirectoryError: it is damaged.
     """
     try:
-        record = json.loads((out / RUN).read_text(encoding="utf-8"))
+        record: dict[str, Any] = json_of(read_bytes(out / RUN, MOST_JSON), _Record, out / RUN)
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
-        raise DirectoryError(f"{out / RUN} cannot be read ({error}): move it away to continue without it.") from None
-    return record if isinstance(record, dict) else {}
+    except OSError as error:
+        reason = f"{out / RUN} cannot be read ({error.strerror})"
+    except FileError as error:
+        reason = str(error).rstrip(".")
+    else:
+        return record
+    raise DirectoryError(f"{reason}: move it away to continue without it.")
+
+
+class Session(BaseModel, extra="allow"):
+    """One session in run.json, see `provenance.session`, as far as it is read."""
+
+    started: str | None = None
+    command: str | None = None
+    versions: dict[str, str | None] = {}
+    machine: dict[str, str | int | None] = {}
+    experiments: list[str] = []
+
+
+class _Record(BaseModel, extra="allow"):
+    """What run.json says, as far as it is read."""
+
+    kind: str | None = None
+    codes: dict[str, dict[str, str]] = {}
+    sessions: list[Session] = []
+    files: dict[str, str] = {}
 
 
 def kind_of(out: Path) -> str | None:
     """The kind of a directory; None if it is unknown or empty."""
-    kind = read_record(out).get("kind")
-    return kind if isinstance(kind, str) else None
+    kind: str | None = read_record(out).get("kind")
+    return kind
 
 
 def codes_of(out: Path) -> dict[str, CodeStamp]:

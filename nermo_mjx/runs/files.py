@@ -8,16 +8,19 @@ import os
 import secrets
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
+
+from nermo_mjx.trust import FileError
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
 #: Suffix of a file that is being written.
 TEMPORARY: Final = ".nermo-tmp"
 
 
-class DirectoryError(RuntimeError):
+class DirectoryError(FileError, RuntimeError):
     """A directory of results that cannot be used; the message is one sentence that says what to do."""
 
 
@@ -142,14 +145,56 @@ def content_of(path: Path) -> bytes | None:
 def parquet_table(source: Path | bytes) -> pa.Table | None:
     """The table of a Parquet file, or of its content, every page checked; None if it is absent or damaged."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     try:
-        with pq.ParquetFile(
-            pa.BufferReader(source) if isinstance(source, bytes) else source, page_checksum_verification=True
-        ) as file:
+        with parquet_file(pa.BufferReader(source) if isinstance(source, bytes) else source) as file:
             return file.read()
     except (OSError, pa.ArrowException, ValueError):
+        return None
+
+
+#: Bytes of a table's numbers that are made in any case, and per byte of its file beyond: constants take next to none.
+_MOST_CELLS: Final = 1 << 28
+_MOST_SPREAD: Final = 100
+
+
+def parquet_file(source: Any, **options: Any) -> pq.ParquetFile:
+    """A Parquet file whose pages are checked as they are read, opened.
+
+    Raises:
+        OSError, pyarrow.ArrowException, ValueError: it is absent or damaged, promises more than it can hold, or has
+            other columns than numbers, truth values and texts.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    file = pq.ParquetFile(source, page_checksum_verification=True, **options)
+    try:
+        about, size = file.metadata, source.size() if hasattr(source, "size") else os.path.getsize(source)
+        cells = 8 * about.num_rows * about.num_columns
+        if about.num_rows < 0 or cells > max(_MOST_CELLS, _MOST_SPREAD * size):
+            raise ValueError(f"it promises {about.num_rows:,} rows of {about.num_columns:,} columns in {size:,} bytes")
+        schema = file.schema_arrow
+        for field in schema:
+            plain = pa.types.is_primitive(field.type) or pa.types.is_string(field.type) or pa.types.is_null(field.type)
+            if not plain or schema.names.count(field.name) > 1:
+                raise ValueError(f"its column {field.name!r} is of type {field.type}, or there twice")
+        for each in (schema, *schema):
+            for key, value in (each.metadata or {}).items():
+                (key + value).decode()
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def stored_json(path: Path, shape: Any = dict[str, Any]) -> Any:
+    """What a JSON file of a directory says; None if it is absent or damaged, or has not its declared shape."""
+    from nermo_mjx.files import MOST_JSON, json_of, read_bytes
+
+    try:
+        return json_of(read_bytes(path, MOST_JSON), shape, path)
+    except (OSError, FileError):
         return None
 
 

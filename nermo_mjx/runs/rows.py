@@ -31,7 +31,8 @@ import pyarrow.parquet as pq
 
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import OtherCode, RunDirectory, codes_of, remove_leftovers
-from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_table, sync_folder
+from nermo_mjx.runs.files import DirectoryError, clear_errors, parquet_bytes, parquet_file, parquet_table, sync_folder
+from nermo_mjx.trust import one_line
 
 RESULTS, SERIES, FORMER = "results", "series", "former"
 #: Tables of parts that are held at once: the runs that are wanted next lie in a few of them.
@@ -190,7 +191,7 @@ class Runs:
         content, flaw = _content(path)
         if content is None:
             return None, flaw
-        with pq.ParquetFile(pa.BufferReader(content)) as file:
+        with parquet_file(pa.BufferReader(content)) as file:
             part = Part.of(path, file.metadata.num_rows, file.metadata.metadata or {})
             numbers = file.read(["row"])["row"].to_numpy() if own else None
         if self._series and (part.series is None or _content(part.series)[0] is None):
@@ -342,10 +343,11 @@ def part_files(out: Path, group: str = "*", folder: str = RESULTS) -> list[Path]
 def opened(path: Path) -> Iterator[pq.ParquetFile]:
     """A part's file, whose pages are checked as they are read; what is wrong with it is a `DirectoryError`."""
     try:
-        with pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True) as file:
+        with parquet_file(path, pre_buffer=False) as file:
             yield file
-    except (OSError, pa.ArrowException) as error:
-        raise DirectoryError(f"{path} cannot be read ({error}): run the same command again.") from None
+    except (OSError, pa.ArrowException, ValueError, KeyError) as error:
+        reason = one_line(str(error).strip())
+        raise DirectoryError(f"{path} cannot be read ({reason}): run the same command again.") from None
 
 
 def retire(held: RunDirectory, group: str) -> int:

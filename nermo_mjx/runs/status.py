@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from nermo_mjx.runs.directory import read_record
+from nermo_mjx.runs.files import parquet_file
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +62,10 @@ def status_of(
 def metadata_of(path: Path, notes: list[str], remedy: str) -> pq.FileMetaData | None:
     """What a Parquet file says of itself; None if it is absent or damaged, with a note and its remedy."""
     try:
-        return pq.read_metadata(path) if path.exists() else None
+        if not path.exists():
+            return None
+        with parquet_file(path) as file:
+            return file.metadata
     except (OSError, pa.ArrowException, ValueError):
         notes.append(f"{path.name if path.parent.name != 'results' else f'results/{path.name}'} is damaged; {remedy}")
         return None
@@ -70,7 +74,10 @@ def metadata_of(path: Path, notes: list[str], remedy: str) -> pq.FileMetaData | 
 def last_command(out: Path) -> str:
     """The command of the last session in a directory, with its current path; empty if unknown."""
     sessions = read_record(out).get("sessions", [])
-    words = shlex.split(sessions[-1].get("command", "")) if sessions else []
+    try:
+        words = shlex.split(sessions[-1].get("command") or "") if sessions else []
+    except ValueError:  # a quote that is not closed
+        words = []
     if not words or not words[1:]:
         return ""
     if Path(words[0]).name in ("nermo-mjx", "__main__.py"):

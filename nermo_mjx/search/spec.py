@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.rollout import all_parameters
-from nermo_mjx.rollout.run import Run
+from nermo_mjx.rollout.run import Run, too_many
 from nermo_mjx.rollout.setup import Setup
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
@@ -437,6 +437,8 @@ def _read(doc: Document) -> Search:
                                                     "cma_mega needs run: {cycles: 8}.")  # fmt: skip
     if file.keep.elites is not None and not aim.measures:
         doc.fail(("keep", "elites"), "is for an atlas: take {best: N}.")
+    if wrong := too_many((file.batch or 0) * sweep.repeats):
+        doc.fail(("batch",), f"is {file.batch:,}: {wrong}")
     budget, amount = file.budget.chosen
     return Search(
         sweep, aim, method, options,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from nermo_mjx.runs.directory import engine_of
+from nermo_mjx.runs.files import stored_json
 from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.search.batches import BEST, SEARCH
 from nermo_mjx.search.spec import Search
@@ -26,10 +26,10 @@ def status(out: Path) -> Status:
     done, budget = runs // (1 if search is None else search.repeats), None if search is None else search.evaluations
     reached = False
     try:
-        best = json.loads((out / BEST).read_text(encoding="utf-8"))
+        best = stored_json(out / BEST) or {}
         spent = 0.0 if search is None else search.reached(best["evaluations"], best["simulated_seconds"])
         reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == done
-    except (OSError, ValueError, KeyError):
+    except (TypeError, KeyError):
         pass
     return status_of("evaluations", out, done, budget, reached, command="search", spec=SEARCH, engine=engine_of(out),
                      notes=notes)  # fmt: skip

@@ -14,12 +14,12 @@ from nermo_mjx.control.loading import controller_digest, is_data
 from nermo_mjx.control.schedule import MOST, Schedule
 from nermo_mjx.robot.quantity import ParameterError, quantities
 from nermo_mjx.rollout import Setup, all_metrics
-from nermo_mjx.rollout.own_metrics import FORM, metrics_digest, parts_of
+from nermo_mjx.rollout.own_metrics import FORM, KEPT, kept_metrics, metrics_digest, parts_of
 from nermo_mjx.specs.reading import Document, describe
 from nermo_mjx.specs.values import MEASURED, NAMES
 
 #: The copies of the files of a controller and of metrics in a directory.
-KEPT: Final = "controller.py"
+KEPT_CONTROLLER: Final = "controller.py"
 KEPT_METRICS: Final = "metrics.py"
 
 
@@ -135,8 +135,11 @@ def with_code_copied(setup: Setup, folder: Path, write: Callable[[str, bytes], A
         write: puts content under a name there.
     """
     if isinstance(setup.controller, str):
-        setup = dataclasses.replace(setup, controller=_kept(setup.controller, KEPT, folder, write))
-    metrics = tuple(_kept(each, KEPT_METRICS, folder, write) for each in written_metrics(setup))
+        setup = dataclasses.replace(setup, controller=_kept(setup.controller, KEPT_CONTROLLER, folder, write))
+    named = written_metrics(setup)
+    if named:
+        write(KEPT, kept_metrics(named))
+    metrics = tuple(_kept(each, KEPT_METRICS, folder, write) for each in named)
     return dataclasses.replace(setup, metrics=metrics) if metrics else setup
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import io
+import itertools
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -14,7 +15,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
+from nermo_mjx.files import read_bytes
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.trust import FileError
 
 #: Keys (and list positions) from the top of a document to one of its fields.
 FieldPath = tuple["str | int", ...]
@@ -24,9 +27,12 @@ _PLAIN_TAGS: Final = frozenset(_STANDARD + name for name in ("map", "seq", "str"
 _MERGE: Final = f"{_STANDARD}merge"
 #: Values that a file's aliases may stand for, in all.
 _MOST_REPEATED: Final = 100_000
+#: Bytes of a file, and lists, mappings, their ends, and plain values in it.
+_MOST_BYTES: Final = 1 << 23
+_MOST_VALUES: Final = 50_000
 
 
-class SpecError(ParameterError):
+class SpecError(ParameterError, FileError):
     """A file that cannot be run; the message is one sentence with file, line, field, value and what is allowed."""
 
 
@@ -66,7 +72,9 @@ def read_file(path: str | os.PathLike[str], what: str = "sweep") -> Document:
     """Read a YAML file; raises a `SpecError` if it is not a YAML mapping. `what` names its kind."""
     source = os.fspath(path)
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_bytes(Path(path), _MOST_BYTES).decode()
+    except FileError as error:
+        raise SpecError(str(error)) from None
     except FileNotFoundError:
         raise SpecError(f"{source}: there is no such file.") from None
     except UnicodeDecodeError as error:
@@ -85,6 +93,10 @@ def read_text(text: str, source: str, what: str = "sweep") -> Document:
             opened += sum(map(line.count, "[{")) - sum(map(line.count, "]}"))
             if opened > _DEEPEST:
                 raise RecursionError
+        if len(text) > _MOST_VALUES and len(list(itertools.islice(yaml.parse(text), _MOST_VALUES))) == _MOST_VALUES:
+            raise SpecError(
+                f"{source}: it holds more than {_MOST_VALUES:,} values: allowed are fewer; rows can stand in a table."
+            )
         root = yaml.compose(text)
         reader = _NodeReader(source, what, yaml)
         data = None if root is None else reader.value(root, ())

@@ -181,7 +181,7 @@ def _fixed(arm: Arm, sweep: SweepRecord | None, names: Sequence[str]) -> dict[st
     for name in (name for name in names if name not in arm.keys):
         value: Any = None
         if sweep is not None and name not in columns_of(arm.results, "randomized"):
-            value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields[name])
+            value = sweep.parameters[name] if name in sweep.parameters else label_of(sweep.fields.get(name))
         found[name] = np.full(len(arm.rows), math.nan if value is None else value)
     return found
 

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NotRequired
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from typing_extensions import TypedDict
 
+from nermo_mjx.files import FileError, read_as
 from nermo_mjx.runs.files import DirectoryError, content_of
 from nermo_mjx.runs.rows import opened, part_files
 from nermo_mjx.runs.status import Status, metadata_of, status_of
+from nermo_mjx.trust import one_line
 
 #: Schema metadata that differs between the parts of one table.
 PART_KEYS = (b"chunk", b"series", b"steps", b"wall_seconds", b"engine", b"code")
@@ -33,6 +35,9 @@ RECORD: Final = "sweep.json"
 RECORDINGS: Final = "recordings"
 
 
+_Asked = TypedDict("_Asked", {"by": str, "base": NotRequired[str | float | None], "for": Sequence[str]})
+
+
 @dataclasses.dataclass(frozen=True)
 class SweepRecord:
     """A directory's sweep.json: what readers need of a sweep, so that none of them runs the code that it may name.
@@ -43,15 +48,13 @@ class SweepRecord:
         labelled: names of the varied structures.
         parameters: value of each parameter that is not varied, None where structures differ or do not read it.
         comparison: the section `compare`, if there is one.
-        metrics: digest of a file of metrics -> unit, doc, better and name of each.
     """
 
     rows: int
     fields: Mapping[str, Any]
     labelled: Sequence[str]
     parameters: Mapping[str, float | None]
-    comparison: Mapping[str, Any] | None
-    metrics: Mapping[str, Sequence[Mapping[str, Any]]]
+    comparison: _Asked | None
 
     @classmethod
     def of_directory(cls, out: Path) -> SweepRecord | None:
@@ -63,13 +66,10 @@ class SweepRecord:
         if (content := content_of(out / RECORD)) is None:
             return None
         try:
-            found = cls(**json.loads(content))
-            mappings = (found.fields, found.fields["set"], found.parameters, found.metrics)
-            about = [set(each) for several in found.metrics.values() for each in several]
-            whole = isinstance(found.rows, int) and all(isinstance(each, dict) for each in mappings)
-            if whole and all(each == {"name", "unit", "doc", "better"} for each in about):
+            found: SweepRecord = read_as(content, cls, out / RECORD)
+            if isinstance(found.fields.get("set"), dict):
                 return found
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        except FileError:
             pass
         raise DirectoryError(f"{out / RECORD} is damaged: run nermo-mjx sweep {out / 'sweep.yaml'} --out {out} again.")
 
@@ -92,7 +92,7 @@ class Results:
         Raises:
             DirectoryError: a file cannot be read, now or when a column is asked for.
         """
-        self._source = source
+        self._source, self._called = source, "the table" if isinstance(source, pa.Table) else source[0]
         self._names: dict[str, tuple[str, ...]] = {}
         if isinstance(source, pa.Table):
             schema = source.schema
@@ -101,6 +101,11 @@ class Results:
                 schema = file.schema_arrow
                 schema = pa.schema([field for field in schema if field.name != "key"], schema.metadata)
         self.schema = schema.with_metadata(_common(schema))
+        for name, is_kind in (("row", pa.types.is_integer), ("status", pa.types.is_string)):
+            if name not in schema.names or not is_kind(schema.field(name).type):
+                raise DirectoryError(
+                    f"{self._called} has no column {name!r}, as results have: run the same command again."
+                )
         table = self._read(["row", "status"])
         self._order = _order(table, once=not isinstance(source, pa.Table))
         self.rows, status = len(self._order), table.column("status").take(self._order)
@@ -142,8 +147,10 @@ class Results:
             few = [wanted]
             for path in self._source[start : start + _JOINED]:
                 with opened(path) as file:
-                    few.append(file.read(list(names), use_threads=False).replace_schema_metadata(None))
-            joined.append(pa.concat_tables(few, promote_options="default").combine_chunks())
+                    # With `row`, which each has: without any column it would have no rows.
+                    read = file.read([*dict.fromkeys(["row", *names])], use_threads=False)
+                    few.append(read.replace_schema_metadata(None))
+            joined.append(joined_tables(few, path).select(names).combine_chunks())
         return pa.concat_tables(joined)
 
 
@@ -174,14 +181,33 @@ def read_table(out: str | os.PathLike[str]) -> pa.Table:
     if not parts:
         raise DirectoryError(f"{out} holds no results of a sweep.")
     metadata = _common(parts[0].schema)
-    table = pa.concat_tables((part.replace_schema_metadata(metadata) for part in parts), promote_options="default")
+    table = joined_tables([part.replace_schema_metadata(metadata) for part in parts], out)
     del parts
+    if "row" not in table.column_names or not pa.types.is_integer(table.schema.field("row").type):
+        raise DirectoryError(
+            f"{out} has results without their numbers, in the column 'row': run the same command again."
+        )
     order = _order(table, once=True)
     if len(order) < table.num_rows:
         table, order = table.take(order), np.arange(len(order))
     for place, field in enumerate(table.schema):  # column by column, so that none but one is there twice
         table = table.set_column(place, field, table.column(place).combine_chunks().take(order))
     return table
+
+
+def joined_tables(tables: Sequence[pa.Table], where: object) -> pa.Table:
+    """Tables under one another; what one of them has not is null.
+
+    Raises:
+        DirectoryError: a column has different types in them.
+    """
+    try:
+        return pa.concat_tables(tables, promote_options="default")
+    except pa.ArrowException as error:
+        reason = one_line(str(error).strip())
+        raise DirectoryError(
+            f"{where}: the files of its table differ ({reason}): run the same command again."
+        ) from None
 
 
 def _order(table: pa.Table, *, once: bool) -> np.ndarray:

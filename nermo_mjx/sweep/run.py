@@ -26,7 +26,7 @@ from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import METRICS, Run, Simulator
-from nermo_mjx.rollout.own_metrics import without_code
+from nermo_mjx.rollout.run import too_many
 from nermo_mjx.runs.directory import RunDirectory, engine_of
 from nermo_mjx.runs.files import DirectoryError, WrongDirectory, parquet_bytes
 from nermo_mjx.runs.interruption import resumable
@@ -39,7 +39,7 @@ from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import unread
 from nermo_mjx.sweep.comparing import better
 from nermo_mjx.sweep.plots import figures_of, findings
-from nermo_mjx.sweep.results import HELD, Results, SweepRecord, read_table
+from nermo_mjx.sweep.results import HELD, Results, read_table
 from nermo_mjx.sweep.sampling import Sample
 from nermo_mjx.sweep.series import check_room, chunk_with_series, record_rows, series_table
 from nermo_mjx.sweep.simulating import (
@@ -65,6 +65,7 @@ from nermo_mjx.sweep.store import (
     sweep_in,
 )
 from nermo_mjx.sweep.table import chunk_table, columns_of, summarize
+from nermo_mjx.trust import only_reading
 
 # ---
 # The rows of a sweep: which are there, and which are simulated, in batches of equal size.
@@ -501,6 +502,8 @@ def run_sweep(
     size = chunk_with_series(
         sweep, chunk or sweep.chunk, lambda: chunk_rows_here(engine, sweep.variants * sweep.repeats, parts)
     )
+    if simulate and (wrong := too_many(min(size, sweep.variants * sweep.repeats))):
+        raise SpecError(f"chunk is {size:,}: {wrong}")
     with (
         RunDirectory(out, "sweep", shard) as held,
         resumable("sweep", held.out / "sweep.yaml", SweepInterrupted) as interruption,
@@ -607,8 +610,7 @@ def merge_sweeps(
         raise SpecError("merge takes two directories or more.")
     if Path(out).resolve() in [place.resolve() for place in places]:
         raise SpecError(f"{out} is one of the directories that are merged: choose another one.")
-    records = [SweepRecord.of_directory(place) for place in places]
-    with without_code({digest: known for record in records if record for digest, known in record.metrics.items()}):
+    with only_reading():
         return run_sweep(merged(places), out, use=places, simulate=False, accept_new_code=accept_new_code, warn=warn)
 
 

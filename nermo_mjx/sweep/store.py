@@ -21,13 +21,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from nermo_mjx.rollout.own_metrics import digest_of_file, load_metrics, parts_of
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.directory import RunDirectory, remove_leftovers
 from nermo_mjx.runs.files import DirectoryError, clear_errors, content_of, create_file
 from nermo_mjx.runs.rows import FORMER, keys_of, retire
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.specs.controllers import code_identity, with_code_copied, written_metrics
+from nermo_mjx.specs.controllers import code_identity, with_code_copied
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.specs.walk import WalkSpec, unread
 from nermo_mjx.sweep.results import RECORD, RECORDINGS, SweepRecord
@@ -117,6 +116,8 @@ def _text(value: Any) -> str:
 
 
 _NAMED_BATCH = 4
+#: Simulated time of all runs of a sweep, at most [s].
+MOST_SECONDS: Final = 1e9
 
 
 def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
@@ -130,6 +131,11 @@ def simulated_seconds(sweep: Sweep, rows: Sample) -> np.ndarray:
         values |= known({name: column[here] for name, column in columns.items() if name in walk.setup.timing})
         _, end = walk.run.seconds(walk.setup.cycle_rate(values))
         seconds[here] = np.asarray(end, dtype=float)
+    if (total := seconds.sum()) > MOST_SECONDS:
+        raise SpecError(
+            f"the sweep simulates {total:.3g} s in {len(seconds):,} runs: allowed are {MOST_SECONDS:g} s; take shorter "
+            "runs, or fewer of them."
+        )
     return seconds
 
 
@@ -265,18 +271,12 @@ def _record(sweep: Sweep) -> SweepRecord:
         own = walk.setup.defaults() | walk.constants
         for name in sweep.parameters:
             values.setdefault(name, set()).update([own[name]] if unread(walk.setup, name) is None else [])
-    metrics = dict[str, list[dict[str, Any]]]()
-    for where in (each for each in written_metrics(sweep.setup) if parts_of(each)[0].endswith(".py")):
-        metrics.setdefault(digest_of_file(where), []).extend(
-            {name: getattr(each, name) for name in ("name", "unit", "doc", "better")} for each in load_metrics(where)
-        )
     return SweepRecord(
         rows=sweep.variants * sweep.repeats,
         fields=sweep.walk_fields() | code_identity(sweep.setup),
         labelled=sweep.labelled,
         parameters={name: each.pop() if len(each) == 1 else None for name, each in values.items()},
-        comparison=None if sweep.comparison is None else sweep.comparison.written(),
-        metrics=metrics,
+        comparison=None if sweep.comparison is None else sweep.comparison.written(),  # type: ignore[arg-type]
     )
 
 

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import functools
 import hashlib
+import io
 import itertools
 import json
 import math
@@ -20,6 +21,7 @@ from pydantic import ConfigDict, GetCoreSchemaHandler
 from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 
+from nermo_mjx.files import FileError, read_bytes
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.robot.scene import is_mjcf, scene_name
 from nermo_mjx.rollout import METRICS, Setup
@@ -362,16 +364,22 @@ def _check_name(table: RowTable, name: str) -> None:
         table.fail(-1, name, message)
 
 
+#: Bytes of a file of rows as text.
+_MOST_CSV: Final = 1 << 26
+
+
 def _read_csv(path: Path) -> RowTable:
     lines: list[int] = []
     rows: list[list[str]] = []
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, strict=True)
-            for row in reader:
-                if any(cell.strip() for cell in row):
-                    rows.append([cell.strip() for cell in row])
-                    lines.append(reader.line_num)
+        text = read_bytes(path, _MOST_CSV).decode("utf-8-sig")
+        reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                rows.append([cell.strip() for cell in row])
+                lines.append(reader.line_num)
+    except FileError as error:
+        raise SpecError(str(error)) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SpecError(f"{path}: cannot be read as CSV ({error}).") from None
     if not rows:

@@ -17,6 +17,7 @@ from scipy.stats import qmc
 
 from nermo_mjx.robot.quantity import ParameterError, Quantity
 from nermo_mjx.rollout import Metric, all_parameters
+from nermo_mjx.rollout.run import too_many
 from nermo_mjx.specs.controllers import code_identity, known_names
 from nermo_mjx.specs.described import Described, digest_of
 from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, optional, read
@@ -478,6 +479,8 @@ def _read(doc: Document, *, recorded: bool = True) -> Tuning:
 
 def _check_together(doc: Document, tuning: Tuning) -> None:
     """Checks of several fields: a parameter with two sources or without effect, a run too long, a leg too short."""
+    if wrong := too_many(tuning.starts * max(tuning.estimator.samples, 1)):
+        doc.fail(("starts",), f"is {tuning.starts:,}, each with its samples: {wrong}")
     check_sources(doc, tuning, {"tune": list(tuning.names)})
     _check_length(doc, tuning)
     ranges = {each.name: np.linspace(each.low, each.high, 5) for each in tuning.tuned}

@@ -260,7 +260,7 @@ class Detail:
 
     def samples(self, recording: Recording) -> int:
         """Maximum number of samples of a recording."""
-        within = recording.duration * self.rate + 1
+        within = recording.duration * self.rate + 1 if recording.duration else 1.0  # the rate may be infinite
         return self.most if within >= self.most else max(int(within), 2)
 
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import re
 import shlex
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
+from pydantic import BaseModel, Field
 
+from nermo_mjx.files import json_of
 from nermo_mjx.plotting import style
 from nermo_mjx.plotting.shown import shown
 from nermo_mjx.recording import Recording, RecordingError
@@ -23,6 +23,7 @@ from nermo_mjx.robot.parameters import PRESETS
 from nermo_mjx.rollout import Setup
 from nermo_mjx.rollout.own_metrics import headed
 from nermo_mjx.runs import DirectoryError, kind_of
+from nermo_mjx.runs.files import parquet_table
 from nermo_mjx.specs.reading import SpecError, read_file
 from nermo_mjx.sweep.figures import thinned
 from nermo_mjx.sweep.results import Results, SweepRecord
@@ -121,7 +122,7 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     fields = {field.name: meta(field) for field in table.schema}
     shown = [name for role in ROLES for name, each in fields.items() if each.get("role") == role and name != "seed"]
     metrics = [name for name in shown if fields[name]["role"] == "metric"]
-    atlas = json.loads(about[b"atlas"]) if b"atlas" in about else None
+    atlas = json_of(about[b"atlas"], _Atlas, path / "atlas.parquet") if b"atlas" in about else None
     sides = sides_in(table.schema)
     leading = _leading(metrics, sides, atlas)
     number = table.column("row")
@@ -140,6 +141,21 @@ def runs_of(path: Path, kept: Collection[int] = (), most: int = MOST_ROWS) -> Ru
     return Runs(kind, columns, number[places].astype(np.int64), len(number), leading, grid, atlas)
 
 
+class _Aim(BaseModel, extra="allow"):
+    metric: str
+
+
+class _Objective(_Aim):
+    direction: Literal["minimize", "maximize"]
+
+
+class _Atlas(BaseModel, extra="allow"):
+    """What an atlas says of itself, as far as it is read."""
+
+    objective: _Objective
+    measures: Annotated[list[_Aim], Field(min_length=1, max_length=2)]
+
+
 class _Read:
     """A table in memory with columns as NumPy arrays; `Results` offers the same for chunks."""
 
@@ -154,10 +170,9 @@ def _table(path: Path) -> tuple[Results | _Read, Mapping[bytes, bytes]]:
     """The table of a directory, and its schema's metadata."""
     atlas = path / "atlas.parquet"
     if atlas.exists():
-        try:
-            table = pq.read_table(atlas)
-        except (OSError, pa.ArrowException) as error:
-            raise DirectoryError(f"{atlas} cannot be read ({error}): run the same search again.") from None
+        table = parquet_table(atlas)
+        if table is None:
+            raise DirectoryError(f"{atlas} is damaged: run the same search again.")
         if not len(table):
             raise DirectoryError(f"{atlas} has no filled cell yet.")
         return _Read(table), table.schema.metadata or {}

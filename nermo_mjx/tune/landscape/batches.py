@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import io
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from nermo_mjx.files import FileError, arrays_of
 from nermo_mjx.runs import RunDirectory
 from nermo_mjx.runs.files import content_of
 
@@ -44,9 +44,8 @@ class Batches:
         if content is None:
             return None
         try:
-            with np.load(io.BytesIO(content), allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            return arrays_of(content, self._path(first))
+        except FileError:
             self._held.set_aside("damaged", [self._path(first)], self._warn)
             return None
 

@@ -1,0 +1,156 @@
+"""Files that a stranger may have made: read with a limit, against a declared shape, and never run.
+
+Every loader of the package reads its file here, and raises a `FileError` for whatever is wrong with it: sizes are
+looked at before anything of that size is made. What a command shows of such a file, and whose Python is run, is in
+`nermo_mjx.trust`.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+import os
+import stat
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import from_json
+
+from nermo_mjx.trust import FileError, one_line
+
+#: Bytes of a file of arrays or a table, and of all its arrays; of a JSON file, whose values take up to 30 times that.
+MOST_ARRAYS: Final = 1 << 28
+MOST_JSON: Final = 1 << 24
+#: Arrays in a file.
+_MOST_NAMES: Final = 1000
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The content of a regular file of at most `most` bytes.
+
+    Raises:
+        FileError: it is larger, or no regular file.
+        OSError: it cannot be read.
+    """
+    with open(path, "rb", opener=_opener) as file:
+        about = path.stat()
+        if not stat.S_ISREG(about.st_mode):
+            raise FileError(f"{path}: not a regular file.")
+        if about.st_size > most:
+            raise FileError(f"{path}: it has {_megabytes(about.st_size)}: allowed are {_megabytes(most)}.")
+        return file.read(most)
+
+
+def json_of(content: bytes | str, shape: Any, called: object) -> Any:
+    """The plain values of JSON text that has a declared shape; see `read_as`."""
+    read_as(content, shape, called)
+    return from_json(content)
+
+
+def read_as(content: bytes | str, shape: Any, called: object) -> Any:
+    """JSON text as an object of its declared type.
+
+    Args:
+        content: the text.
+        shape: the type, as pydantic reads it.
+        called: what holds the text, for messages.
+
+    Raises:
+        FileError: it is no JSON, too long, nested too deep, or has another shape.
+    """
+    if len(content) > MOST_JSON:
+        raise FileError(f"{called}: it has {_megabytes(len(content))}: allowed are {_megabytes(MOST_JSON)}.")
+    try:
+        return _adapter(shape).validate_json(content, strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+    except UnicodeError:
+        raise FileError(f"{called}: not valid JSON: it is not UTF-8.") from None
+    field, given = (one_line(str(text)) for text in (".".join(map(str, first["loc"])), repr(first["input"])))
+    given = given if len(given) <= 60 else f"{given[:57]}..."
+    what = f"field {field!r} is {given}" if field else f"it holds {given}"
+    what = "not valid JSON" if first["type"] == "json_invalid" else what
+    raise FileError(f"{called}: {what}: {first['msg'].rstrip('.')}.") from None
+
+
+def arrays_of(content: bytes, called: object, most: int = MOST_ARRAYS) -> dict[str, np.ndarray]:
+    """The arrays of an NPZ file, by name; sizes are those that the file says, checked before it is unpacked.
+
+    Raises:
+        FileError: it is no such file, damaged, holds Python objects, or takes more than `most` bytes.
+    """
+    try:
+        if content.count(b"PK\x01\x02") > _MOST_NAMES:
+            raise FileError(f"{called}: it has more than {_MOST_NAMES:,} arrays.")
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
+            size = 0
+            for member in file.infolist():
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError
+                with file.open(member) as stream:
+                    version = np.lib.format.read_magic(stream)
+                    header = np.lib.format.read_array_header_1_0 if version == (1, 0) else _HEADER_2
+                    shape, _, dtype = header(stream)
+                if dtype.hasobject:
+                    raise FileError(f"{called}: {member.filename!r} holds Python objects, which are not read.")
+                size += math.prod(shape) * dtype.itemsize
+                if size > most or any(length < 0 for length in shape):
+                    raise FileError(
+                        f"{called}: {member.filename!r} has the shape {shape}: allowed are {_megabytes(most)} in all."
+                    )
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {name: np.asarray(arrays[name]) for name in arrays.files}
+    except (FileError, MemoryError):
+        raise
+    except Exception:  # a damaged file can raise any exception in its reader
+        raise FileError(f"{called}: not an NPZ file, or a damaged one.") from None
+
+
+_HEADER_2: Final = np.lib.format.read_array_header_2_0
+
+
+def check_arrays(
+    arrays: Mapping[str, np.ndarray], declared: Mapping[str, tuple[str, tuple[Any, ...]]], called: object
+) -> None:
+    """Compare arrays with their declaration.
+
+    Args:
+        arrays: by name.
+        declared: name -> (kinds of numbers, as in `numpy.dtype.kind`; the shape). In a shape, a text names a length
+            that is the same wherever the name stands, and `...` at the end allows further ones.
+        called: what holds them, for messages.
+
+    Raises:
+        FileError: one is missing, or has other numbers or another shape.
+    """
+    known: dict[str, int] = {}
+    for name, (kinds, wanted) in declared.items():
+        if name not in arrays:
+            raise FileError(f"{called}: it has no {name!r}.")
+        given, lengths = arrays[name], tuple(length for length in wanted if length is not ...)
+        if given.dtype.kind not in kinds:
+            raise FileError(f"{called}: {name!r} is of type {given.dtype}: expected numbers.")
+        fits = given.ndim == len(lengths) or (... in wanted and given.ndim >= len(lengths))
+        for have, want in zip(given.shape, lengths, strict=False):
+            fits = fits and have == (known.setdefault(want, have) if isinstance(want, str) else want)
+        if not fits:
+            expected = ", ".join("..." if each is ... else str(known.get(each, each)) for each in wanted)
+            raise FileError(f"{called}: {name!r} has the shape {given.shape}: expected ({expected}).")
+
+
+def _opener(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # a pipe without a writer would wait for one
+
+
+@functools.cache
+def _adapter(shape: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(shape)
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:,.0f} MB"

@@ -1,0 +1,68 @@
+"""What a stranger's file may do here: which text of it is shown, and whether Python that it names is run."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import re
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from typing import Final, ParamSpec, TypeVar
+
+
+class FileError(Exception):
+    """A file that is not what it should be; the message is one sentence that names the file."""
+
+
+# ---
+# What is shown of a file: a terminal would obey its control characters.
+
+
+#: Control characters but the line's end and the tab, and those that turn the direction of writing.
+_CONTROL: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+def shown(text: str) -> str:
+    r"""A text as it can be shown: control characters are escaped, as in JSON.
+
+    >>> print(shown("speed\x1b[2J"))
+    speed\u001b[2J
+    """
+    return _CONTROL.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def one_line(text: str) -> str:
+    """The same for a text that has one line."""
+    return shown(text).replace("\n", "\\n").replace("\t", "\\t")
+
+
+# ---
+# Whose Python is run.
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+#: Whether the Python that files name may be run, and what is told before.
+RUNS_CODE: ContextVar[bool] = ContextVar("RUNS_CODE", default=True)
+TELL: ContextVar[Callable[[str], None]] = ContextVar("TELL", default=lambda sentence: None)
+
+
+@contextlib.contextmanager
+def only_reading() -> Iterator[None]:
+    """Inside of it no Python that a file names is run."""
+    token = RUNS_CODE.set(False)
+    try:
+        yield
+    finally:
+        RUNS_CODE.reset(token)
+
+
+def only_reads(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorates a function that runs no Python that a file names."""
+
+    @functools.wraps(function)
+    def reading(*given: P.args, **named: P.kwargs) -> T:
+        with only_reading():
+            return function(*given, **named)
+
+    return reading
