@@ -10,7 +10,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from nermo_mjx.tune.history import Log, columns
 from nermo_mjx.tune.objective import Problem, from_unconstrained, to_unconstrained
 from nermo_mjx.tune.spec import Tuning
 from nermo_mjx.tune.tuner import Iterate, TuneState
@@ -41,10 +40,10 @@ class GenerationTuner:
     `nermo_mjx.tune.objective`.
     """
 
-    def __init__(self, tuning: Tuning, problem: Problem, log: Log | None) -> None:
+    def __init__(self, tuning: Tuning, problem: Problem, values: np.ndarray) -> None:
         """
         Args:
-            log: the history so far, which is replayed; None if there is none.
+            values: objectives of the generations so far (iterations, starts), which are replayed.
         """
         assert tuple(problem.names) == tuning.names, "a problem takes the tuned parameters in the order of the file"
         self.tuning, self.problem = tuning, problem
@@ -53,11 +52,9 @@ class GenerationTuner:
         rng = np.random.default_rng(tuning.seed)
         self._strategy = strategy(self._given, tuning.method.sigma, tuning.starts, rng)
         self._points, self._first = np.empty((0, len(tuning.names))), True
-        if log is not None:
-            place = [column.name for column in columns(tuning, log.metrics)].index("objective")
-            for value in log.rows[:, :, place]:
-                self._ask()
-                self._tell(value)
+        for value in values:
+            self._ask()
+            self._tell(value)
 
     def step(self, state: TuneState) -> tuple[TuneState, Iterate]:
         """Evaluate a generation."""

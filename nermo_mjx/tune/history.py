@@ -54,6 +54,10 @@ class Log:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def values(self, tuning: Tuning) -> np.ndarray:
+        """The objectives (iterations, starts)."""
+        return self.rows[:, :, [column.name for column in columns(tuning, self.metrics)].index("objective")]
+
     def code(self) -> np.ndarray:
         """Which code made each iteration (iterations,)."""
         begun = [first for first, _ in self.codes]

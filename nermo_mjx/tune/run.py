@@ -226,7 +226,7 @@ def run_tuning(
 def tuner_of(tuning: Tuning, problem: Problem, log: Log | None = None) -> Tuner | LineTuner | GenerationTuner:
     """What steps a tuning, after a history so far."""
     if not tuning.method.has_gradient:
-        return GenerationTuner(tuning, problem, log)
+        return GenerationTuner(tuning, problem, np.empty((0, tuning.starts)) if log is None else log.values(tuning))
     return (LineTuner if tuning.optimizer.searches else Tuner)(tuning, problem)
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from nermo_mjx.tune.history import Log, columns
+from nermo_mjx.tune.history import Log
 from nermo_mjx.tune.spec import Tuning
 
 #: Fraction of the total gain that counts as nothing.
@@ -34,8 +34,8 @@ def stalled(tuning: Tuning, log: Log) -> bool:
     """
     if len(log) <= tuning.patience:
         return False
-    place = [column.name for column in columns(tuning, log.metrics)].index("objective")
-    value = np.where(np.isfinite(log.rows[:, :, place]), log.rows[:, :, place], np.inf)
+    value = log.values(tuning)
+    value = np.where(np.isfinite(value), value, np.inf)
     value = value if tuning.method.has_gradient else value.min(axis=1, keepdims=True)
     lowest = np.minimum.accumulate(value)
     walked = np.asarray(np.isfinite(lowest).any(axis=1))
