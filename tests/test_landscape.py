@@ -10,17 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 from tune_fake import SPEC, FakeProblem
 
+from nermo_mjx.optimize import Evaluation, Tuning, landscape, run_landscape, run_tuning
+from nermo_mjx.optimize.landscape import CENTRES, WIDTHS, Batches, figures, line_figure, lines_of, plan
+from nermo_mjx.optimize.tuning_directory import landscape_status
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
-from nermo_mjx.tune import Evaluation, Tuning, run_landscape, run_tuning
-from nermo_mjx.tune.landscape import points, run
-from nermo_mjx.tune.landscape.batches import Batches
-from nermo_mjx.tune.landscape.lines import lines_of
-from nermo_mjx.tune.landscape.plan import CENTRES, WIDTHS, plan
-from nermo_mjx.tune.landscape.plots import figures, line_figure
-from nermo_mjx.tune.status import landscape_status
 
 pytestmark = pytest.mark.draws
 
@@ -153,7 +149,7 @@ def test_an_interrupted_landscape_is_gone_on_with(tmp_path, smooth):
 
 def test_points_once_found_are_kept(tmp_path, monkeypatch):
     """Drawing fails: the table is there, and the same call resumes from it, evaluating nothing."""
-    monkeypatch.setattr("nermo_mjx.tune.landscape.plots.line_figure", lambda *_: 1 / 0)
+    monkeypatch.setattr("nermo_mjx.optimize.landscape.line_figure", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         measure(tmp_path)
     assert (tmp_path / "landscape.parquet").exists()
@@ -170,7 +166,7 @@ def other_code(monkeypatch):
     """From here on, another version runs."""
 
     def upgrade():
-        real = run.stamp
+        real = landscape.stamp
         monkeypatch.setattr(run, "stamp", lambda *known: dataclasses.replace(real(*known), package="9.9.9"))
 
     return upgrade
@@ -413,7 +409,7 @@ def test_a_landscape_that_was_killed_while_it_drew_is_not_complete(tmp_path, mon
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("nermo_mjx.tune.landscape.plots.figures_of", killed)
+        patch.setattr("nermo_mjx.optimize.landscape.figures_of", killed)
         with pytest.raises(KeyboardInterrupt):
             measure(tmp_path, points=5)
     assert not landscape_status(tmp_path).complete
@@ -425,8 +421,8 @@ def test_batches_are_as_even_as_they_can_be(tmp_path, monkeypatch):
     """Whatever the most is, all batches have one size, and no more is walked than that needs."""
     monkeypatch.setattr(points, "CPU_BATCH", 7)
     problem, wanted = FakeProblem(TUNING), plan(TUNING, 5, 1.0)
-    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", points.batch_size(len(wanted)), "code")
-    found, count = points.evaluate(TUNING, problem, wanted, lambda *_: None, {points.KEY: "a"}, batches)
+    batches = Batches(RunDirectory(tmp_path, "landscape"), "a", landscape.batch_size(len(wanted)), "code")
+    found, count = landscape.evaluate(TUNING, problem, wanted, lambda *_: None, {landscape.KEY: "a"}, batches)
     sizes = {size for size, _ in problem.batches}
     assert len(sizes) == 1
     assert len(wanted) <= sum(size for size, _ in problem.batches) < len(wanted) + len(problem.batches)

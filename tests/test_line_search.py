@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 from tune_fake import SPEC, FakeProblem, Three
 
+from nermo_mjx.optimize import Tuning, TuningInterrupted, run_tuning
+from nermo_mjx.optimize.estimators import Estimator, estimate
+from nermo_mjx.optimize.methods import initial_state
+from nermo_mjx.optimize.optimizers import LineSearch, Optimizer
+from nermo_mjx.optimize.problems import GuidedProblem, SimulatedProblem
+from nermo_mjx.optimize.tuning_run import costs_of, tuner_of
 from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.specs.reading import SpecError
-from nermo_mjx.tune import Tuning, TuningInterrupted, run_tuning
-from nermo_mjx.tune.cost import costs_of
-from nermo_mjx.tune.estimators import Estimator, estimate
-from nermo_mjx.tune.optimizer import LineSearch, Optimizer
-from nermo_mjx.tune.problems import GuidedProblem, SimulatedProblem
-from nermo_mjx.tune.run import tuner_of
-from nermo_mjx.tune.tuner import initial_state
 
 AVERAGED = {"smoothed": {"samples": 4, "sigma": 0.1, "normalized": True}}
 SEARCH = SPEC | {"optimizer": "line_search", "estimator": AVERAGED}
@@ -161,7 +160,7 @@ def test_walks_without_gradients_are_those_of_the_engine_c(monkeypatch):
         engine = self.simulator.engine.name if hasattr(self, "simulator") else "mjx"
         asked.append((type(self).__name__, gradient, engine))
 
-    monkeypatch.setattr("nermo_mjx.tune.problems.WalkProblem.evaluate", evaluate)
+    monkeypatch.setattr("nermo_mjx.optimize.problems.WalkProblem.evaluate", evaluate)
     monkeypatch.setattr(SimulatedProblem, "evaluate", evaluate)
     problem = pickle.loads(pickle.dumps(GuidedProblem(tuning)))
     problem.evaluate(np.zeros((1, 2)), True)
@@ -171,7 +170,7 @@ def test_walks_without_gradients_are_those_of_the_engine_c(monkeypatch):
 
 def test_its_cost_counts_both_kinds_of_walks(monkeypatch):
     """Counted by hand for two starts, seven evaluations of 5 s, at a hundred simulated seconds a second."""
-    monkeypatch.setattr("nermo_mjx.tune.cost.pace_here", lambda _: 100.0)
+    monkeypatch.setattr("nermo_mjx.optimize.tuning_run.pace_here", lambda _: 100.0)
     averaged, values, differences = (
         costs_of(Tuning.from_dict(spec))[0]
         for spec in (SEARCH, VALUES, SPEC | {"method": "differences", "optimizer": "line_search"})

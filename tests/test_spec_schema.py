@@ -66,9 +66,8 @@ def test_the_shipped_files_are_valid(schemas, path):
 def test_resolved_files_are_valid(schemas, path):
     """So are those that results hold, with all defaults written out."""
     from nermo_mjx.learn.spec import Training
-    from nermo_mjx.search import Search
+    from nermo_mjx.optimize import Search, Tuning
     from nermo_mjx.sweep import Sweep
-    from nermo_mjx.tune import Tuning
 
     kind = kind_of(path)
     read = {"tune": Tuning, "search": Search, "sweep": Sweep, "train": Training}[kind]
@@ -93,8 +92,8 @@ GOOD = [
 @pytest.mark.parametrize(("kind", "more"), GOOD)
 def test_what_is_read_is_valid(schemas, kind, more):
     """A schema that rejects valid files would be ignored."""
+    from nermo_mjx.optimize import Tuning
     from nermo_mjx.sweep import Sweep
-    from nermo_mjx.tune import Tuning
 
     text = (SWEEP if kind == "sweep" else TUNE) + more
     (Sweep if kind == "sweep" else Tuning).from_text(text)
@@ -147,8 +146,8 @@ WRONG = [
 def test_what_is_wrong_in_a_field_is_not_valid(schemas, kind, wrong):
     """An editor marks what reading the file refuses, too."""
     from nermo_mjx.hardware.channels import read_channels
+    from nermo_mjx.optimize import Tuning
     from nermo_mjx.sweep import SpecError, Sweep
-    from nermo_mjx.tune import Tuning
 
     base = {"sweep": SWEEP, "tune": TUNE, "servos": ""}[kind]
     field = wrong.partition(":")[0]
@@ -201,12 +200,7 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
     from nermo_mjx.hardware.channels import ChannelsFile
     from nermo_mjx.learn import PPO, Modulation, Residual, Task
     from nermo_mjx.learn.spec import Evaluation, SceneFields, TrainingFile
-    from nermo_mjx.specs.fields import read
-    from nermo_mjx.specs.reading import SpecError, read_mapping
-    from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
-    from nermo_mjx.sweep.axes import AxisForm, DrawForm
-    from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
-    from nermo_mjx.tune.spec import (
+    from nermo_mjx.optimize.tuning import (
         EstimatorFields,
         Mixture,
         OptimizerFields,
@@ -215,6 +209,11 @@ def test_no_odd_value_leads_to_anything_but_a_sentence():
         TunedFields,
         TuningFile,
     )
+    from nermo_mjx.specs.fields import read
+    from nermo_mjx.specs.reading import SpecError, read_mapping
+    from nermo_mjx.specs.walk import Arc, OpenLoop, Pilot, RunFields, Straight, Waypoints
+    from nermo_mjx.sweep.axes import AxisForm, DrawForm
+    from nermo_mjx.sweep.spec import Randomized, Sampler, SweepFile
 
     models = [SweepFile, TuningFile, ChannelsFile, TrainingFile, SceneFields,
               AxisForm, DrawForm, Randomized, Sampler, Arc, OpenLoop, Pilot,

@@ -14,13 +14,13 @@ import pytest
 from test_tune_run import lasting, same, tune
 from tune_fake import SPEC, FakeProblem
 
+from nermo_mjx.optimize import Tuning, run_tuning
+from nermo_mjx.optimize.history import empty_log
+from nermo_mjx.optimize.methods import initial_state
+from nermo_mjx.optimize.tuning_directory import Checkpoints
 from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory
 from nermo_mjx.runs.checkpoints import KEPT
 from nermo_mjx.runs.files import WrongDirectory
-from nermo_mjx.tune import Tuning, run_tuning
-from nermo_mjx.tune.checkpoints import Checkpoints
-from nermo_mjx.tune.history import empty_log
-from nermo_mjx.tune.tuner import initial_state
 
 pytestmark = pytest.mark.compiles
 

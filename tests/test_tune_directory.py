@@ -9,11 +9,11 @@ import pytest
 from test_tune_run import lasting, tune
 from tune_fake import SPEC, FakeProblem
 
+from nermo_mjx.optimize import Tuning, TuningInterrupted, load_tuning, read_history, run_tuning, tuning_directory
+from nermo_mjx.optimize.tuning_figures import figures
 from nermo_mjx.runs import DirectoryError, OtherCode, codes_of, kind_of
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.sweep import SpecError
-from nermo_mjx.tune import Tuning, TuningInterrupted, directory, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.plots import figures
 
 pytestmark = pytest.mark.compiles
 
@@ -27,7 +27,7 @@ def other_code(monkeypatch):
     """From here on, another version runs."""
 
     def upgrade(package="9.9.9"):
-        real = directory.stamp
+        real = tuning_directory.stamp
         monkeypatch.setattr(directory, "stamp", lambda *known: dataclasses.replace(real(*known), package=package))
 
     return upgrade

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from nermo_mjx.tune.estimators import Estimator, estimate, offsets, perturbations
+from nermo_mjx.optimize.estimators import Estimator, estimate, offsets, perturbations
 
 pytestmark = pytest.mark.compiles
 

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from nermo_mjx.optimize.objective import OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term
 from nermo_mjx.rollout import METRICS
-from nermo_mjx.tune.objective import OBJECTIVE_METRICS, TRAJECTORY_ERROR, Objective, Term
 
 TERMS = Objective(
     (

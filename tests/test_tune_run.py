@@ -16,11 +16,11 @@ import pytest
 from sweep_fake import FakeSimulator
 from tune_fake import BEST, SPEC, FakeProblem, FakeWalker, Three
 
+from nermo_mjx.optimize import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
+from nermo_mjx.optimize.methods import Tuner, initial_state
 from nermo_mjx.runs.files import WrongDirectory
 from nermo_mjx.runs.workers import TaskFailed, WorkersLost
 from nermo_mjx.sweep import DirectoryError, Sweep, run_sweep
-from nermo_mjx.tune import Tuning, TuningFailed, TuningInterrupted, load_tuning, read_history, run_tuning
-from nermo_mjx.tune.tuner import Tuner, initial_state
 
 pytestmark = pytest.mark.compiles
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nermo_mjx.optimize import Tuning, run_tuning
 from nermo_mjx.sweep import SpecError
-from nermo_mjx.tune import Tuning, run_tuning
 
 GOOD = """\
 robot: nermo_lite

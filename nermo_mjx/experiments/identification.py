@@ -40,6 +40,7 @@ from nermo_mjx.experiments.ensemble import (
     point_of,
 )
 from nermo_mjx.experiments.report import number, published_text
+from nermo_mjx.optimize.methods import strategy
 from nermo_mjx.physics.making import resolve_engine
 from nermo_mjx.plotting.files import Figures, write_figures
 from nermo_mjx.plotting.page import page
@@ -54,7 +55,6 @@ from nermo_mjx.runs.files import DirectoryError, append_line, clear_errors, cont
 from nermo_mjx.runs.status import Status, last_command
 from nermo_mjx.runs.text import MISSING, listed, table, to_json
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers, WorkersLost
-from nermo_mjx.tune.generations import strategy
 
 #: Where the search starts: the values of an earlier prototype of this robot.
 START: Final[dict[str, float]] = {

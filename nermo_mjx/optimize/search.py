@@ -14,6 +14,8 @@ from pydantic_core import core_schema
 from pydantic_core.core_schema import CoreSchema
 from scipy.stats import qmc
 
+from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Objective, objective_metrics
+from nermo_mjx.optimize.tuning import TermFields, period_of, read_objective
 from nermo_mjx.robot.quantity import did_you_mean
 from nermo_mjx.rollout import all_parameters
 from nermo_mjx.rollout.run import Run
@@ -27,8 +29,6 @@ from nermo_mjx.specs.walk import WalkFields, check_sources, check_workspace, rea
 from nermo_mjx.sweep.axes import Axis, AxisForm, read_axis, read_draw
 from nermo_mjx.sweep.spec import Randomized, Sweep, start_draws
 from nermo_mjx.sweep.structures import Structure
-from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Objective, objective_metrics
-from nermo_mjx.tune.spec import TermFields, period_of, read_objective
 
 # ---
 # The sections of a search file that a sweep file does not have: what is wanted, by which method, and for how long.

@@ -10,25 +10,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import jax
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.optimize.history import Log, empty_log, history_table, is_done
+from nermo_mjx.optimize.methods import GenerationTuner, LineTuner, Tuner, TuneState
+from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Problem
+from nermo_mjx.optimize.problems import SharedProblem, SimulatedProblem
+from nermo_mjx.optimize.tuning import Method, Tuning
+from nermo_mjx.optimize.tuning_directory import TUNING, Directory, start_of
+from nermo_mjx.optimize.tuning_figures import Painter, Pictures
 from nermo_mjx.robot import ParameterError
 from nermo_mjx.rollout import Simulator
+from nermo_mjx.rollout.differentiable import choose_mode, cost
 from nermo_mjx.rollout.run import START_SPREAD
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.runs.workers import LocalWorkers, Workers
-from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.tune.directory import TUNING, Directory, start_of
-from nermo_mjx.tune.generations import GenerationTuner
-from nermo_mjx.tune.history import Log, empty_log, history_table
-from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Problem
-from nermo_mjx.tune.pictures import Painter, Pictures
-from nermo_mjx.tune.problems import SharedProblem, SimulatedProblem
-from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.stopping import is_done
-from nermo_mjx.tune.tuner import LineTuner, Tuner, TuneState
+from nermo_mjx.sweep.simulating import SimulatorLike, pace
 
 # ---
 # Verification of start and best: simulated in MuJoCo C, from starts that the tuning has not seen.
@@ -113,9 +113,9 @@ class TuningResult:
     Attributes:
         out: its directory.
         tuning: what was tuned.
-        start: the given start as first evaluated (`nermo_mjx.tune.directory.start_of`).
-        best: content of best.json (`nermo_mjx.tune.directory.best_of`).
-        history: the history's table (`nermo_mjx.tune.history`).
+        start: the given start as first evaluated (`nermo_mjx.optimize.tuning_directory.start_of`).
+        best: content of best.json (`nermo_mjx.optimize.tuning_directory.best_of`).
+        history: the history's table (`nermo_mjx.optimize.history`).
         state: after the last iteration.
         iterations_run: evaluations that this call made.
         pictures: figures and video that were made of it, and notes on what could not be made.
@@ -146,18 +146,18 @@ def run_tuning(
     """Tune parameters by gradient, or by another method, into a directory, or resume what it contains.
 
     A tuning evaluates its starts `iterations` + 1 times, the last time where its last step led, or stops when nothing
-    more is gained (`nermo_mjx.tune.stopping`); every evaluation is one batch of starts x (1 + samples) worlds. After
+    more is gained (`nermo_mjx.optimize.history`); every evaluation is one batch of starts x (1 + samples) worlds. After
     each, the state is stored: killing the process loses the iteration in flight, and the resumed tuning ends
     with the same numbers, bit for bit, on the same machine. The best point is verified on the engine `c`, from starts
-    that the tuning has not seen (`nermo_mjx.tune.run`).
+    that the tuning has not seen (`nermo_mjx.optimize.tuning_run`).
 
     Args:
         spec: a `Tuning`, a dict with the fields of a tuning file, or the path of one.
-        out: the directory; see `nermo_mjx.tune.directory`.
-        problem: replaces the simulation of the tuning (`nermo_mjx.tune.problems.WalkProblem`).
+        out: the directory; see `nermo_mjx.optimize.tuning_directory`.
+        problem: replaces the simulation of the tuning (`nermo_mjx.optimize.problems.WalkProblem`).
         simulator: replaces `Simulator(tuning.setup, "c")`, which walks what pictures show: the landscape behind
             the paths, and the video; and start and best, from starts that the tuning has not seen
-            (`nermo_mjx.tune.run`). None of this happens if only `problem` is given.
+            (`nermo_mjx.optimize.tuning_run`). None of this happens if only `problem` is given.
         progress: called before the first evaluation and after each.
         drawing: called with what is being drawn at the end, and its progress.
         warn: called with a message about each thing that is moved aside.
@@ -234,14 +234,14 @@ def simulation_of(tuning: Tuning) -> Problem:
     """The simulation of a tuning; raises `ParameterError` where its recording does not fit."""
     # Engines, and what they compile, only where needed.
     if tuning.method.engine == "c":
-        from nermo_mjx.tune.problems import SimulatedProblem
+        from nermo_mjx.optimize.problems import SimulatedProblem
 
         return SimulatedProblem(tuning)
     if tuning.optimizer.searches:
-        from nermo_mjx.tune.problems import GuidedProblem
+        from nermo_mjx.optimize.problems import GuidedProblem
 
         return GuidedProblem(tuning)
-    from nermo_mjx.tune.problems import WalkProblem
+    from nermo_mjx.optimize.problems import WalkProblem
 
     return WalkProblem(tuning)
 
@@ -275,3 +275,70 @@ def _reached(
         metrics={name: float(column[at]) for name, column in metrics.items()} if alive else {},
         simulated_seconds=0.0 if best is None else best["simulated_seconds"],
     )
+
+
+# ---
+# Cost estimates of a tuning on this machine by each method, before it starts.
+
+
+#: Worlds of the probe: enough to keep two cores busy.
+_WORLDS: Final = 16
+#: How much slower MJX runs on a CPU than MuJoCo C, with this many worlds or more, and with fewer in proportion
+#: (docs/benchmarks: 14 simulated seconds per second, and 3.5 with one world, against 136).
+MJX_SLOWER: Final = 10.0
+MJX_WORLDS: Final = 4
+
+
+@dataclasses.dataclass(frozen=True)
+class MethodCost:
+    """The cost of a tuning by one method.
+
+    Attributes:
+        method: its name.
+        evaluations: walks; of the method `gradient` with their derivatives.
+        simulated_seconds: of all walks, gradients at their cost in forward runs [s].
+        wall_seconds: at this machine's speed, without compiling [s]; None if unknown, as for MJX on a GPU.
+    """
+
+    method: str
+    evaluations: int
+    simulated_seconds: float
+    wall_seconds: float | None
+
+
+def costs_of(tuning: Tuning) -> list[MethodCost]:
+    """The cost of all iterations by each method, that of the tuning first; its estimator counts for the gradient."""
+    found = pace_here(tuning)
+    slowest = {each.name: each.low for each in tuning.tuned}
+    timing = {name: value for name, value in (tuning.constants | slowest).items() if name in tuning.setup.timing}
+    seconds = float(tuning.run.seconds(tuning.setup.cycle_rate(timing))[1])
+    others = (Method(name) for name in ("gradient", "cma", "differences") if name != tuning.method.name)
+    return [_cost(dataclasses.replace(tuning, method=each), seconds, found) for each in (tuning.method, *others)]
+
+
+def pace_here(tuning: Tuning) -> float:
+    """Simulated seconds per second on the engine `c`, measured now."""
+    return pace(Simulator(tuning.setup, "c"), tuning.setup, _WORLDS)
+
+
+def _cost(tuning: Tuning, seconds: float, found: float) -> MethodCost:
+    method, estimator, parameters = tuning.method, tuning.estimator, len(tuning.names)
+    rounds = tuning.iterations + 1
+    if method.name == "cma":
+        points = method.population * rounds
+        return MethodCost(method.name, points, points * seconds, points * seconds / found)
+    searches = tuning.optimizer.searches
+    tried = tuning.starts * rounds * (1 + tuning.optimizer.line_search().points) if searches else 0
+    if method.name == "differences":
+        points = tried + tuning.starts * rounds * (1 + method.neighbours(parameters))
+        return MethodCost(method.name, points, points * seconds, points * seconds / found)
+    # A sampled estimator of a line search leaves the point itself out.
+    batch = tuning.starts * (estimator.samples or 1 if searches else estimator.worlds)
+    points, times, slower = batch * rounds, 1.0, MJX_SLOWER * max(1.0, MJX_WORLDS / batch)
+    if estimator.needs_gradient:
+        times = cost(parameters, choose_mode(parameters, tuning.mode))
+    elif searches:
+        slower = 1.0
+    simulated = (points * times + tried) * seconds
+    wall = (points * times * slower + tried) * seconds / found if jax.default_backend() == "cpu" else None
+    return MethodCost(method.name, points + tried, simulated, wall)

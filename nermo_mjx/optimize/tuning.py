@@ -1,4 +1,4 @@
-"""What a tuning is: the checked content of a tuning file. All errors in it are reported here, before work begins."""
+"""By which method a tuning steps: along exact gradients, along differences, or by CMA-ES."""
 
 from __future__ import annotations
 
@@ -15,18 +15,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 from scipy.stats import qmc
 
-from nermo_mjx.robot.quantity import ParameterError, Quantity
-from nermo_mjx.rollout import Metric, all_parameters
-from nermo_mjx.specs.controllers import code_identity, known_names
-from nermo_mjx.specs.described import Described, digest_of
-from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, optional, read
-from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_file
-from nermo_mjx.specs.values import MEASURED, ByParameter, Choice, Finite, Numbers, Positive, Whole, check_value
-from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, read_walk, written_out
-from nermo_mjx.tune import methods
-from nermo_mjx.tune.estimators import COMMON, Estimator
-from nermo_mjx.tune.methods import Method
-from nermo_mjx.tune.objective import (
+from nermo_mjx.optimize.estimators import COMMON, Estimator
+from nermo_mjx.optimize.objective import (
     AIMS,
     OBJECTIVE_METRICS,
     TRAJECTORY_ERROR,
@@ -35,7 +25,109 @@ from nermo_mjx.tune.objective import (
     Term,
     objective_metrics,
 )
-from nermo_mjx.tune.optimizer import CONTROLLED, LEARNING_RATE, NAMES, Optimizer
+from nermo_mjx.optimize.optimizers import CONTROLLED, LEARNING_RATE, NAMES, Optimizer
+from nermo_mjx.robot.quantity import ParameterError, Quantity
+from nermo_mjx.rollout import Metric, all_parameters
+from nermo_mjx.specs.controllers import code_identity, known_names
+from nermo_mjx.specs.described import Described, digest_of
+from nermo_mjx.specs.fields import Fields, JsonSchema, OneOf, Refused, chosen, optional, read
+from nermo_mjx.specs.reading import Document, FieldPath, SpecError, describe, read_file
+from nermo_mjx.specs.values import MEASURED, ByParameter, Choice, Finite, Numbers, Positive, Whole, check_value
+from nermo_mjx.specs.walk import WalkFields, WalkSpec, check_sources, check_workspace, read_walk, written_out
+
+#: Fraction of a parameter's bounds between a point and its neighbours: secants of this width are useful.
+STEP: Final = 0.02
+#: First standard deviation of CMA-ES, in coordinates u.
+SIGMA: Final = 2.0
+#: Fields of a tuning file that only some methods read.
+_READ_BY: Final = {
+    "optimizer": ("gradient", "differences"), "estimator": ("gradient",), "mode": ("gradient",),
+    "starts": ("gradient", "differences"),
+}  # fmt: skip
+
+
+class CmaFields(Fields):
+    what: ClassVar = "an option of 'cma'"
+    sigma: Positive = optional("first standard deviation, in coordinates u, by default 2")
+    population: Annotated[int, Whole(4, 100_000)] = optional("points of a generation, by default what fills two cores")
+
+
+class DifferencesFields(Fields):
+    what: ClassVar = "an option of 'differences'"
+    scheme: Annotated[str, Choice(("central", "forward"))] = optional("on which sides a slope is measured")
+    step: Positive = optional("to the neighbours, as a share of the bounds, by default 0.02")
+
+
+class MethodFields(OneOf):
+    """How an iteration finds its step, as written in a file."""
+
+    alone: ClassVar = ("gradient", "cma", "differences")
+    expected: ClassVar = "gradient, cma or differences as a name, or {name: {option: value}}"
+    other: ClassVar = "is not a method"
+    other_name: ClassVar = "is {name!r}"
+    gradient: None = optional("exact derivatives, from MJX")
+    cma: CmaFields | None = optional("CMA-ES, on MuJoCo C")
+    differences: DifferencesFields | None = optional("differences between neighbours, on MuJoCo C")
+
+
+@dataclasses.dataclass(frozen=True)
+class Method:
+    """A method by name.
+
+    Attributes:
+        name: `gradient`, `cma` or `differences`.
+        sigma, population: of `cma`.
+        scheme, step: of `differences`.
+    """
+
+    name: str = "gradient"
+    sigma: float = SIGMA
+    population: int = 16
+    scheme: str = "central"
+    step: float = STEP
+
+    @property
+    def engine(self) -> str:
+        """Name of the engine that evaluates."""
+        return "mjx" if self.name == "gradient" else "c"
+
+    @property
+    def has_gradient(self) -> bool:
+        """Whether its history has gradients."""
+        return self.name != "cma"
+
+    def neighbours(self, parameters: int) -> int:
+        """Runs beside that of a point itself, for differences."""
+        return parameters * (2 if self.scheme == "central" else 1)
+
+    def written(self) -> dict[str, Any]:
+        """As written in a tuning file; omitted for `gradient`."""
+        if self.name == "gradient":
+            return {}
+        names = ("sigma", "population") if self.name == "cma" else ("scheme", "step")
+        return {"method": {self.name: {name: getattr(self, name) for name in names}}}
+
+
+def reads(method: str, field: str) -> bool:
+    """Whether a method reads a field of a tuning file."""
+    return method in _READ_BY.get(field, (method,))
+
+
+def read_method(doc: Document, given: MethodFields | None) -> Method:
+    """The method; a field that it does not read is refused."""
+    if given is None:
+        return Method()
+    name, options = given.chosen
+    for field, readers in _READ_BY.items():
+        if field in doc.data and name not in readers:
+            hint = "; give method: {cma: {population: N}}" if field == "starts" else ""
+            doc.fail((field,), f"is not read by the method {name}, but by {' and '.join(readers)} alone{hint}.")
+    return Method(name, **({} if options is None else options.model_dump(exclude_unset=True)))
+
+
+# ---
+# What a tuning is: the checked content of a tuning file. All errors in it are reported here, before work begins.
+
 
 # ---
 # The sections of a tuning file that a sweep file does not have: tuned parameters, objective, optimizer, estimator.
@@ -322,7 +414,7 @@ class TuningFile(WalkFields):
     tune: Annotated[dict[str, TunedFields | None], ByParameter()] = Field({}, description="tuned parameters")
     objective: list[TermFields] = optional("terms whose sum is minimized", minItems=1)
     recording: Any = optional("path of the NPZ that trajectory_error compares with", type=["string", "null"])
-    method: methods.MethodFields = optional("how an iteration finds its step, by default along exact gradients")
+    method: MethodFields = optional("how an iteration finds its step, by default along exact gradients")
     optimizer: OptimizerFields = optional("how an iteration steps")
     estimator: EstimatorFields = Field(EstimatorFields(exact=None), description="of gradients")
     starts: Annotated[int, Whole(1, 100_000)] = Field(1, description="points tuned in parallel")
@@ -355,7 +447,7 @@ class Tuning(WalkSpec, Described):
         optimizer, estimator: how an iteration steps, and from which gradient.
         starts: points that are tuned in parallel in one batch; the first is the given one, the others are drawn.
         iterations: steps; there is one more evaluation, of the point reached by the last step.
-        patience: iterations that may gain next to nothing before it stops, see `nermo_mjx.tune.stopping`.
+        patience: iterations that may gain next to nothing before it stops, see `nermo_mjx.optimize.history`.
         seed: of the other starts, and of the estimator's perturbations.
         mode: how derivatives are taken: `auto`, `forward` or `reverse`.
         plots, video: whether figures, and a video of the best, are made in the end.
@@ -420,7 +512,7 @@ class Tuning(WalkSpec, Described):
         data["optimizer"] = self.optimizer.written()
         data["estimator"] = self.estimator.written()
         data |= {name: getattr(self, name) for name in _PLAIN}
-        return {name: value for name, value in data.items() if methods.reads(self.method.name, name)}
+        return {name: value for name, value in data.items() if reads(self.method.name, name)}
 
     def decisive(self) -> dict[str, Any]:
         """The fields that may not change: a recording counts beside them, a controller by what it is."""
@@ -459,7 +551,7 @@ def _read(doc: Document, *, recorded: bool = True) -> Tuning:
         doc.fail(("pilot", "straight", "distance"), "ends each run at a distance: such a length jumps by whole cycles "
                  "and has no derivative; give run: {cycles: 8}.")  # fmt: skip
     objective = read_objective(doc, file.objective)
-    method = methods.read_method(doc, file.method)
+    method = read_method(doc, file.method)
     tuning = Tuning(
         **walk,
         tuned=read_tuned(doc, file.tune, all_parameters(walk["setup"])),

@@ -15,23 +15,24 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from nermo_mjx.optimize.methods import Asked, Gradients, WalkGradients, check_library, make_optimizer
+from nermo_mjx.optimize.search import Scores, Search, Space, cells_of, scores_of
+from nermo_mjx.optimize.search_directory import SEARCH, Batches, keep_recordings, publish
+from nermo_mjx.optimize.search_figures import figures_of
 from nermo_mjx.physics import resolve_engine
 from nermo_mjx.plotting.files import write_figures
 from nermo_mjx.robot.quantity import ParameterError
+from nermo_mjx.rollout import Simulator
 from nermo_mjx.runs import session
 from nermo_mjx.runs.code import CodeStamp
 from nermo_mjx.runs.directory import engine_of
 from nermo_mjx.runs.interruption import resumable
 from nermo_mjx.runs.workers import LocalWorkers, TaskFailed, Workers
 from nermo_mjx.runtime import cpu_count
-from nermo_mjx.search.batches import SEARCH, Batches, keep_recordings, publish
-from nermo_mjx.search.evolution import Asked, Gradients, WalkGradients, check_library, make_optimizer
-from nermo_mjx.search.plots import figures_of
-from nermo_mjx.search.spec import Scores, Search, cells_of, scores_of
 from nermo_mjx.specs.reading import SpecError
 from nermo_mjx.sweep.results import Results, chunk_files, read_table
 from nermo_mjx.sweep.sampling import Rows, Sample
-from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name
+from nermo_mjx.sweep.simulating import Simulated, SimulatorLike, SweepSimulator, chunk_rows_here, engine_name, pace
 from nermo_mjx.sweep.store import batch_values
 
 # ---
@@ -100,7 +101,7 @@ class SearchResult:
     Attributes:
         out: its directory.
         search: what was searched, with the size of its batches.
-        best: content of best.json (`nermo_mjx.search.batches`).
+        best: content of best.json (`nermo_mjx.optimize.search_directory`).
         evaluations_run: points that this call evaluated.
         recordings, plots: files that were made.
     """
@@ -146,7 +147,7 @@ def run_search(
 
     Args:
         spec: a `Search`, a dict with the fields of a search file, or the path of one.
-        out: the directory; see `nermo_mjx.search.batches`.
+        out: the directory; see `nermo_mjx.optimize.search_directory`.
         engine: engine of the simulator; "auto" is the one that the directory was started with, if it was.
         progress: called from time to time with a `SearchProgress`.
         notify: called with a message if something takes long (compilation).
@@ -348,3 +349,70 @@ def _scores(batches: Batches, table: pa.Table, asked: Asked) -> Scores:
     scores = scores_of(search.aim, search.repeats, metrics, well)
     jacobian = batches.gradients(table, asked.gradients) if asked.gradients else None
     return dataclasses.replace(scores, jacobian=jacobian)
+
+
+# ---
+# The cost of a search on this machine, before it starts.
+
+
+#: Points whose mean length of a run stands for all.
+_TRIED = 256
+#: Bytes of a row of the table.
+_ROW_BYTES = 700
+
+
+@dataclasses.dataclass(frozen=True)
+class Cost:
+    """The cost of a search.
+
+    Attributes:
+        engine: that it will run on.
+        batch: points of a batch.
+        batches, evaluations, runs: whole batches, and what is in them.
+        simulated_seconds: of all runs [s], by the mean over the bounds.
+        wall_seconds: at this machine's current speed, measured now [s].
+        disk_bytes: of the table.
+        gradient_runs: what gradients cost, in forward runs; their time is not in the others.
+    """
+
+    engine: str
+    batch: int
+    batches: int
+    evaluations: int
+    runs: int
+    simulated_seconds: float
+    wall_seconds: float
+    disk_bytes: int
+    gradient_runs: int = 0
+
+
+def cost_of(search: Search, engine: str = "auto", simulator: SimulatorLike | None = None) -> Cost:
+    """The cost of a search from the start.
+
+    Args:
+        engine: of the simulator.
+        simulator: replaces `Simulator(search.setup, engine)`.
+
+    Raises:
+        ParameterError: an unknown engine, or a library that is missing.
+    """
+    check_library(search.method)
+    engine = resolve_engine(engine)
+    batch = search.batch or batch_points(search, engine)
+    shares = Space(search).spread(_TRIED)
+    rows = Sample(search.sweep, shares).take(np.arange(0, len(shares) * search.repeats, search.repeats))
+    known = search.sweep.constants | rows.values
+    rate = search.setup.cycle_rate({name: known[name] for name in search.setup.timing if name in known})
+    point = search.repeats * float(np.mean(search.run.seconds(rate)[1]))
+    wanted = search.evaluations if search.evaluations is not None else (search.simulated_seconds or 0.0) / point
+    batches = math.ceil(wanted / batch)
+    evaluations = batches * batch
+    simulator = simulator or Simulator(search.setup, engine)
+    simulated = evaluations * point
+    wall = simulated / pace(simulator, search.setup, batch * search.repeats)
+    gradients = 0
+    if search.method == "cma_mega":
+        centres = int(search.options.get("emitters", 4)) * (batches // 2)
+        gradients = round(centres * search.repeats * WalkGradients.cost_of(search))
+    return Cost(engine, batch, batches, evaluations, evaluations * search.repeats, simulated, wall,
+                evaluations * search.repeats * _ROW_BYTES, gradients)  # fmt: skip

@@ -23,9 +23,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nermo_mjx.optimize.methods import made_by
+from nermo_mjx.optimize.search import Scores, Search, cells_of, elites_of, scores_of
 from nermo_mjx.rollout.differentiable import cost as gradient_cost
 from nermo_mjx.runs import RunDirectory
-from nermo_mjx.runs.directory import remove_leftovers
+from nermo_mjx.runs.directory import engine_of, remove_leftovers
 from nermo_mjx.runs.files import (
     DirectoryError,
     WrongDirectory,
@@ -36,9 +38,8 @@ from nermo_mjx.runs.files import (
     parquet_bytes,
     parquet_table,
 )
+from nermo_mjx.runs.status import Status, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
-from nermo_mjx.search.evolution import made_by
-from nermo_mjx.search.spec import Scores, Search, cells_of, elites_of, scores_of
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.reading import SpecError, changes, dump
 from nermo_mjx.sweep.replay import SweepRow
@@ -525,3 +526,29 @@ def find_evaluation(out: str | os.PathLike[str], row: int) -> SweepRow:
 def _engine_of(out: Path) -> str:
     """The engine of the first batch, which a directory keeps."""
     return pq.read_schema(next(iter(chunk_files(out).values()))).metadata[b"engine"].decode()
+
+
+# ---
+# How far a search's directory is.
+
+
+def status(out: Path) -> Status:
+    """How many points of its search a directory holds."""
+    notes, search, runs = list[str](), None, 0
+    try:
+        search = Search.from_file(out / SEARCH)
+    except (SpecError, OSError) as error:
+        notes.append(f"Its search cannot be read: {error}")
+    for path in chunk_files(out).values():
+        if about := metadata_of(path, notes, "it will be run again."):
+            runs += about.num_rows
+    done, budget = runs // (1 if search is None else search.repeats), None if search is None else search.evaluations
+    reached = False
+    try:
+        best = json.loads((out / BEST).read_text(encoding="utf-8"))
+        spent = 0.0 if search is None else search.reached(best["evaluations"], best["simulated_seconds"])
+        reached = bool(best["complete"]) and spent >= 1.0 and best["evaluations"] == done
+    except (OSError, ValueError, KeyError):
+        pass
+    return status_of("evaluations", out, done, budget, reached, command="search", spec=SEARCH, engine=engine_of(out),
+                     notes=notes)  # fmt: skip

@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from nermo_mjx.optimize.objective import TRAJECTORY_ERROR, Evaluation, Problem
+from nermo_mjx.optimize.tuning import Tuning
 from nermo_mjx.programs import Program
 from nermo_mjx.recording import Recording, RecordingError
 from nermo_mjx.robot.quantity import ParameterError
@@ -26,8 +28,6 @@ from nermo_mjx.runs.code import CodeStamp, stamp
 from nermo_mjx.runs.workers import TaskFailed, Workers
 from nermo_mjx.runtime import cpu_batch_limit
 from nermo_mjx.sweep.simulating import SimulatorLike
-from nermo_mjx.tune.objective import TRAJECTORY_ERROR, Evaluation, Problem
-from nermo_mjx.tune.spec import Tuning
 
 #: Spread of a coordinate below which it counts as this large: a millimetre, and a hundredth of a radian.
 _LEAST_SPREAD: Final = (1e-3, 1e-2)

@@ -43,9 +43,9 @@ class Estimator:
     """How a gradient is estimated; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: a key of `nermo_mjx.tune.estimators.ESTIMATORS`.
+        name: a key of `nermo_mjx.optimize.estimators.ESTIMATORS`.
         samples: perturbed worlds of each start, an even number; 0 for `exact`.
-        sigma: standard deviation of the perturbations, in coordinates u (`nermo_mjx.tune.objective`).
+        sigma: standard deviation of the perturbations, in coordinates u (`nermo_mjx.optimize.objective`).
         common: common random numbers: the same perturbations for all `starts`, for all `iterations`, for `both`, or
             `none`.
         gamma: most bias that a mixture accepts from the first order, in standard errors of the zeroth.

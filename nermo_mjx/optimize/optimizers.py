@@ -197,9 +197,9 @@ def _unit(vector: Float[Array, " p"]) -> Float[Array, " p"]:
 
 #: The optimizer with an automatic learning rate, which uses the objective's value.
 CONTROLLED: Final = "controlled_adam"
-#: The one that tries points along the gradient (`nermo_mjx.tune.optimizer`).
+#: The one that tries points along the gradient (`nermo_mjx.optimize.optimizers`).
 LINE: Final = "line_search"
-#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.tune.objective`) per step.
+#: The default learning rate of an optimizer, in coordinates u (`nermo_mjx.optimize.objective`) per step.
 LEARNING_RATE: Final = 0.1
 _SCHEDULE_ENDINGS: Final = ("", "_schedule", "_decay_schedule")
 
@@ -209,8 +209,7 @@ class Optimizer:
     """An optimizer by name; hashable, so that it is static in compiled programs.
 
     Attributes:
-        name: `controlled_adam` (`nermo_mjx.tune.optimizer`), `line_search` (`nermo_mjx.tune.optimizer`), or of
-            a function of optax that has a learning rate: `adam`, `sgd`, `lion`, ...
+        name: `controlled_adam`, `line_search`, or of a function of optax that has a learning rate: `adam`, `sgd`, ...
         options: keyword arguments of that function. A schedule is written as
             {name: cosine_decay_schedule, option: value}, or as {cosine: {option: value}}.
         clip: a longer gradient (2-norm over the parameters of one start) is clipped to this norm; None: no clipping.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -11,14 +13,19 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from nermo_mjx.optimize.objective import Term
+from nermo_mjx.optimize.search import Search, cells_of, elites_of
+from nermo_mjx.optimize.search_directory import SEARCH, Evaluations, atlas_progress, hypervolumes
+from nermo_mjx.plotting.files import Figures
 from nermo_mjx.plotting.page import around, blank, page
 from nermo_mjx.plotting.shown import ShownValues, shown
 from nermo_mjx.plotting.style import BAND, BEST, COLOURS, LINE, MUTED, colour_scale, horizontal_grid, set_scales
+from nermo_mjx.robot.quantity import ParameterError
 from nermo_mjx.rollout import Metric
-from nermo_mjx.search.batches import Evaluations, atlas_progress, hypervolumes
-from nermo_mjx.search.spec import cells_of, elites_of
-from nermo_mjx.sweep.survey import named_points, trade_off
-from nermo_mjx.tune.objective import Term
+from nermo_mjx.runs.files import DirectoryError
+from nermo_mjx.sweep.plots import chosen_figure
+from nermo_mjx.sweep.results import Results, chunk_files
+from nermo_mjx.sweep.survey import named_points, survey_figures, trade_off
 
 _WIDTH: Final = 7.2
 #: Pairs of measures that an atlas of three or more shows.
@@ -249,3 +256,58 @@ def _mark_lost(ax: Axes, number: np.ndarray, lost: np.ndarray) -> None:
     if lost.any():
         height = np.full(int(lost.sum()), 0.01)
         ax.plot(number[lost], height, "|", color=MUTED, ms=5, transform=ax.get_xaxis_transform())
+
+
+# ---
+# Which figures a search gives: how it converged, its front or its atlas; and any columns of its table.
+
+
+def figures_of(search: Search, results: Results) -> Iterator[tuple[str, Figure]]:
+    """(file name, figure) of a search's table; nothing where no point is allowed."""
+    found = Evaluations.of(search, results)
+    if found.best() is None:
+        return
+    if search.aim.measures:
+        yield "atlas", atlas(found)
+        yield "coverage", coverage(found)
+    elif search.aim.pareto:
+        yield "front", front(found)
+        yield "hypervolume", hypervolume(found)
+    else:
+        yield "convergence", convergence(found)
+    metric = search.aim.objective.terms[0].metric
+    yield from ((name, figure) for name, figure in survey_figures(results, metric) if name.endswith("-parallel"))
+
+
+def figures(
+    out: Path,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    color: str | None = None,
+    notify: Callable[[str], None] | None = None,
+) -> Figures:
+    """The figures of a search's directory, as far as it goes.
+
+    Args:
+        out: the directory.
+        x, y, color: columns of one figure, see `nermo_mjx.sweep.plots.chosen_figure`.
+        notify: not called: a search is drawn as far as it is.
+
+    Raises:
+        ParameterError: there is no such column.
+        SpecError: its search.yaml cannot be read.
+        DirectoryError: there is nothing to draw, or it cannot be read.
+    """
+    search, files = Search.from_file(out / SEARCH), list(chunk_files(out).values())
+    if not files:
+        command = f"nermo-mjx search {out / SEARCH} --out {out}"
+        raise DirectoryError(f"{out} holds no results of its search yet: run {command}.")
+    results = Results(files)
+    if x is not None:
+        return chosen_figure(results, x, y, color)
+    if y is not None or color is not None:
+        raise ParameterError("x is not given, beside y or color: name it, too.")
+    if Evaluations.of(search, results).best() is None:
+        raise DirectoryError(f"there is nothing to draw of {out}: no point is within the constraints.")
+    return figures_of(search, results)

@@ -16,25 +16,121 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import math
 import os
-from collections.abc import Callable
+import shlex
+import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
-from nermo_mjx.runs import RunDirectory, session, stamp
+from nermo_mjx.optimize.history import FILE, Log, columns, history_table, is_done, why_done
+from nermo_mjx.optimize.methods import TuneState, initial_state
+from nermo_mjx.optimize.tuning import Tuning
+from nermo_mjx.runs import DirectoryError, OtherCode, RunDirectory, engine_of, session, stamp
+from nermo_mjx.runs import checkpoints as stored
 from nermo_mjx.runs.files import WrongDirectory, clear_errors, content_of, parquet_bytes, parquet_table
+from nermo_mjx.runs.status import Status, last_command, metadata_of, status_of
 from nermo_mjx.runs.text import to_json
 from nermo_mjx.specs.controllers import with_code_copied
 from nermo_mjx.specs.described import write_described
 from nermo_mjx.specs.reading import SpecError, changes, dump
-from nermo_mjx.tune.checkpoints import Checkpoints
-from nermo_mjx.tune.history import FILE, Log, columns, history_table
-from nermo_mjx.tune.spec import Tuning
-from nermo_mjx.tune.stopping import is_done, why_done
-from nermo_mjx.tune.tuner import TuneState, initial_state
+
+# ---
+# A tuning's checkpoints: the state, and with it the history up to it.
+
+
+class Checkpoints:
+    """The checkpoints of one directory, one per iteration; use it in a `with` statement.
+
+    A checkpoint holds the state and the history so far (item `tuning`), and what they are (`about`: the tuning they
+    belong to, precision, names of the metrics, shape of the history, which code made it, checksums). The history has no
+    other source: everything else in the directory is made from the checkpoint, so that nothing can disagree with it.
+
+    Args:
+        held: the directory; checkpoints are in its folder `checkpoints`, which is made if it does not exist.
+        tuning: that they belong to.
+    """
+
+    def __init__(self, held: RunDirectory, tuning: Tuning) -> None:
+        self._held, self._stored = held, stored.Checkpoints(held, "tuning")
+        self.folder, self.digest, self._identity = self._stored.folder, tuning.digest(), tuning.identity()
+
+    def __enter__(self) -> Checkpoints:
+        self._stored.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stored.__exit__()
+
+    def save(self, state: TuneState, log: Log) -> None:
+        """Store a state and the history up to it; raises as `runs.checkpoints.Checkpoints.save`."""
+        about = {
+            "digest": self.digest,
+            "precision": str(state.u.dtype),
+            "metrics": list(log.metrics),
+            "rows": list(log.rows.shape),
+            "codes": log.codes,
+            "identity": self._identity,
+        }
+        self._stored.save(int(state.iteration), {"state": state, "history": log.rows}, about)
+
+    def restore(
+        self, like: TuneState, *, accept: bool = False, warn: Callable[[str], None] = lambda _: None
+    ) -> tuple[TuneState, Log] | None:
+        """The latest intact checkpoint, None if there is none. Newer ones that are damaged are moved aside.
+
+        Args:
+            like: a state of the same tuning; its values do not matter.
+            accept: take checkpoints that were computed with other defaults.
+            warn: called with a message about each checkpoint that is moved aside.
+
+        Raises:
+            DirectoryError: one cannot be read now, or was computed in another precision, for another tuning, or with
+                other defaults; nothing has been changed.
+        """
+
+        def shapes(about: Mapping[str, Any]) -> dict[str, Any]:
+            self._check_ours(about, accept)
+            if about["precision"] != str(like.u.dtype):
+                raise DirectoryError(
+                    f"{self.folder} was started in {about['precision']}, and JAX now computes in {like.u.dtype}: "
+                    "resume with that precision, or choose another directory."
+                )
+            return {"state": like, "history": np.empty(about["rows"])}
+
+        found = self._stored.restore(shapes, warn)
+        if found is None:
+            return None
+        parts, about = found
+        codes = tuple((int(first), str(code)) for first, code in about["codes"])
+        return parts["state"], Log(tuple(about["metrics"]), parts["history"], codes)
+
+    def _check_ours(self, about: Mapping[str, Any], accept: bool) -> None:
+        """Refuse a checkpoint of another tuning, or of one with other defaults that are not accepted."""
+        if about["digest"] == self.digest:
+            return
+        here, there = self._identity, about["identity"]
+        # A field that only one of the two knows has a default there.
+        both = there["fields"].keys() & here["fields"].keys()
+        apart = changes(*({name: each["fields"][name] for name in here["fields"] if name in both}
+                          for each in (there, here)))  # fmt: skip
+        apart += ["recording"] if there["recording"] != here["recording"] else []
+        if apart:
+            raise WrongDirectory(f"{self._held.out} holds checkpoints of another tuning, with another "
+                                 f"{', '.join(apart)}; choose another directory.")  # fmt: skip
+        difference = ", ".join(changes(there["fields"] | there["defaults"], here["fields"] | here["defaults"]))
+        if not accept:
+            raise OtherCode(
+                f"{self._held.out} was made with other defaults: {difference}; choose another directory, or resume "
+                "with --accept-new-code, and distinguish the rows by their column code."
+            )
+
 
 # ---
 # What a tuning found: best.json for programs, and tuned.yaml, the tuned gait as a sweep file.
@@ -238,3 +334,50 @@ def keep_recording(held: RunDirectory, tuning: Tuning, warn: Callable[[str], Non
         held.set_aside("another recording", [RECORDING], warn)
         held.write(RECORDING, content)
     return dataclasses.replace(tuning, recording=own)
+
+
+# ---
+# How far a tuning's directory is, and a landscape's.
+
+
+def status(out: Path) -> Status:
+    """How many evaluations of its starts the history of a tuning's directory has."""
+    notes, rows, done = list[str](), None, 0
+    try:
+        tuning = Tuning.from_file(out / "tuning.yaml")
+        rows = (tuning.iterations + 1) * tuning.starts
+    except (SpecError, OSError) as error:
+        notes.append(f"Its tuning cannot be read: {error}")
+    if about := metadata_of(out / FILE, notes, "it is made again of the checkpoints."):
+        done = about.num_rows
+    best = None
+    with contextlib.suppress(OSError, ValueError):
+        best = json.loads((out / "best.json").read_text(encoding="utf-8"))
+    if isinstance(best, dict) and best.get("stopped"):
+        rows, notes = done, [*notes, best["stopped"]]
+    complete = rows is not None and done >= rows and best is not None
+    return status_of("evaluations", out, done, rows, complete, command="tune", spec="tuning.yaml",
+                     engine=engine_of(out), notes=notes)  # fmt: skip
+
+
+def landscape_status(out: Path) -> Status:
+    """How many points of a landscape a directory holds: in its table, or in the batches of an unfinished one."""
+    notes, sessions, table = list[str](), list[dict[str, Any]](), out / "landscape.parquet"
+    if table.exists():
+        try:
+            about = pq.read_metadata(table)
+            sessions = [json.loads((about.metadata or {}).get(b"session", b"{}"))]
+            complete = (out / "landscape.json").exists()
+            command = f"nermo-mjx plot {shlex.quote(str(out))}" if complete else last_command(out)
+            return Status("points", about.num_rows, about.num_rows, complete, command, engine_of(out),
+                          sessions=sessions)  # fmt: skip
+        except (OSError, pa.ArrowException, ValueError):
+            notes.append("landscape.parquet is damaged.")
+    done = 0
+    for path in out.glob("batches/*.npz"):
+        try:
+            with np.load(path, allow_pickle=False) as batch:
+                done += len(batch["value"])
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            notes.append(f"batches/{path.name} is damaged; it will be evaluated again.")
+    return Status("points", done, None, False, last_command(out), engine_of(out), notes=tuple(notes))
